@@ -267,7 +267,7 @@ def _flat(text: str) -> str:
 def layers() -> list[list[str]]:
     """The packages and modules of each layer, the uppermost first, as the import contract has them."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    (ordered,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
+    ordered = next(contract["layers"] for contract in contracts if contract["type"] == "layers" and "containers" not in contract)
     return [[one.strip().removeprefix("labpipe.") for one in layer.split("|")] for layer in ordered]
 
 

@@ -6,7 +6,7 @@ or an environment that it does not know (latex2mathml lets them through). Code i
 
 A line ahead of a `$$` block gives the equation a label and says which public names of labpipe compute it:
 
-    {{ equation frf-h1 | labpipe.spectra.estimators.h1, labpipe.spectra.estimators.hv }}
+    {{ equation frf-h1 | labpipe.spectra.random.h1, labpipe.spectra.random.hv }}
     $$ H_1 = S_{yu} S_{uu}^{-1} $$
 """
 

@@ -57,9 +57,11 @@ def reference_pages() -> dict[str, str]:
 
 def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
     """The settings of a dataclass as a table; sections and lists of them follow below it, each under its dotted name."""
-    from labpipe.identify.settings import FitSettings, models_text
+    from labpipe.estimation.settings import FitSettings, models_text
     from labpipe.records.settings import settings_of
+    from labpipe.uncertainty.settings import CompareSettings, kinds_text
 
+    taken = {FitSettings: models_text, CompareSettings: kinds_text}.get(owner, lambda _key: "")
     defaults = {field.name: field.default for field in dataclasses.fields(owner)}
     rows = ["| key | what it is | form | default |", "|---|---|---|---|"]
     below = []
@@ -67,9 +69,7 @@ def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
         if name in without:
             continue
         otherwise = "**needed**" if needed else default(defaults[name], setting.unit)
-        rows.append(
-            f"| `{name}` | {cell(setting.help)}{models_text(name) if owner is FitSettings else ''} | {form(setting)} | {otherwise} |"
-        )
+        rows.append(f"| `{name}` | {cell(setting.help)}{taken(name)} | {form(setting)} | {otherwise} |")
         if setting.section is not None:
             below.append(f"\n`{known}{name}:`{BELOW[setting.kind]}\n\n" + table(setting.section, f"{known}{name}."))
     return "\n".join(rows) + "\n" + "\n".join(below)
@@ -111,7 +111,7 @@ def commands_page() -> str:
 
 
 def rig_page() -> str:
-    from labpipe.config.rig import ChannelSettings, RigSettings
+    from labpipe.project.rig_file import ChannelSettings, RigSettings
 
     return (
         "# Rig files\n\nWhat the rig is. `channels:` holds one entry per channel, under the name used everywhere else.\n\n"
@@ -122,8 +122,7 @@ def rig_page() -> str:
 
 
 def pipeline_page() -> str:
-    from labpipe.config.pipeline import ReportSettings, section_names
-    from labpipe.config.uncertainty import UncertaintySettings
+    from labpipe.project.pipeline_file import ReportSettings, UncertaintySettings, section_names
     from labpipe.records.frf_layout import FrfLayout
     from labpipe.sections import sections
     from labpipe.spectra.settings import FrfSettings
@@ -137,22 +136,27 @@ def pipeline_page() -> str:
         ),
         "frf": ("How recordings become frequency responses.", FrfSettings),
         "uncertainty": ("How doubts are propagated, for all fits: [uncertainty budget](../how-to/budget.md).", UncertaintySettings),
-        **{name: (section.words, section.load("settings")) for name, section in sections()},
+        **{name: (section.words, section.settings) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),
     }
     parts = ["# Pipeline files", f"What to do. Sections: {named}.", head]
     for name, (what, owner) in words.items():
         parts.append(f"## {name}\n\n{what}\n\n{table(owner, f'{name}.')}")
-        parts += model_parts() if name == "identify" else []
+        parts += own_parts(name)
     return "\n\n".join(parts) + "\n"
 
 
-def model_parts() -> list[str]:
-    """The sections that some models have within a fit."""
-    from labpipe.identify.settings import MODELS, model_kind
+def own_parts(section: str) -> list[str]:
+    """The sections that some models have within a fit, and some kinds within a comparison."""
+    from labpipe.estimation.settings import MODELS, model_kind
+    from labpipe.uncertainty.settings import COMPARISONS, comparison_kind
 
-    own = ((name, kind) for name in MODELS if (kind := model_kind(name)).settings is not None)
-    return [f"`{kind.section}:` of a fit with `model: {name}`\n\n{table(kind.settings, f'{kind.section}.')}" for name, kind in own]
+    tables = {"identify": ("fit", "model", MODELS, model_kind), "compare": ("comparison", "kind", COMPARISONS, comparison_kind)}
+    if section not in tables:
+        return []
+    what, key, names, kind_of = tables[section]
+    own = ((name, kind) for name in names if (kind := kind_of(name)).settings is not None)
+    return [f"`{kind.section}:` of a {what} with `{key}: {name}`\n\n{table(kind.settings, f'{kind.section}.')}" for name, kind in own]
 
 
 def bearing_page() -> str:
@@ -167,9 +171,8 @@ def bearing_page() -> str:
 
 
 def rotor_page() -> str:
-    from labpipe.config.rotor import LISTS
-    from labpipe.config.rotor_parts import DampingSettings, MaterialSettings, RotorSettings
-    from labpipe.config.run_up_rotor import PinnedSettings
+    from labpipe.methods.rotor.rotor_file import LISTS, DampingSettings, MaterialSettings, RotorSettings
+    from labpipe.methods.run_ups.rotor_file import PinnedSettings
 
     words = "A shaft of beam elements on bearings of any kind. Nodes are numbered from 1, from left to right."
     parts = ["# Rotor files", words, table(RotorSettings)]

@@ -21,52 +21,37 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_PUBLIC = {
-    # Files, pipelines and things by name.
-    "read": "labpipe.scripting.reading:read",
-    "run": "labpipe.scripting.running:run",
-    "bearing": "labpipe.scripting.by_name:bearing",
-    "rotor": "labpipe.scripting.by_name:rotor",
-    "virtual_rig": "labpipe.scripting.by_name:virtual_rig",
-    # The stages as functions.
-    "measure": "labpipe.spectra.measurement:measure",
-    "channel_spectra": "labpipe.spectra.all_channels:channel_spectra",
-    "free_decays": "labpipe.spectra.free_decays:free_decays",
-    "fit": "labpipe.identify.fitting:identify",
-    "fit_line": "labpipe.identify.calibration:fit_line",
-    "run_study": "labpipe.study.study:run_study",
-    "recordings": "labpipe.simulate.virtual_rigs:recordings",
-    "simulated_response": "labpipe.simulate.virtual_rigs:simulated_response",
-    "design_multisine": "labpipe.signals.excitation:design_multisine",
-    "html_report": "labpipe.document.render:html_report",
-    "markdown_report": "labpipe.document.render:markdown_report",
-    "plot": "labpipe.document.plot:plot",
-    # Their settings.
-    "FrfSettings": "labpipe.spectra.settings:FrfSettings",
-    "FitSettings": "labpipe.identify.settings:FitSettings",
-    "Sliding": "labpipe.identify.settings:Sliding",
-    "Support": "labpipe.identify.settings:Support",
-    "StudySettings": "labpipe.study.settings:StudySettings",
-    "Uncertain": "labpipe.records.settings:Uncertain",
-    # Records.
-    "Channel": "labpipe.records.recording:Channel",
-    "Recording": "labpipe.records.recording:Recording",
-    "Port": "labpipe.records.response:Port",
-    "FrequencyResponse": "labpipe.records.response:FrequencyResponse",
-    "ChannelSpectra": "labpipe.records.channel_spectra:ChannelSpectra",
-    "FreeDecays": "labpipe.records.free_decay:FreeDecays",
-    "Parameter": "labpipe.records.parameter:Parameter",
-    "Fit": "labpipe.records.identification:Fit",
-    "Identification": "labpipe.records.identification:Identification",
-    "LabpipeError": "labpipe.errors:LabpipeError",
+# Module -> the names that it gives, those that the module calls otherwise as "name=other".
+_MODULES = {
+    "labpipe.project.scripting": "read run bearing rotor virtual_rig",
+    "labpipe.spectra.measurement": "measure",
+    "labpipe.spectra.all_channels": "channel_spectra",
+    "labpipe.spectra.free_decays": "free_decays",
+    "labpipe.estimation.fitting": "fit=identify",
+    "labpipe.methods.calibration.line": "fit_line",
+    "labpipe.uncertainty.study": "run_study StudySettings",
+    "labpipe.simulate.virtual_rigs": "recordings simulated_response",
+    "labpipe.raw_files.excitation": "design_multisine",
+    "labpipe.document.render": "html_report markdown_report",
+    "labpipe.document.plot": "plot",
+    "labpipe.spectra.settings": "FrfSettings",
+    "labpipe.estimation.settings": "FitSettings Sliding Support",
+    "labpipe.records.uncertain": "Uncertain",
+    "labpipe.records.recording": "Channel Recording",
+    "labpipe.records.response": "Port FrequencyResponse",
+    "labpipe.records.spectra": "ChannelSpectra FreeDecays",
+    "labpipe.records.finding": "Parameter",
+    "labpipe.records.identification": "Fit Identification",
+    "labpipe.errors": "LabpipeError",
 }
+_PUBLIC = {text.partition("=")[0]: (module, text.rpartition("=")[2]) for module, names in _MODULES.items() for text in names.split()}
 __all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'labpipe' has no attribute '{name}'")
-    module, _, attribute = _PUBLIC[name].partition(":")
+    module, attribute = _PUBLIC[name]
     return getattr(import_module(module), attribute)
 
 

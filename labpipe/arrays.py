@@ -1,4 +1,6 @@
-"""The array types in labpipe's signatures, by kind of number.
+"""Arrays in labpipe's signatures, by kind of number, and how records check and freeze them.
+
+The array types in labpipe's signatures, by kind of number.
 
 The docstring of each function states shapes, as (n_frequency, n_output, n_input), and units, as [N/m].
 """
@@ -8,9 +10,52 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from labpipe.errors import DataError
+
+# The array types in labpipe's signatures, by kind of number.
 
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
 ComplexArray: TypeAlias = NDArray[np.complexfloating[Any, Any]]
 IntArray: TypeAlias = NDArray[np.intp]
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+# Checking and freezing of the arrays that records hold.
+
+
+def frozen_array(values: ArrayLike, dtype: type, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Read-only array of *values* (n, ...) [any unit] with the given dtype and shape; DataError on another shape or NaN.
+
+    A copy, unless nobody can write to *values* any more.
+    """
+    array: NDArray[Any] = values if _is_frozen(values, dtype) else np.array(values, dtype=dtype)  # type: ignore[assignment]
+    if array.shape != shape:
+        raise DataError(f"{name} has the shape {array.shape}, {shape} is needed")
+    if not np.all(np.isfinite(array)):
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise DataError(f"{name} is not finite at index {index}")
+    array.flags.writeable = False
+    return array
+
+
+def _is_frozen(values: ArrayLike, dtype: type) -> bool:
+    """Whether *values* are an array of *dtype* that is read-only, as is all that it is a view of."""
+    if not isinstance(values, np.ndarray) or values.dtype != dtype:
+        return False
+    owner: Any = values
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    return owner is None
+
+
+def handed_over(values: NDArray[Any]) -> NDArray[Any]:
+    """The array *values* (n, ...) [any unit] made read-only with all that it is a view of, so that a record takes it without a copy.
+
+    For arrays that were made for the record and that nobody else holds.
+    """
+    owner: Any = values
+    while isinstance(owner, np.ndarray):
+        owner.flags.writeable = False
+        owner = owner.base
+    return values

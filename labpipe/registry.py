@@ -7,6 +7,7 @@ import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from labpipe.errors import ConfigError
@@ -28,10 +29,29 @@ def listed(names: Sequence[str]) -> str:
     return (", ".join(names[:MOST_LISTED]) or "none") + more
 
 
+# The entry points of labpipe's own methods, which are also in the metadata of an installed labpipe.
+SHIPPED = Path(__file__).with_name("methods") / "entry_points.txt"
+
+
 @functools.cache
-def _added(kind: str) -> tuple[EntryPoint, ...]:
-    """Entries of other packages; cached, since it reads the metadata of every installed package."""
-    return tuple(entry_points(group=group_of(kind)))
+def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
+    """Group -> name -> entry of labpipe's own methods, read from their file: metadata of an earlier installation may lie beside it."""
+    groups: dict[str, dict[str, EntryPoint]] = {}
+    group = ""
+    for line in SHIPPED.read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            group = line.strip("[]")
+        elif "=" in line and not line.startswith("#"):
+            name, value = (part.strip() for part in line.split("=", 1))
+            groups.setdefault(group, {})[name] = EntryPoint(name, value, group)
+    return groups
+
+
+@functools.cache
+def _added(kind: str) -> Mapping[str, EntryPoint]:
+    """Entries of methods and of other packages; cached, since it reads the metadata of every installed package."""
+    group = group_of(kind)
+    return {**{entry.name: entry for entry in entry_points(group=group)}, **_shipped().get(group, {})}
 
 
 def group_of(kind: str) -> str:
@@ -51,17 +71,15 @@ class Registry:
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first."""
-        added = [entry.name for entry in _added(self.kind) if entry.name not in self._table]
-        return (*self._table, *added)
+        return (*self._table, *(name for name in _added(self.kind) if name not in self._table))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
         if name in self._table:
             module, _, attribute = self._table[name].partition(":")
             return getattr(import_module(module), attribute)
-        for entry in _added(self.kind):
-            if entry.name == name:
-                return entry.load()
+        if name in _added(self.kind):
+            return _added(self.kind)[name].load()
         raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
 
     def __getitem__(self, name: str) -> Any:

@@ -1,1 +1,1 @@
-"""labpipe's file formats: a header of kind, schema and provenance, then the numbers; written completely or not at all."""
+"""labpipe's own files: a header of kind, schema and provenance, then the numbers; written completely or not at all."""

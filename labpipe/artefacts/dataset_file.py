@@ -1,4 +1,6 @@
-"""``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for whatever reads Parquet.
+"""``dataset/``: the results of many tests as rows of Parquet files, and their columns for reports.
+
+``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for whatever reads Parquet.
 
 Schema "labpipe/results/1": a row of `DatasetRow` for each test, fit and parameter; rig and date stand in the folders' names (Hive's
 layout), every condition NAME in a column condition.NAME as people wrote it, and in amount.NAME in SI where it is an amount. A part is
@@ -16,19 +18,23 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.json_file import plain
-from labpipe.artefacts.parquet import as_written, metadata_of, open_parquet, read_columns, read_header
-from labpipe.artefacts.typed_json import entry_of, record_of
+from labpipe.artefacts.json_file import entry_of, plain, record_of
+from labpipe.artefacts.parquet import as_written, metadata_of, numpy_array, open_parquet, read_columns, read_header
 from labpipe.artefacts.writing import OutputFolder, finished
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.dataset_row import DatasetRow, TestResult
-from labpipe.records.dataset_summary import DatasetSummary, summary_of, summed
+from labpipe.records.dataset import DatasetRow, DatasetSummary, ManyTests, TestColumns, TestResult, summary_of, summed
+
+# ``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and
+# for whatever reads Parquet.
 
 FOLDER = "dataset"
 SUFFIX = ".results.parquet"
@@ -150,3 +156,75 @@ def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
 def columns_of_conditions(names: Sequence[str]) -> Iterator[str]:
     """The conditions that columns of a dataset are of."""
     return (name.removeprefix(CONDITION) for name in names if name.startswith(CONDITION))
+
+
+# A dataset of results read for a report: every parameter of every fit as columns over the tests.
+
+KEYS = ("fit", "term", "parameter", "unit", "low_hz", "high_hz")
+# Tests that a report names one by one.
+MOST = 100
+
+
+def read_many_tests(folder: Path) -> ManyTests:
+    """The dataset of a folder of results; DataError where there is none, DamagedError for a part that labpipe did not write."""
+    table = read_rows(folder)
+    table = table.sort_by([("date", "ascending"), ("test", "ascending")])
+    valid = table.filter(pc.is_valid(table["parameter"]))
+    return ManyTests(
+        tuple(_columns(valid)),
+        failed=tuple(_named(table.filter(pc.is_valid(table["failed"])), "failed")),
+        not_accepted=tuple(_named(table.filter(pc.equal(table["accepted"], False)), "warnings")),
+    )
+
+
+def _columns(table: pa.Table) -> Iterator[TestColumns]:
+    """One for each fit, term, band and parameter, in the order in which they first stand in the dataset."""
+    keys = pa.StructArray.from_arrays([table[name].combine_chunks() for name in KEYS], names=list(KEYS)) if table.num_rows else pa.array([])
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for row, key in enumerate(keys.to_pylist()):
+        groups.setdefault(tuple(key.values()), []).append(row)
+    for (fit, term, parameter, unit, low_hz, high_hz), rows in groups.items():
+        group = table.take(rows)
+        yield TestColumns(
+            str(fit),
+            str(term),
+            str(parameter),
+            str(unit),
+            tests=tuple(group["test"].to_pylist()),
+            dates=tuple(group["date"].to_pylist()),
+            values=_numbers(group, "value"),
+            errors=_numbers(group, "full_error"),
+            low=_numbers(group, "ci_low"),
+            high=_numbers(group, "ci_high"),
+            amounts=dict(_amounts(group)),
+            band_hz=(float(str(low_hz)), float(str(high_hz))),
+        )
+
+
+def _numbers(table: pa.Table, name: str) -> FloatArray:
+    return np.asarray(numpy_array(table[name]), np.float64)
+
+
+def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
+    """The conditions that are amounts of one unit; a condition in several dimensions is no axis."""
+    for column in table.column_names:
+        if column.startswith(AMOUNT):
+            name = column.removeprefix(AMOUNT)
+            units = {amount_of(text)[1] for text in pc.unique(table[CONDITION + name]).to_pylist() if text is not None}
+            if len(units) == 1:
+                yield name, (units.pop(), _numbers(table, column))
+
+
+def _named(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
+    """The first tests of some rows with their conditions, each once."""
+    conditions = [name for name in table.column_names if name.startswith(CONDITION)]
+    seen: set[str] = set()
+    for batch in table.select(["test", why, *conditions]).to_batches():
+        for row in batch.to_pylist():
+            if row["test"] in seen:
+                continue
+            seen.add(row["test"])
+            text = ", ".join(f"{name.removeprefix(CONDITION)} {row[name]}" for name in conditions if row[name] is not None)
+            yield row["test"], text, row[why] or ""
+            if len(seen) >= MOST:
+                return

@@ -1,22 +1,89 @@
-"""The header of every artefact: kind, schema number, parameters, input checksums, findings, version; no clock."""
+"""The header of every artefact, and the code behind it: its commit and its digest."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
 import json
 import os
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, field
+from importlib.metadata import PackageNotFoundError, distribution, entry_points
 from pathlib import Path
 from typing import Any
 
+import labpipe
 from labpipe import __version__
-from labpipe.artefacts.code import code_digest
 from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
+from labpipe.artefacts.places import origin
+from labpipe.artefacts.writing import shown
 from labpipe.errors import DataError
-from labpipe.places.address import shown
-from labpipe.places.fetched import origin
 from labpipe.records.finding import Finding
+
+# The code behind a result, as a digest: results of another build count as stale, whatever its version
+# number says.
+
+PLUG_IN_GROUPS = "labpipe."
+
+
+@functools.cache
+def code_digest() -> str:
+    """SHA-256 over the source of labpipe, and name and version of every package that adds to its tables."""
+    digest = hashlib.sha256()
+    root = Path(labpipe.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    for name in sorted(_plug_ins()):
+        digest.update(name.encode())
+    return digest.hexdigest()
+
+
+def _plug_ins() -> set[str]:
+    every = entry_points()
+    added = (entry for group in every.groups if group.startswith(PLUG_IN_GROUPS) for entry in every.select(group=group))
+    return {f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value for entry in added}
+
+
+# The commit that this code is of, where that is known: of a checkout, or of what was installed from a
+# repository.
+
+# Letters of a commit that people write.
+SHORT = 10
+
+
+def commit(package: Path = Path(__file__).parent) -> str:
+    """The first SHORT letters of the commit, empty where nothing names it; *package*: the folder of the code."""
+    return (of_checkout(package.parent / ".git") or _of_installation())[:SHORT]
+
+
+def of_checkout(git: Path) -> str:
+    """The commit that a checkout's folder *git* is at, read without git; empty where there is none."""
+    try:
+        head = (git / "HEAD").read_text("ascii").strip()
+        if not head.startswith("ref: "):
+            return head
+        reference = head.removeprefix("ref: ")
+        if (git / reference).is_file():
+            return (git / reference).read_text("ascii").strip()
+        packed = (git / "packed-refs").read_text("ascii").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return next((line.split()[0] for line in packed if line.endswith(f" {reference}")), "")
+
+
+def _of_installation() -> str:
+    """The commit that pip notes for what it installed from a repository (PEP 610)."""
+    try:
+        noted = distribution("labpipe").read_text("direct_url.json")
+        return str(json.loads(noted or "{}").get("vcs_info", {}).get("commit_id", ""))
+    except (PackageNotFoundError, ValueError, AttributeError):
+        return ""
+
+
+# The header of every artefact: kind, schema number, parameters, input checksums, findings, version; no
+# clock.
 
 SCHEMA = 1
 

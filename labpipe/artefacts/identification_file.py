@@ -1,4 +1,6 @@
-"""``identification.json``: all fits with their doubt, the records of all other sections, and the responses they came from.
+"""``identification.json`` and ``fits/TEST.json``: fits with their uncertainty, the records of all other sections.
+
+``identification.json``: all fits with their doubt, the records of all other sections, and the responses they came from.
 
 Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are read as well.
 """
@@ -6,6 +8,7 @@ Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a da
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,29 +18,116 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
-from labpipe.artefacts.fit_entry import finding_entries, findings_of, fit_entry, read_fit
-from labpipe.artefacts.json_file import DIGEST, read_digested, write_digested
-from labpipe.artefacts.typed_json import RECORD_FAULTS, entry_of, record_of
+from labpipe.artefacts.digest import AGAIN, DamagedError
+from labpipe.artefacts.header import SourceRef, code_digest
+from labpipe.artefacts.json_file import DIGEST, RECORD_FAULTS, entry_of, read_digested, record_of, write_digested
 from labpipe.errors import DataError, cut
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.dataset_index import DatasetIndex
-from labpipe.records.finding import Finding
-from labpipe.records.identification import Failed, Identification, RuleOutcome
+from labpipe.estimation.settings import FitSettings
+from labpipe.records.finding import NOTE, WARNING, Finding, of_level
+from labpipe.records.fit_details import DETAILS
+from labpipe.records.identification import DatasetIndex, Failed, Fit, Identification, RuleOutcome
 from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.sections import section, sections
 
-SCHEMA = "labpipe/identification/2"
+# JSON entry of one fit: in identification.json, and in a separate file until all tests are done.
+
+_FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
+
+
+def fit_entry(fit: Fit) -> dict[str, Any]:
+    """The entry of a fit, its findings as warnings and remarks."""
+    entry: dict[str, Any] = entry_of(fit)
+    del entry["findings"]
+    entry |= dict.fromkeys(DETAILS.names()) | {detail.key: entry_of(detail) for detail in fit.details}
+    return {**entry, "centre_hz": fit.centre_hz, **finding_entries(fit.findings)}
+
+
+def read_fit(entry: dict[str, Any]) -> Fit:
+    """The fit of its entry."""
+    fit: Fit = record_of({**entry, "findings": findings_of(entry)}, Fit)
+    kinds = ((key, DETAILS.load(key)) for key in DETAILS.names() if entry.get(key) is not None)
+    return dataclasses.replace(fit, details=tuple(record_of(entry[key], kind.record) for key, kind in kinds))
+
+
+def finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
+    """Warnings and notes, separately."""
+    return {
+        name: [{"code": finding.code, "message": finding.message} for finding in of_level(level, findings)]
+        for name, level in _FINDING_LISTS.items()
+    }
+
+
+def findings_of(entry: dict[str, Any]) -> list[dict[str, Any]]:
+    """The findings of an entry that lists them as warnings and remarks, each with its level."""
+    return [{**finding, "level": level} for name, level in _FINDING_LISTS.items() for finding in entry.get(name, [])]
+
+
+# ``fits/TEST.json``: the fits of one test among many, so that an interrupted run can be resumed.
+
+SCHEMA = "labpipe/fits/1"
+FOLDER = "fits"
+
+
+def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> dict[str, Any]:
+    """What the fits depend on: equal work gives equal fits."""
+    entry = {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "code": code_digest(),
+        "settings": [entry_of(fit) for fit in settings],
+        "responses": [dataclasses.asdict(response) for response in responses],
+    }
+    return json.loads(json.dumps(entry))
+
+
+def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> None:
+    """Write the fits with the settings and the checksums of the responses they were made from."""
+    write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
+
+
+def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
+    """True if the file contains the fits of these settings and responses by this version; DamagedError for a file that it did not write."""
+    if not path.exists():
+        return False
+    entries = read_digested(path, "file of fits")
+    work = _work(settings, responses)
+    if {key: entries.get(key) for key in work} != work:
+        return False
+    if DIGEST not in entries:
+        raise DamagedError("carries no digest", where=str(path))
+    return True
+
+
+def read_fits(path: Path) -> list[Fit]:
+    """The fits of a file that `write_fits` wrote; DamagedError for another one."""
+    return fits_with_digest(path)[0]
+
+
+def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
+    """The fits of a file that `write_fits` wrote, and its digest; DamagedError for another one."""
+    try:
+        entries = read_digested(path, "file of fits")
+        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
+    except RECORD_FAULTS as error:
+        raise DamagedError(f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN) from None
+
+
+# ``identification.json``: all fits with their doubt, the records of all other sections, and the responses
+# they came from.
+
+IDENTIFICATION_SCHEMA = "labpipe/identification/2"
 # Of a result of so many tests that their fits and responses stand elsewhere.
 SCHEMA_OF_MANY = "labpipe/identification/3"
-READ_SCHEMAS = ("labpipe/identification/1", SCHEMA, SCHEMA_OF_MANY)
+READ_SCHEMAS = ("labpipe/identification/1", IDENTIFICATION_SCHEMA, SCHEMA_OF_MANY)
 NAME = "identification.json"
 
 
 def write_identification(path: Path, identification: Identification) -> None:
     """Write the result."""
     entries = {
-        "schema": SCHEMA if identification.dataset is None else SCHEMA_OF_MANY,
+        "schema": IDENTIFICATION_SCHEMA if identification.dataset is None else SCHEMA_OF_MANY,
         "labpipe": __version__,
         "code": identification.code,
         "title": identification.title,
@@ -66,7 +156,7 @@ def read_identification(path: Path) -> Identification:
     except FileNotFoundError:
         raise DataError("no such file", where=str(path), hint="run `labpipe identify` first") from None
     if entries.get("schema") not in READ_SCHEMAS:
-        raise DataError(f"is not of schema {SCHEMA}", where=str(path))
+        raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", where=str(path))
     try:
         return _identification(_upgraded(entries))
     except RECORD_FAULTS as error:
@@ -78,7 +168,7 @@ def read_identification(path: Path) -> Identification:
 
 def _upgraded(entries: dict[str, Any]) -> dict[str, Any]:
     """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a pipeline did not have."""
-    if entries["schema"] in (SCHEMA, SCHEMA_OF_MANY):
+    if entries["schema"] in (IDENTIFICATION_SCHEMA, SCHEMA_OF_MANY):
         return entries
     fits = [{**fit, "curve": _upgraded_curve(fit.get("curve"))} for fit in entries["fits"]]
     return {**{name: entry for name, entry in entries.items() if entry != [] or name == "fits"}, "fits": fits}
@@ -131,10 +221,20 @@ def _identification(entries: dict[str, Any]) -> Identification:
         code=entries.get("code", ""),
         digest=entries.get(DIGEST, ""),
         dataset=record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
-        sections={
-            name: record_of(entries[part.entry], part.load("record")) for name, part in sections() if part.entry and part.entry in entries
-        },
+        sections=_records(entries),
     )
+
+
+# What every result has; other keys are those of sections, which are loaded only then.
+_WITHOUT_SECTIONS = {"schema", "labpipe", "title", "pipeline", "sources", "settings", "rig", "responses", "spectra", "fits"}
+_WITHOUT_SECTIONS |= {"accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST}
+
+
+def _records(entries: dict[str, Any]) -> dict[str, Any]:
+    """The records of all sections, by the section's key."""
+    if set(entries) <= _WITHOUT_SECTIONS:
+        return {}
+    return {name: record_of(entries[part.entry], part.record) for name, part in sections() if part.entry in entries}
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:

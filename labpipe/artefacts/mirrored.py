@@ -15,11 +15,9 @@ from pathlib import Path
 
 from labpipe.artefacts.dataset_file import FOLDER, SUFFIX
 from labpipe.artefacts.identification_file import NAME
-from labpipe.artefacts.writing import STAGING
+from labpipe.artefacts.places import Found, StorageError, below, get, naming, put, remove, status
+from labpipe.artefacts.writing import STAGING, is_remote, shown
 from labpipe.errors import DataError, LabpipeError
-from labpipe.places.address import is_remote, shown
-from labpipe.places.fetched import naming
-from labpipe.places.storage import Found, StorageError, below, get, put, remove, status
 
 Wanted = Callable[[str], bool]
 # Objects that are on their way at the same time.

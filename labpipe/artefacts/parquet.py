@@ -1,4 +1,4 @@
-"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole."""
+"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole; which of them are kept."""
 
 from __future__ import annotations
 
@@ -7,14 +7,41 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from labpipe.arrow_arrays import arrow_array
 from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_digest, stamp_parquet
 from labpipe.artefacts.header import Header, header_from_json
-from labpipe.artefacts.typed_json import RECORD_FAULTS
+from labpipe.artefacts.json_file import RECORD_FAULTS
+from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, cut
+
+# numpy arrays <-> pyarrow arrays, by their buffers: pyarrow's own conversions import pandas, a third of the
+# start of a command.
+
+
+def arrow_array(values: Any) -> pa.Array:
+    """The numbers of an array (n,) [any unit] as a pyarrow array that shares them, or texts and other cells as a copy."""
+    numbers = np.ascontiguousarray(values) if isinstance(values, np.ndarray) else None
+    if numbers is None or numbers.ndim != 1 or numbers.dtype.kind not in "iuf":
+        return pa.array(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(numbers.dtype), numbers.size, [None, pa.py_buffer(numbers)])
+
+
+def numpy_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
+    """The values (n,) [unit of the column]; those of one chunk of numbers without a missing one are shared and read-only."""
+    array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
+        return array.to_numpy(zero_copy_only=False)
+    if not len(array):
+        return np.empty(0, array.type.to_pandas_dtype())
+    values = np.frombuffer(array.buffers()[1], array.type.to_pandas_dtype())
+    return values[array.offset : array.offset + len(array)]
+
+
+# Parquet files with our header among their metadata, checksums in their pages and a digest of the whole.
 
 HEADER_KEY = b"labpipe"
 # What damaged bytes make pyarrow raise; MemoryError where a damaged length asks for more than there is.
@@ -106,3 +133,30 @@ def read_header(path: Path, kind: str) -> Header:
         hint = "another program may have saved it again and dropped the header; make it again with labpipe"
         raise DataError("has no labpipe header", where=str(path), hint=hint)
     return header_from_json(metadata[HEADER_KEY], path, kind, digest)
+
+
+# Which artefacts of an earlier run are kept: made by the same work, and as labpipe wrote them.
+
+
+def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
+    """The path of an artefact that need not be made again; a damaged one is named in the remarks and made again."""
+    path = output.read_path(name)
+    if not path.exists():
+        return None
+    try:
+        existing = read_header(path, header.kind)
+    except DamagedError as error:
+        output.remarks.append(made_again(error, path))
+        return None
+    if not existing.same_work(header):
+        return None
+    if not existing.digest:
+        # This code writes a digest: it was lost.
+        output.remarks.append(made_again(DamagedError("carries no digest"), path))
+        return None
+    return path
+
+
+def made_again(fault: DataError, path: Path) -> str:
+    """The line that says why an artefact is made again."""
+    return f"{path}: {fault.what}; it is made again"

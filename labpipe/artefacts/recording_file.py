@@ -4,23 +4,41 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
-from labpipe.arrow_arrays import arrow_array, numpy_array
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
-from labpipe.artefacts.parquet import batches, metadata_of, open_parquet, read_header
-from labpipe.artefacts.read_ahead import read_ahead
+from labpipe.artefacts.parquet import arrow_array, batches, metadata_of, numpy_array, open_parquet, read_header
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
+
+# Read the next block of a file in a thread during the work on the current block.
+
+Block = TypeVar("Block")
+_END = object()
+
+
+def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
+    """The same blocks in the same order, one of them read ahead in a thread; errors of reading are raised here."""
+    iterator = iter(blocks)
+    with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
+        coming = reader.submit(next, iterator, _END)
+        while (block := coming.result()) is not _END:
+            coming = reader.submit(next, iterator, _END)
+            yield cast(Block, block)
+
+
+# ``*.recording.parquet``: one calibrated recording, written and read block by block.
 
 SUFFIX = ".recording.parquet"
 # A column is quantised, as a logger of up to 17 bits leaves it, where fewer than this share of its first LOOKED_AT numbers differ. A

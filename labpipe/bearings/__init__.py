@@ -1,1 +1,1 @@
-"""Theory of bearings: stiffness and damping from geometry, load and speed. Pure functions of arrays and frozen records."""
+"""Bearings of any kind: what a kind states, its coefficients, and how it stands on a rotor."""

@@ -1,4 +1,4 @@
-"""Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients, and how it stands on a rotor."""
+"""Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients with their uncertainty, how it stands on a rotor."""
 
 from __future__ import annotations
 
@@ -8,19 +8,98 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from labpipe.bearings.coefficients import BearingCoefficients
+from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.errors import ConfigError
+from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.uncertain import Doubt
 from labpipe.registry import Registry
+
+# Result of a bearing model of any kind: stiffness and damping at its load and speed, and its equilibrium
+# position.
+
+TILTS = ("bx", "by", "bz")
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A number of the equilibrium: its name, its value in the SI unit, and that unit."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class PressureField:
+    """Pressure of an oil film against ambient (n_theta, n_axial) [Pa], over the angle from +y to +z [rad] and from mid width [m].
+
+    thickness (n_theta,) [m]: of the film.
+    """
+
+    theta: FloatArray
+    axial: FloatArray
+    pressure: FloatArray
+    thickness: FloatArray
+
+
+@dataclass(frozen=True)
+class BearingCoefficients:
+    """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
+
+    rest: equilibrium position; element_state: arrays per rolling element by name; lowest, highest: stiffness over one ball passage
+    (rolling bearings); notes: further numbers of the model; shaft: results of the rigid shaft on the bearing, if the file describes one;
+    shares: contribution of each element of a control loop to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts
+    by name; film: pressure of an oil film (journal bearings).
+    """
+
+    dofs: tuple[str, ...]
+    stiffness: FloatArray
+    damping: FloatArray
+    rest: tuple[Amount, ...] = ()
+    _: KW_ONLY
+    element_state: Mapping[str, FloatArray] = field(default_factory=dict)
+    lowest: FloatArray | None = None
+    highest: FloatArray | None = None
+    notes: tuple[Amount, ...] = ()
+    shaft: tuple[Amount, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    shares: tuple[Amount, ...] = ()
+    poles: ComplexArray | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
+    film: PressureField | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.dofs)
+        for name in ("stiffness", "damping", "lowest", "highest"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n, n)))
+
+    def unit(self, row: int, column: int) -> str:
+        """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement N.m/m) or N.m/rad."""
+        tilts = (self.dofs[row] in TILTS) + (self.dofs[column] in TILTS)
+        return ("N/m", "N/rad", "N.m/rad")[tilts]
+
+    @property
+    def relative(self) -> FloatArray:
+        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1]; zero where a diagonal term is zero."""
+        diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
+        scale = np.outer(diagonal, diagonal)
+        relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
+        return relative
+
+    def lateral(self, y: str, z: str) -> BearingCoefficients:
+        """The coefficients of the dofs *y* and *z* alone, (2, 2), the other dofs held."""
+        places = np.ix_(*[[self.dofs.index(y), self.dofs.index(z)]] * 2)
+        return BearingCoefficients(("y", "z"), self.stiffness[places], self.damping[places], findings=self.findings)
+
+
+# Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients, and how it stands on
+# a rotor.
 
 BEARINGS = Registry(
     "bearing",
-    {
-        "ball-bearing": "labpipe.bearings.rolling_kinds:BALL",
-        "roller-bearing": "labpipe.bearings.rolling_kinds:ROLLER",
-        "journal-bearing": "labpipe.bearings.journal_kind:JOURNAL_KIND",
-        "magnetic-bearing": "labpipe.bearings.magnetic_kind:MAGNETIC_KIND",
-    },
+    {},
 )
 
 
@@ -46,7 +125,8 @@ class BearingKind:
     """A kind of bearing: the *settings* of its file, and the *coefficients* of any number of such settings (a sweep).
 
     bare_units: units of entries that may stand as plain numbers. response: the theoretical frequency response of settings with their
-    coefficients, None where the file describes no shaft. On a rotor: *operating* gives the entries of the settings that follow from the
+    coefficients, None where the file describes no shaft. figures: (name, coefficients) -> figures of its own by the names of their SVG
+    files. On a rotor: *operating* gives the entries of the settings that follow from the
     rotor there, and *lateral* names the dofs that are the rotor's y and z. A kind that needs more on a rotor has its own settings there,
     *on_rotor*, and *mount*, from these to a Bearing.
     """
@@ -59,6 +139,7 @@ class BearingKind:
     operating: Mapping[str, Callable[[OperatingPoint], float]] = field(default_factory=dict)
     lateral: tuple[str, str] = ("y", "z")
     on_rotor: type | None = None
+    figures: Callable[[str, BearingCoefficients], Mapping[str, Any]] | None = None
     mount: Callable[[Any], Bearing] | None = None
 
     def mounted(self, settings: Any) -> Bearing:
@@ -93,3 +174,64 @@ def frequency_hz(point: OperatingPoint) -> float:
 def not_on_rotor(entry: str) -> ConfigError:
     """The fault of an entry of a rotor's bearing that follows from the rotor."""
     return ConfigError(f"{entry}: follows from the rotor", hint="leave it out", field=entry.partition(".")[0])
+
+
+# What doubts of geometry, oil, loads and gains do to the coefficients of a bearing.
+
+
+@dataclass(frozen=True)
+class BearingDoubts:
+    """Changes of the coefficients by one standard uncertainty of each of the *sources*, with their signs.
+
+    stiffness, damping (n_source, n_dof, n_dof) [SI units of the coefficients]; rest (n_source, n_amount): of the amounts at rest.
+    """
+
+    sources: tuple[Doubt, ...]
+    stiffness: FloatArray
+    damping: FloatArray
+    rest: FloatArray
+
+    @property
+    def stiffness_error(self) -> FloatArray:
+        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all sources, which are independent."""
+        return np.asarray(np.sqrt(np.sum(self.stiffness**2, axis=0)))
+
+    @property
+    def damping_error(self) -> FloatArray:
+        """Standard uncertainty (n_dof, n_dof) [SI units of the damping]."""
+        return np.asarray(np.sqrt(np.sum(self.damping**2, axis=0)))
+
+    @property
+    def rest_error(self) -> FloatArray:
+        """Standard uncertainty (n_amount,) of the amounts at rest [unit of each]."""
+        return np.asarray(np.sqrt(np.sum(self.rest**2, axis=0)))
+
+    def shares(self, changes: FloatArray) -> list[tuple[str, float]]:
+        """Source and its share in the variance of one amount, the largest first; *changes* (n_source,) [unit of the amount]."""
+        whole = float(np.sum(changes**2))
+        parts = [(source.source, float(change**2) / whole) for source, change in zip(self.sources, changes, strict=True)] if whole else []
+        return sorted(parts, key=lambda pair: -pair[1])
+
+
+def bearing_doubts(sources: Sequence[Doubt], ends: Sequence[tuple[BearingCoefficients, BearingCoefficients]]) -> BearingDoubts:
+    """Half the difference of the coefficients with every number one standard uncertainty above and below its value (GUM 5.1.3, note 2).
+
+    *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add up with their signs.
+    Equation (unc-bearing).
+    """
+    names = list(dict.fromkeys(source.source for source in sources))
+    first = {source.source: source for source in reversed(sources)}
+
+    def changes(values: Sequence[FloatArray]) -> FloatArray:
+        return np.array([sum(change for source, change in zip(sources, values, strict=True) if source.source == name) for name in names])
+
+    return BearingDoubts(
+        tuple(first[name] for name in names),
+        changes([(high.stiffness - low.stiffness) / 2 for high, low in ends]),
+        changes([(high.damping - low.damping) / 2 for high, low in ends]),
+        changes([(_rest(high) - _rest(low)) / 2 for high, low in ends]),
+    )
+
+
+def _rest(coefficients: BearingCoefficients) -> FloatArray:
+    return np.array([amount.value for amount in coefficients.rest])

@@ -1,1 +1,1 @@
-"""The command line: one module per command, what they share, and how they end."""
+"""The command line: a lazy group of commands, what they share, and how they end."""

@@ -1,19 +1,144 @@
-"""labpipe bearing BEARING [--json FILE] [--sweep KEY=START:STOP:STEP] [-o DIR]"""
+"""labpipe bearing: coefficients of a bearing as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
+import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import output_file, output_folder
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingDoubts
 from labpipe.cli import options
-from labpipe.cli.bearing_table import echo_bearing, echo_sweep
 from labpipe.cli.output import echo
-from labpipe.config.bearing import BearingFile, open_bearing
-from labpipe.stages.bearing import bearing_entry, bearing_json, evaluated, swept, write_bearing, write_sweep
-from labpipe.stages.sweep import parse_sweep
+from labpipe.display import amount_text, plain_text, significant
+from labpipe.project.bearing import Evaluated, bearing_entry, bearing_json, evaluated, swept, write_bearing, write_sweep
+from labpipe.project.bearing_file import BearingFile, open_bearing
+from labpipe.project.sweep import Sweep, parse_sweep
+
+# A bearing's coefficients as tables on the terminal.
+
+# Share of sqrt(K_ii K_jj) below which a coefficient is zero by structure, up to rounding.
+STRUCTURAL_ZERO = 1e-9
+LEAST_SPREAD = 1e-4
+MAX_ROWS = 12
+# Sources shown of a coefficient, and the least share in its variance.
+MAX_SHARES, LEAST_SHARE = 3, 0.01
+# Significant digits of coefficients without a doubt; amounts at rest that people think of as percentages.
+DIGITS = 4
+PERCENTAGES = ("mesh_error",)
+
+
+def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
+    """The matrices, their doubts, the equilibrium, the range over one ball passage, and the warnings."""
+    coefficients = whole.coefficients
+    echo(f"{name}: {kind}")
+    _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
+    if coefficients.damping.any():
+        _echo_matrix("damping", coefficients, coefficients.damping, None)
+    if whole.doubts is not None:
+        _echo_doubts(coefficients, whole.doubts)
+    loads = tuple(amount for amount in coefficients.rest if amount.name.startswith("load_"))
+    rest = tuple(amount for amount in coefficients.rest if amount not in loads)
+    for title, amounts in (
+        ("loads", loads),
+        ("rest position", rest),
+        ("shares", coefficients.shares),
+        ("model", coefficients.notes),
+        ("shaft", coefficients.shaft),
+    ):
+        if amounts:
+            echo(f"{title}: {', '.join(_amount(amount, _rounding(amounts)) for amount in amounts)}")
+    for word, verdict in coefficients.words.items():
+        echo(f"{word.replace('_', ' ')}: {verdict}")
+    if coefficients.poles is not None:
+        poles = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in coefficients.poles)
+        echo(f"poles [rad/s]: {poles}")
+    if coefficients.shaft:
+        echo("(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ from the diagonal term)")
+    _echo_passage(coefficients)
+    for finding in coefficients.findings:
+        echo(f"warning {finding.code}: {finding.message}")
+
+
+def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None) -> None:
+    second = "" if title == "stiffness" else " s"
+    tilts = "" if len(set(coefficients.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
+    echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")
+    echo("      " + "".join(f"{dof:>12}" for dof in coefficients.dofs))
+    for row, dof in enumerate(coefficients.dofs):
+        numbers = [
+            "0"
+            if relative is not None and abs(relative[row, column]) < STRUCTURAL_ZERO
+            else significant(float(matrix[row, column]), DIGITS)
+            for column in range(len(coefficients.dofs))
+        ]
+        echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
+
+
+def _echo_doubts(coefficients: BearingCoefficients, doubts: BearingDoubts) -> None:
+    """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
+    echo("with standard uncertainties, and the shares of their sources:")
+    parts = (("k", coefficients.stiffness, doubts.stiffness, ""), ("c", coefficients.damping, doubts.damping, ".s"))
+    for symbol, matrix, changes, per_speed in parts:
+        for (i, row), (j, column) in ((r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)):
+            error = float(np.sqrt(np.sum(changes[:, i, j] ** 2)))
+            if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
+                continue
+            force, _, motion = coefficients.unit(i, j).partition("/")
+            largest = [(source, share) for source, share in doubts.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
+            shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
+            amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
+            echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
+
+
+def _rounding(amounts: Sequence[Amount]) -> float:
+    """Magnitude below which a load or displacement is rounding; zero for other quantities."""
+    return STRUCTURAL_ZERO * max((abs(amount.value) for amount in amounts if amount.unit in ("m", "rad", "N", "N.m")), default=0.0)
+
+
+def _amount(amount: Amount, least: float) -> str:
+    """Name, value and unit; zero below *least* [SI]."""
+    name, value = amount.name.removeprefix("load_"), amount.value if abs(amount.value) > least else 0.0
+    if amount.name in PERCENTAGES:
+        return f"{name} {significant(100 * value, 2)} %"
+    return f"{name} {plain_text(value, amount.unit)}"
+
+
+def _echo_passage(coefficients: BearingCoefficients) -> None:
+    """The variation of the direct coefficients while the cage turns by one element."""
+    if coefficients.lowest is None or coefficients.highest is None:
+        return
+    low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
+    spread = np.divide(high - low, high + low, out=np.zeros_like(low), where=high + low > 0)
+    if spread.max() < LEAST_SPREAD:
+        echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
+        return
+    ranges = ", ".join(f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True))
+    echo(f"over one ball passage the direct stiffness varies: {ranges}")
+
+
+def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) -> None:
+    """The direct stiffness over the sweep, shortened in the middle; the table on disk is complete."""
+    dofs = cases[0].dofs
+    echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
+    echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
+    numbers = range(len(cases)) if len(cases) <= MAX_ROWS else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
+    for number in numbers:
+        if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
+            echo(f"{'...':>20}")
+        diagonal = np.diag(cases[number].stiffness)
+        echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal))
+    codes = sorted({finding.code for case in cases for finding in case.findings})
+    for code in codes:
+        affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
+        message = next(finding.message for finding in affected[0].findings if finding.code == code)
+        echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")
+
+
+# labpipe bearing BEARING [--json FILE] [--sweep KEY=START:STOP:STEP] [-o DIR]
 
 
 @click.command()

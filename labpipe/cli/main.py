@@ -5,55 +5,59 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-
-# Matrices are small: one thread is faster, and results do not depend on the number of processors.
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_threads, "1")
-
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import get_completion_class
 
 from labpipe import __version__
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigErrors, LabpipeError, cut
 from labpipe.registry import Registry, nearest
 
+# The command line: a lazy group of commands, and one exit path for all errors.
+
+# Matrices are small: one thread is faster, and results do not depend on the number of processors.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_threads, "1")
+
+
 # Faults of one file that are printed one by one.
 MOST_FAULTS = 40
 INTERRUPTIONS = (KeyboardInterrupt, click.Abort)
 DEBUG = "--debug"
 INTERRUPTED = "interrupted; nothing was changed"
+# Command -> its module in labpipe.cli, and what --help says of it. Methods add commands by the entry-point group labpipe.command.
 COMMANDS = {
-    "init": "Scaffold a project: rig, pipeline and a sample recording; runs as it is.",
-    "inspect": "Content of a recording: channels, rate, length, gaps, clipping, levels.",
-    "ingest": "Raw files -> calibrated recordings (SI units, findings, source checksum).",
-    "frf": "Recordings -> frequency responses with covariance and coherence.",
-    "identify": "Frequency responses -> stiffness and damping with their uncertainty.",
-    "report": "Identification -> a report that opens offline.",
-    "run": "All stages of a pipeline; what is up to date is not computed again.",
-    "tests": "The names of a pipeline's tests, for schedulers of jobs.",
-    "watch": "Recordings worked on as they arrive in a folder, each exactly once.",
-    "check": "Run pipelines and test their expect: and accept: rules.",
-    "list": "The results below a folder, or their values, by rig, condition, date, fit.",
-    "compare": "Compare two results, parameter by parameter.",
-    "verify": "Whether a folder's artefacts, or an archive, are as labpipe wrote them.",
-    "archive": "A result with all it was made from in one file, as evidence: an RO-Crate.",
-    "trend": "A parameter over a condition or over time in all results below a folder.",
-    "orders": "Amplitude and phase of 1x over a run, orbits, forward and backward.",
-    "bearing": "Stiffness and damping of a bearing model at its load and speed.",
-    "study": "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator.",
-    "simulate": "Recordings of a virtual rig with known truth.",
-    "plan": "The excitation that tells the wanted coefficients best, with its prediction.",
-    "excite": "Test signals: Schroeder, random-phase, optimised multisine, odd lines.",
-    "calibrate": "Sensor, actuator and stiffness calibration fits.",
-    "export": "Write an artefact as CSV or Parquet.",
-    "schema": "The JSON schema of rig or pipeline files, for editors.",
-    "completion": "Shell completion of commands and options.",
-    "doctor": "Versions, threads, optional packages, and faults of the installation.",
+    "init": ("start", "Scaffold a project: rig, pipeline and a sample recording; runs as it is."),
+    "inspect": ("start", "Content of a recording: channels, rate, length, gaps, clipping, levels."),
+    "ingest": ("stages", "Raw files -> calibrated recordings (SI units, findings, source checksum)."),
+    "frf": ("stages", "Recordings -> frequency responses with covariance and coherence."),
+    "identify": ("stages", "Frequency responses -> stiffness and damping with their uncertainty."),
+    "report": ("report", "Identification -> a report that opens offline."),
+    "run": ("run", "All stages of a pipeline; what is up to date is not computed again."),
+    "tests": ("run", "The names of a pipeline's tests, for schedulers of jobs."),
+    "watch": ("run", "Recordings worked on as they arrive in a folder, each exactly once."),
+    "check": ("run", "Run pipelines and test their expect: and accept: rules."),
+    "list": ("results", "The results below a folder, or their values, by rig, condition, date, fit."),
+    "compare": ("results", "Compare two results, parameter by parameter."),
+    "verify": ("evidence", "Whether a folder's artefacts, or an archive, are as labpipe wrote them."),
+    "archive": ("evidence", "A result with all it was made from in one file, as evidence: an RO-Crate."),
+    "trend": ("results", "A parameter over a condition or over time in all results below a folder."),
+    "bearing": ("bearing", "Stiffness and damping of a bearing model at its load and speed."),
+    "study": ("stages", "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator."),
+    "simulate": ("start", "Recordings of a virtual rig with known truth."),
+    "excite": ("start", "Test signals: Schroeder, random-phase, optimised multisine, odd lines."),
+    "calibrate": ("stages", "Sensor, actuator and stiffness calibration fits."),
+    "export": ("report", "Write an artefact as CSV or Parquet."),
+    "schema": ("help", "The JSON schema of rig or pipeline files, for editors."),
+    "completion": ("main", "Shell completion of commands and options."),
+    "doctor": ("help", "Versions, threads, optional packages, and faults of the installation."),
 }
 # A function named `list` would hide Python's own.
-TABLE = Registry("command", {name: f"labpipe.cli.{name}:{'list_results' if name == 'list' else name}" for name in COMMANDS})
+TABLE = Registry(
+    "command", {name: f"labpipe.cli.{module}:{'list_results' if name == 'list' else name}" for name, (module, _) in COMMANDS.items()}
+)
 
 
 class LazyGroup(click.Group):
@@ -70,12 +74,18 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS.get(name, "Added by another package.")) for name in TABLE])
+            formatter.write_dl([(name, COMMANDS[name][1] if name in COMMANDS else _words_of(name)) for name in TABLE])
+
+
+def _words_of(name: str) -> str:
+    """What --help says of a command that a method or another package adds."""
+    command: click.Command = TABLE.load(name)
+    return command.get_short_help_str(limit=80)
 
 
 def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
     if asked:
-        from labpipe.commit import commit
+        from labpipe.artefacts.header import commit
 
         commit_hash = commit()
         echo(f"labpipe, version {__version__}" + (f" (commit {commit_hash})" if commit_hash else ""))
@@ -177,3 +187,23 @@ def _fail(*messages: str) -> int:
 
 if __name__ == "__main__":
     main()
+
+# labpipe completion SHELL
+
+SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(list(SHELLS)))
+def completion(shell: str) -> None:
+    """Print the script that lets SHELL complete commands and options of labpipe with the Tab key.
+
+    \b
+    bash: eval "$(labpipe completion bash)"       in ~/.bashrc
+    zsh:  eval "$(labpipe completion zsh)"        in ~/.zshrc
+    fish: labpipe completion fish > ~/.config/fish/completions/labpipe.fish
+    """
+
+    completion_class = get_completion_class(shell)
+    assert completion_class is not None
+    echo(completion_class(group, {}, "labpipe", "_LABPIPE_COMPLETE").source())

@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
-from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder, path_of
 from labpipe.cli.output import echo
-from labpipe.places.address import is_remote, path_of
 
 
 class _Address(click.Path):

@@ -1,11 +1,17 @@
-"""What commands print: text from files never acts on a terminal, and no message is longer than people read."""
+"""What commands print: text from files never acts on a terminal; tables of columns of minimum width."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 
 import click
+
+from labpipe.display import difference_in, shown_unit, unit_label, written
+from labpipe.quantities import to_display
+
+# What commands print: text from files never acts on a terminal, and no message is longer than people read.
 
 # The colours that labpipe itself prints, by click.style.
 _OWN = re.compile("(\x1b\\[(?:0|31|32|33|36)m)")
@@ -43,3 +49,24 @@ def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
     """Print a text; of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal."""
     parts = _OWN.split(str(text))
     click.echo("".join(part if number % 2 else printable(part, KEPT) for number, part in enumerate(parts)), err=err, nl=nl)
+
+
+# Tables on the terminal: columns of minimum width, empty ones omitted.
+
+
+def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
+    """The rows below their header; the columns in *right* are numbers."""
+    rows = [[printable(cell) for cell in row] for row in rows]
+    columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
+    widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
+    for row in (header, *rows):
+        cells = (row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number]) for number in columns)
+        echo("  ".join(cells).rstrip())
+
+
+def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
+    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that suits them."""
+    shown = shown or shown_unit(unit, value, std_error)
+    error = None if std_error is None else difference_in(std_error, shown)
+    number, doubt = written(to_display(value, shown), error)
+    return number, doubt, unit_label(shown)

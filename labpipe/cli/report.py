@@ -1,4 +1,4 @@
-"""labpipe report DIR|identification.json... -o FILE [--figures DIR]"""
+"""labpipe report and export: results for people and for other programs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read, summary
-from labpipe.artefacts.writing import finished
+from labpipe.artefacts.writing import finished, output_file
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
-from labpipe.stages.measured import files_of_test
-from labpipe.stages.report import write_campaign, write_report, write_test_report
+from labpipe.project.exports import WRITERS
+from labpipe.project.measured import files_of_test
+from labpipe.project.report import write_campaign, write_report, write_test_report
+
+# labpipe report DIR|identification.json... -o FILE [--figures DIR]
 
 
 @click.command()
@@ -93,3 +96,20 @@ def _names(paths: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
     return [f"{names[n]} ({n + 1})" for n in range(len(names))]
+
+
+# labpipe export ARTEFACT --to FORMAT -o FILE
+
+
+@click.command()
+@click.argument("artefact", type=options.PATH)
+@click.option("--to", "target_format", type=click.Choice(WRITERS.names()), required=True, help="Format of the file.")
+@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="File to write.")
+def export(artefact: Path, target_format: str, output: Path) -> None:
+    """Write a recording, free decays, a frequency response, or the parameters or mode shapes of an identification for other programs.
+
+    Of an identification csv and parquet hold the parameters, shapes (a table) and uff (records 15, 82 and 55) the mode shapes.
+    """
+    table = WRITERS.load(target_format)
+    with output_file(output) as target:
+        table(artefact, target)

@@ -1,22 +1,38 @@
-"""labpipe run PIPELINE -o DIR"""
+"""labpipe run, check, tests, watch: whole pipelines."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
 
-from labpipe.artefacts.mirrored import results_made
+from labpipe.artefacts.mirrored import results_kept, results_made
+from labpipe.artefacts.writing import is_remote, only_one, output_folder, shown
 from labpipe.cli import options
-from labpipe.cli.many import check_shared, echo_failed, manner
+from labpipe.cli.many import check_shared, echo_failed, executor, manner
 from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_identification
-from labpipe.config.pipeline import load_pipeline
-from labpipe.pipeline.run import run as run_pipeline
-from labpipe.pipeline.run import run_only
-from labpipe.places.address import shown
-from labpipe.stages.measured import files_of_test
-from labpipe.stages.report import outdate_reports, write_reports
+from labpipe.errors import ConfigError, DataError
+from labpipe.processes import end_with_parent
+from labpipe.project.many_tests import hindrance
+from labpipe.project.measured import files_of_test
+from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
+from labpipe.project.report import outdate_reports, write_reports
+from labpipe.project.run import Manner, independent_fits, run_only
+from labpipe.project.run import run as run_pipeline
+from labpipe.project.watch import Watch, WatchSettings
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.identification import RuleOutcome
+
+# labpipe run PIPELINE -o DIR
 
 
 @click.command()
@@ -55,3 +71,182 @@ def run(
         echo(f"written: {shown(output)}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
+
+
+# labpipe check PIPELINE...
+
+
+@click.command()
+@click.argument("pipelines", nargs=-1, required=True, metavar="PIPELINE...", type=options.PATH)
+@click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Pipelines at the same time; 0: one per processor.")
+@options.overrides
+@options.quiet
+@options.verbose
+def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+    """Run each PIPELINE from scratch and test its expect: and accept: rules; exit code 1 when one fails."""
+    failed = 0
+    for path, outcomes in _checked(pipelines, overrides, jobs, quiet, verbose):
+        wrong = [outcome for outcome in outcomes if not outcome.passed]
+        failed += len(wrong)
+        if not quiet:
+            echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
+        for outcome in wrong:
+            echo(_failure(path, outcome))
+    return 1 if failed else 0
+
+
+def _checked(
+    pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
+) -> Iterator[tuple[Path, tuple[RuleOutcome, ...]]]:
+    """The outcomes of each pipeline; in parallel, pipelines with a study run last, since a study uses all processors."""
+    work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose)
+    processes = min(jobs or os.cpu_count() or 1, len(pipelines))
+    if processes == 1:
+        yield from zip(pipelines, map(work, pipelines), strict=True)
+        return
+    studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
+    others = [path for path in pipelines if path not in studies]
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+        try:
+            yield from zip(others, pool.map(work, others), strict=True)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    yield from zip(studies, map(work, studies), strict=True)
+
+
+def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> tuple[RuleOutcome, ...]:
+    """The outcomes of a pipeline's rules; DataError when one of its tests fails."""
+    pipeline = load_pipeline(path, overrides)
+    manner = Manner(options.teller(quiet, verbose))
+    with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch) / "out") as folder:
+        identification = run_pipeline(pipeline, folder, manner)
+    for failure in identification.failed:
+        raise DataError(failure.message)
+    return identification.outcomes
+
+
+def _failure(path: Path, outcome: RuleOutcome) -> str:
+    return f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}"
+
+
+# labpipe tests PIPELINE
+
+
+@click.command()
+@click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
+@options.overrides
+def tests(pipeline_path: Path, overrides: tuple[str, ...]) -> None:
+    """Print the names of the tests of PIPELINE, one in each line, for schedulers that run them one by one with `labpipe run --only`."""
+    for test in load_pipeline(pipeline_path, overrides).tests:
+        echo(test.name)
+
+
+# labpipe watch FOLDER -c PIPELINE -o RESULTS
+
+LOCK = ".labpipe-watch.lock"
+
+
+class _Seconds(click.ParamType[float]):
+    """A time such as 5 s or 10 min, in seconds."""
+
+    name = "time"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        try:
+            seconds = parse_value(str(value), "s")
+        except UnitError as error:
+            self.fail(f"{error.what}; write it as 10 s or 5 min", param, ctx)
+        if not 0 <= seconds < float("inf"):
+            self.fail("a time from 0 s on is needed", param, ctx)
+        return seconds
+
+
+@contextmanager
+def _asked_to_stop() -> Iterator[list[int]]:
+    """The signals that asked the watch to end, instead of ending it at once."""
+    asked: list[int] = []
+    before = {number: signal.signal(number, lambda received, _frame: asked.append(received)) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@click.command()
+@click.argument("folder", type=options.PLACE)
+@options.pipeline_file
+@options.out_place
+@click.option("--every", type=_Seconds(), default="10 s", show_default=True, help="Time between two looks.")
+@click.option(
+    "--settle", type=_Seconds(), default="5 s", show_default=True, help="A recording is complete when it did not change for so long."
+)
+@click.option("--marker", default="", metavar="SUFFIX", help="A recording is complete when a file of its name and this suffix is there.")
+@click.option("--append", type=_Seconds(), default="5 min", show_default=True, help="Results wait so long at most until they are appended.")
+@click.option("--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names.")
+@click.option("--log", "logs", type=options.PATH, metavar="DIR", help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.")
+@click.option("--once", is_flag=True, help="Work on what is complete now, then end.")
+@options.jobs
+@options.cluster
+@options.overrides
+@options.quiet
+@options.verbose
+def watch(
+    folder: Path,
+    pipeline_path: Path,
+    output: Path,
+    every: float,
+    settle: float,
+    marker: str,
+    append: float,
+    names: str,
+    logs: Path | None,
+    once: bool,
+    jobs: int,
+    cluster: str | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> int:
+    """Watch FOLDER and work on every new recording once it is complete, each exactly once.
+
+    The only entry of `tests:` in PIPELINE, one with `each:`, says what a recording becomes; which files are looked at, FOLDER and --names
+    say. Results are appended to the dataset in RESULTS; a recording that cannot be evaluated is moved to RESULTS/quarantine with its
+    reason. Beside them stand watch.prom (metrics) and watch.log.jsonl. FOLDER and RESULTS may be of an object storage, s3://bucket/prefix;
+    bad recordings then stay where they are, and only the reason goes to RESULTS/quarantine.
+
+    SIGTERM or Ctrl-C end the watch after the recording in work.
+    """
+    if not is_remote(folder) and not folder.is_dir():
+        raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
+    pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
+    if what := hindrance(pipeline, independent_fits(pipeline)):
+        raise ConfigError(f"{what}, which needs all tests at once", where=str(pipeline_path), hint="watch with a pipeline of fits alone")
+    settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
+    check_shared(output, cluster)
+    log_folder = logs or output
+    if is_remote(log_folder):
+        raise ConfigError("--log: is needed where the results are elsewhere", where=shown(output), hint="name a folder of this machine")
+    log_folder.mkdir(parents=True, exist_ok=True)
+    with only_one(log_folder / LOCK), _asked_to_stop() as asked, results_kept(output) as mirror:
+        watched = Watch(
+            pipeline,
+            per_file,
+            folder if is_remote(folder) else folder.resolve(),
+            mirror.folder.resolve(),
+            settings,
+            executor(jobs, cluster),
+            stopped=lambda: bool(asked),
+            tell=options.teller(quiet, verbose),
+            home=output if is_remote(output) else None,
+            publish=mirror.publish,
+            forget=mirror.forget,
+            logs=log_folder.resolve(),
+        )
+        index = watched.run().index
+    if not quiet:
+        echo(f"{index.tests} tests in the dataset, {index.failed} failed; {watched.counts.evaluated} worked on now")
+    return 0

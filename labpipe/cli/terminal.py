@@ -8,11 +8,12 @@ import sys
 import click
 
 from labpipe.cli.output import echo
-from labpipe.records.dataset_index import DatasetIndex
-from labpipe.records.finding import NOTE, WARNING, Finding, of_level
-from labpipe.records.identification import Fit, Identification, Parameter
+from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, of_level
+from labpipe.records.identification import DatasetIndex, Fit, Identification
 from labpipe.records.text import parameter_cells
 from labpipe.sections import section
+
+# Results as short tables on the terminal.
 
 MAX_BANDS = 8
 MAX_NOTES = 8
@@ -36,9 +37,9 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
             _echo_fit(fit)
         _echo_findings([fit.findings for fit in fits], "fits")
     for name, record in identification.sections.items():
-        for line in section(name).call("terminal", record):
+        for line in section(name).terminal(record):
             echo(line)
-        _echo_findings([tuple(finding for _, finding in section(name).call("findings", record))], name)
+        _echo_findings([tuple(finding for _, finding in section(name).findings(record))], name)
     for outcome in identification.outcomes:
         mark = _coloured("passed", "green") if outcome.passed else _coloured("FAILED", "red")
         echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")

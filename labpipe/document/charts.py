@@ -61,8 +61,6 @@ LARGE, SMALLEST = 1e6, 1e-4
 DRAWINGS = Registry(
     "drawing",
     {
-        "film": "labpipe.document.drawings:film_canvas",
-        "surfaces": "labpipe.document.drawings:surface_canvas",
         "mode-shapes": "labpipe.document.drawings:shape_canvas",
     },
 )

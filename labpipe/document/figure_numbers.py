@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.raw_files.rows_csv import cell
 from labpipe.report.chart import GREY, Axis, Chart, Panel, Series
 from labpipe.report.document import Table
-from labpipe.report.shape_figure import REACH, ShapeSketch
-from labpipe.spreadsheet_cells import cell
+from labpipe.report.shapes import REACH, ShapeSketch
 
 # Digits of places along an axis, which zooming must tell apart, and the fewest of what is read there.
 DIGITS, READ_DIGITS = 7, 5

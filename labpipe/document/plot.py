@@ -13,7 +13,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.build import build
-from labpipe.report.comparison_figures import comparison_figures
+from labpipe.report.comparison import comparison_figures
 from labpipe.report.document import Figure
 from labpipe.report.figures import response_figure, sliding_figures
 from labpipe.report.fits import fit_figures

@@ -1,4 +1,4 @@
-"""What a comparison of tests that differ in a condition gives: its points, its amounts with their doubt, and a verdict in words."""
+"""What comparisons of tests give: points, amounts with their uncertainty and a verdict; and tests ordered by their conditions."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
-from labpipe.records.budget import Budget
-from labpipe.records.finding import Finding
-from labpipe.records.parameter import Parameter
+from labpipe.quantities import display_unit, readable_unit, to_display
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.uncertain import Budget
+
+# What a comparison of tests that differ in a condition gives: its points, its amounts with their doubt, and
+# a verdict in words.
 
 
 @dataclass(frozen=True)
@@ -152,3 +155,170 @@ def names(comparisons: Iterable[Named]) -> tuple[str, ...]:
 def findings(comparisons: Comparisons) -> tuple[tuple[str, Finding], ...]:
     """Every finding with the name of its comparison."""
     return tuple((comparison.name, finding) for comparison in comparisons for finding in comparison.findings)
+
+
+# The tests of one fit ordered by their conditions: a matrix whose points are the coefficients at one level
+# of every condition.
+
+# Frequencies of conditions whose names begin so are speeds of rotation.
+SPEEDS = ("speed", "spin", "rotation", "omega")
+
+# Units of conditions that differ from those of results.
+CONDITION_UNITS = {"K": "degC", "m^3/s": "l/min", "Pa": "bar"}
+
+
+def condition_unit(name: str, si_unit: str) -> str:
+    """The unit in which a condition is shown: speeds of rotation in rpm, temperatures in degC."""
+    if si_unit == "Hz" and name.lower().startswith(SPEEDS):
+        return "rpm"
+    return CONDITION_UNITS.get(si_unit) or display_unit(si_unit)
+
+
+@dataclass(frozen=True)
+class ConditionAxis:
+    """One condition: its name, SI unit, and its *levels* in ascending order [unit]."""
+
+    name: str
+    unit: str
+    levels: tuple[float, ...]
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which levels are shown, with a prefix that suits the largest."""
+        unit = condition_unit(self.name, self.unit)
+        return readable_unit(unit, self.levels) if unit == self.unit else unit
+
+    def shown(self, level: float) -> float:
+        """A level in the unit in which it is shown."""
+        return to_display(level, self.shown_unit)
+
+    def text(self, level: float) -> str:
+        """A level with name and unit, as people read it."""
+        return f"{self.name} {self.shown(level):.4g} {self.shown_unit}".removesuffix(" 1")
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """One coefficient at one point: the mean of its *repeats* as a parameter, with its doubt.
+
+    scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so large a scatter by the
+    standard errors of the fits alone; theory: the value of a theory at the conditions, None without one.
+    """
+
+    parameter: Parameter
+    repeats: int
+    _: KW_ONLY
+    scatter: float | None = None
+    p_value: float | None = None
+    theory: float | None = None
+
+    @property
+    def holds_theory(self) -> bool | None:
+        """Whether the 95 % interval covers the theory; None where one of them is missing."""
+        if self.theory is None or self.parameter.ci95 is None:
+            return None
+        return self.parameter.ci95[0] <= self.theory <= self.parameter.ci95[1]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A further condition at a point: mean over its tests and their scatter [unit, an SI unit]."""
+
+    name: str
+    value: float
+    scatter: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class MatrixPoint:
+    """The tests at one level of every condition; *place*: number of the level on each axis. warnings: codes of the tests' findings."""
+
+    place: tuple[int, ...]
+    tests: tuple[str, ...]
+    values: tuple[Repeated, ...]
+    beside: tuple[Beside, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def value(self, name: str) -> Repeated | None:
+        """The coefficient of that name; None where the tests do not have it."""
+        return next((value for value in self.values if value.parameter.name == name), None)
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """Rest position of the shaft at one load: *position* (x, y) [m] from the centre with standard errors [m], eccentricity [m].
+
+    attitude: angle [rad] from the load to the position.
+
+    statics: displacement per force along the load by the slope of the path, (x, y) [m/N]; shaking: the same by K from shaking; with their
+    standard errors; empty where there is no slope or no K. p_value: chance of so large a difference of the two.
+    """
+
+    load: float
+    position: tuple[float, float]
+    position_error: tuple[float, float]
+    eccentricity: float
+    attitude: float
+    _: KW_ONLY
+    statics: tuple[float, ...] = ()
+    statics_error: tuple[float, ...] = ()
+    shaking: tuple[float, ...] = ()
+    shaking_error: tuple[float, ...] = ()
+    p_value: float | None = None
+
+
+@dataclass(frozen=True)
+class EquilibriumPath:
+    """Rest positions over the load at one level of all other conditions, which *at* says; clearance [m], None where it is not known."""
+
+    at: str
+    points: tuple[PathPoint, ...]
+    clearance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionMatrix:
+    """The points of one fit over the levels of its conditions.
+
+    missing: combinations of levels without a test; amounts: what rules may ask; statement: the result as a sentence.
+    """
+
+    name: str
+    fit: str
+    axes: tuple[ConditionAxis, ...]
+    names: tuple[str, ...]
+    points: tuple[MatrixPoint, ...]
+    missing: tuple[tuple[int, ...], ...] = ()
+    paths: tuple[EquilibriumPath, ...] = ()
+    amounts: tuple[Parameter, ...] = ()
+    statement: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    def amount(self, name: str) -> Parameter:
+        """The amount of that name; KeyError with the known names otherwise."""
+        for amount in self.amounts:
+            if amount.name == name:
+                return amount
+        raise KeyError(f"no amount '{name}'; known: {', '.join(a.name for a in self.amounts)}")
+
+    def unit_of(self, name: str) -> str:
+        """The unit in which a coefficient is shown at all points, with a prefix that suits the largest."""
+        values = [value.parameter for point in self.points if (value := point.value(name)) is not None]
+        return readable_unit(values[0].unit, (parameter.value for parameter in values)) if values else "1"
+
+    def text_of(self, point: MatrixPoint) -> str:
+        """The conditions of a point as people read them."""
+        return ", ".join(axis.text(level) for axis, level in zip(self.axes, self.levels_of(point), strict=True))
+
+    def levels_of(self, point: MatrixPoint) -> tuple[float, ...]:
+        """The condition of a point on every axis [units of the axes]."""
+        return tuple(axis.levels[number] for axis, number in zip(self.axes, point.place, strict=True))
+
+
+ConditionMatrices = tuple[ConditionMatrix, ...]
+
+
+def matrix_findings(matrices: ConditionMatrices) -> tuple[tuple[str, Finding], ...]:
+    """Every finding with the name of its matrix."""
+    return tuple((matrix.name, finding) for matrix in matrices for finding in matrix.findings)

@@ -1,9 +1,12 @@
-"""A finding: something the user must know about the measurement or the fit, in a code and in words."""
+"""What a result says of itself: findings, and parameters with their uncertainty."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+
+# A finding: something the user must know about the measurement or the fit, in a code and in words.
 
 NOTE, WARNING = "note", "warning"
 
@@ -32,3 +35,62 @@ def note(code: str, message: str) -> Finding:
 def of_level(level: str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """The findings of one level, in their order."""
     return tuple(finding for finding in findings if finding.level == level)
+
+
+# An estimated or derived parameter that travels with its doubt.
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """Part of a source in the doubt of a parameter: *contribution* as a standard uncertainty, *share* of the variance [1]."""
+
+    source: str
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated or derived parameter in SI units.
+
+    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
+    two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
+    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the
+    doubt of given numbers. *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given
+    numbers, where that is known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times
+    *coverage_factor*, and the *budget* of all sources, noise among them, the largest first.
+    """
+
+    name: str
+    value: float
+    unit: str
+    _: KW_ONLY
+    std_error: float | None = None
+    t_ratio: float | None = None
+    ci95: tuple[float, float] | None = None
+    significant: bool | None = None
+    vif: float | None = None
+    derived: bool = False
+    at_bound: bool = False
+    std_error_inflated: float | None = None
+    systematic: float | None = None
+    combined: float | None = None
+    expanded: float | None = None
+    coverage_factor: float | None = None
+    budget: tuple[Contribution, ...] = ()
+
+    @property
+    def measured_ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval by noise and given numbers, for what is compared with a value of the same model on the same lines.
+
+        What the model lacks, and the residual shows, it lacks on both sides.
+        """
+        if self.ci95 is None or not self.full_error or self.std_error is None:
+            return self.ci95
+        share = math.hypot(self.std_error, self.systematic or 0.0) / self.full_error
+        return self.value + share * (self.ci95[0] - self.value), self.value + share * (self.ci95[1] - self.value)
+
+    @property
+    def full_error(self) -> float | None:
+        """The standard error that goes with the interval: the inflated one, where there is one."""
+        return self.std_error if self.std_error_inflated is None else self.std_error_inflated

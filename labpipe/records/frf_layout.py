@@ -8,7 +8,22 @@ from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, setting
-from labpipe.records.windowed import WindowedSettings
+
+# Windows that data or FRFs have already when they come from an analyser.
+
+
+@dataclass(frozen=True)
+class WindowedSettings(Settings):
+    """Windows that hits, or the FRFs of hits, have already."""
+
+    exponential: float = setting("value", "time constant of the exponential window that an analyser applied", unit="s")
+
+    def __post_init__(self) -> None:
+        if self.exponential <= 0:
+            raise ConfigError("'exponential' must be positive")
+
+
+# How FRFs lie in a table or among the variables of a file, as the entry under ``frfs:`` describes it.
 
 # Windows of analysers by name.
 WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop")

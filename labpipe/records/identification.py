@@ -1,26 +1,75 @@
-"""The result of an identification: parameters that travel with their doubt."""
+"""The result of an identification: parameters that travel with their uncertainty, and their lists."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
-from labpipe.records.budget import Budget
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.dataset_index import DatasetIndex
-from labpipe.records.dynamic_stiffness import DynamicStiffness
-from labpipe.records.finding import Finding
-from labpipe.records.modes import Modes
-from labpipe.records.parameter import Parameter as Parameter
+from labpipe.records.finding import WARNING, Finding, Parameter, of_level
+from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.ring_down import RingDown
-from labpipe.records.robust import RobustPlant
-from labpipe.records.text import fit_html, fit_line, fit_text, identification_line
-from labpipe.records.views import VIEWS
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.text import VIEWS, fit_html, fit_line, fit_text, identification_line
+from labpipe.records.uncertain import Budget
+from labpipe.sections import section
+
+Detail = TypeVar("Detail", bound=FitDetail)
+
+# What the results of many tests say as a whole, while their numbers stand in a dataset.
+
+
+@dataclass(frozen=True)
+class CountedFinding:
+    """A kind of finding: in how many tests it was made, and the first one with its origin."""
+
+    finding: Finding
+    origin: str
+    tests: int
+
+    @property
+    def message(self) -> str:
+        """The finding as one sentence of all tests."""
+        more = f" ({self.tests} tests in all; this is the first)" if self.tests > 1 else ""
+        return f"{self.finding.code}: {self.origin}{more}: {self.finding.message}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetIndex:
+    """Tests with a result and *failed* ones without, those whose rules do not all hold, *rows* of the dataset, fits by their name."""
+
+    tests: int = 0
+    failed: int = 0
+    not_accepted: int = 0
+    rows: int = 0
+    fits: Mapping[str, int] = field(default_factory=dict)
+    findings: tuple[CountedFinding, ...] = ()
+
+    def of_level(self, level: str = WARNING) -> tuple[CountedFinding, ...]:
+        """The kinds of findings of a level."""
+        return tuple(counted for counted in self.findings if counted.finding.level == level)
+
+    def with_more(self, other: DatasetIndex) -> DatasetIndex:
+        """Of these tests and of further ones."""
+        counted: dict[tuple[str, str], CountedFinding] = {}
+        for finding in (*self.findings, *other.findings):
+            key = finding.finding.level, finding.finding.code
+            before = counted.get(key)
+            counted[key] = finding if before is None else CountedFinding(before.finding, before.origin, before.tests + finding.tests)
+        return DatasetIndex(
+            tests=self.tests + other.tests,
+            failed=self.failed + other.failed,
+            not_accepted=self.not_accepted + other.not_accepted,
+            rows=self.rows + other.rows,
+            fits={name: self.fits.get(name, 0) + other.fits.get(name, 0) for name in dict.fromkeys((*self.fits, *other.fits))},
+            findings=tuple(counted[key] for key in sorted(counted)),
+        )
+
+
+# The result of an identification: parameters that travel with their doubt.
 
 # The model of a line through points, of a calibration.
 STRAIGHT_LINE = "straight-line"
@@ -84,21 +133,12 @@ class FittedCurve:
         return self.dense_frequency, self.dense
 
 
-@dataclass(frozen=True)
-class Region:
-    """Joint confidence region of two parameters: its closed *outline* (n_point, 2) [SI units]; *level* e.g. 0.95."""
-
-    names: tuple[str, str]
-    outline: FloatArray
-    level: float
-
-
 @dataclass(frozen=True, repr=False)
 class Fit:
     """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof: equations minus estimated parameters.
 
     correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted diagonal term, where one
-    fit has several.
+    fit has several. details: what its model shows beside the parameters, at most one of a class.
     """
 
     name: str
@@ -121,12 +161,8 @@ class Fit:
     curve: FittedCurve | None = None
     candidates: tuple[Candidate, ...] = ()
     term: str = ""
-    region: Region | None = None
-    modes: Modes | None = None
-    ring_down: RingDown | None = None
     budget: Budget | None = None
-    dynamic_stiffness: DynamicStiffness | None = None
-    robust: RobustPlant | None = None
+    details: tuple[FitDetail, ...] = field(default=(), metadata={"entry": False})
 
     def __repr__(self) -> str:
         return fit_line(self)
@@ -140,6 +176,10 @@ class Fit:
     def to_frame(self) -> Any:
         """The parameters as a pandas data frame, one row each [SI units]."""
         return VIEWS["frame"](self)
+
+    def detail(self, kind: type[Detail]) -> Detail | None:
+        """The detail of that class; None where the fit has none."""
+        return next((detail for detail in self.details if isinstance(detail, kind)), None)
 
     @property
     def centre_hz(self) -> float:
@@ -235,7 +275,7 @@ class Identification:
                 *((response.name, response.conditions) for response in self.responses),
                 *((spectrum.name, spectrum.conditions) for spectrum in self.spectra),
             ]
-        decayed = {fit.test for fit in self.fits if fit.ring_down is not None}
+        decayed = {fit.test for fit in self.fits if any(detail.in_time for detail in fit.details)}
         return [(name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed]
 
     @property
@@ -244,3 +284,76 @@ class Identification:
         listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}
         spectra = {spectrum.name: dict(spectrum.conditions) for spectrum in self.spectra}
         return {**listed, **{response.name: dict(response.conditions) for response in self.responses}, **spectra}
+
+
+# Parameters of results as lists, trends and campaigns read them: those of all fits and of every other
+# section.
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListedParameter:
+    """A parameter as lists of results show it: *fit* is whose it is (a fit, "run_ups.joint"), of which *test*, *term* and band [Hz].
+
+    changes: of the parameter by one standard uncertainty of every systematic source, by its name; *random*: standard error without them.
+    """
+
+    fit: str
+    parameter: Parameter
+    test: str = ""
+    term: str = ""
+    model: str = ""
+    estimator: str = ""
+    band_hz: tuple[float, float] = (0.0, 0.0)
+    warnings: tuple[str, ...] = ()
+    random: float | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def random_error(self) -> float | None:
+        """Standard error without what given numbers add, which is common to all tests that share them."""
+        return self.parameter.full_error if self.random is None else self.random
+
+
+def listed_parameters(identification: Identification) -> Iterator[ListedParameter]:
+    """The parameters of all fits, then those of every other section."""
+    for fit in identification.fits:
+        yield from of_fit(fit)
+    for name, record in identification.sections.items():
+        yield from section(name).parameters(record)
+
+
+def of_fit(fit: Fit) -> Iterator[ListedParameter]:
+    """The parameters of one fit."""
+    codes = tuple(warning_codes(fit))
+    for parameter in fit.parameters:
+        yield ListedParameter(
+            fit=fit.name,
+            parameter=parameter,
+            test=fit.test,
+            term=fit.term,
+            model=fit.model,
+            estimator=fit.estimator,
+            band_hz=fit.band_hz,
+            warnings=codes,
+            random=random_part(fit, parameter),
+            changes=changes_of(fit, parameter),
+        )
+
+
+def random_part(fit: Fit, parameter: Parameter) -> float | None:
+    """Standard error of a parameter [its unit] without what given numbers add; None where it has no systematic part by itself."""
+    if fit.budget is None or parameter.name not in fit.budget.names or parameter.systematic is None:
+        return None
+    return float(fit.budget.random[fit.budget.names.index(parameter.name)])
+
+
+def changes_of(fit: Fit, parameter: Parameter) -> dict[str, float]:
+    """Change of a parameter [its unit] by one standard uncertainty of every source of the fit's budget."""
+    if fit.budget is None or parameter.name not in fit.budget.names:
+        return {}
+    return {source.source: fit.budget.change_by(source.source, parameter.name) for source in fit.budget.sources}
+
+
+def warning_codes(fit: Fit) -> list[str]:
+    """The codes of a fit's warnings, each once."""
+    return list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))

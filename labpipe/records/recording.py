@@ -1,22 +1,66 @@
-"""A recording: calibrated, uniformly sampled channels of one run."""
+"""A recording: calibrated, uniformly sampled channels of one run, sums of channels, and the overview of a file."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import FloatArray, frozen_array
 from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
-from labpipe.records.arrays import frozen_array
-from labpipe.records.channel_sum import Term, as_terms
-from labpipe.records.doubt import ChannelDoubt, as_doubts
 from labpipe.records.finding import Finding
-from labpipe.records.text import recording_line
-from labpipe.records.views import VIEWS
+from labpipe.records.text import VIEWS, recording_line
+from labpipe.records.uncertain import ChannelDoubt, as_doubts
+
+# Sums of channels: f - m a, x_stator - x_shaft, (x_1 + x_2) / 2, with the doubt of the numbers in them.
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with its doubt that stands in a sum: *value*, *std_error* [unit], an SI unit; numbers of one *source* have one error."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A channel in a sum, times *factor* [SI unit of the sum per SI unit of the channel].
+
+    numbers: those in the factor that have a doubt; derivatives: of the factor by each of them.
+    """
+
+    channel: str
+    factor: float
+    numbers: tuple[Number, ...] = ()
+    derivatives: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        # A file gives lists of mappings.
+        object.__setattr__(self, "numbers", tuple(_number(entry) for entry in self.numbers))
+        object.__setattr__(self, "derivatives", tuple(self.derivatives))
+
+    def times(self, factor: float) -> Term:
+        """The term times a number without doubt."""
+        return Term(self.channel, factor * self.factor, self.numbers, tuple(factor * derivative for derivative in self.derivatives))
+
+
+def _number(entry: Any) -> Number:
+    return entry if isinstance(entry, Number) else Number(**entry)
+
+
+def as_terms(entries: Any) -> tuple[Term, ...]:
+    """The terms of a channel, as they are or from the mappings of a file."""
+    return tuple(entry if isinstance(entry, Term) else Term(**entry) for entry in entries)
+
+
+# A recording: calibrated, uniformly sampled channels of one run.
 
 ROLES = ("input", "output", "reference")
 
@@ -112,3 +156,77 @@ class Recording:
         """Consecutive blocks (n_sample, n_channel) [SI units] of at most *n_sample* samples."""
         for start in range(0, self.n_sample, n_sample):
             yield self.samples[start : start + n_sample]
+
+
+# Overview of a file: channels with levels, envelope over time and spectrum, and findings.
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Smallest and largest value of every stretch of *step* samples, (n_stretch,) each [the channel's unit]; NaN of missing ones."""
+
+    step: int
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Root of the power spectral density [unit/Hz^0.5] over *frequency* [Hz], (n_line,) each; mean of *blocks*.
+
+    Without a known rate the frequency is in cycles per sample and the density per that.
+    """
+
+    frequency: FloatArray
+    density: FloatArray
+    blocks: int
+
+    def __post_init__(self) -> None:
+        n = len(self.frequency)
+        for name in ("frequency", "density"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n,)))
+
+
+@dataclass(frozen=True)
+class ChannelOverview:
+    """One channel or column: *name*, *unit* as the file states it ('' where it does not), *about* (role and dof), levels in that unit."""
+
+    name: str
+    unit: str
+    about: str
+    _: KW_ONLY
+    minimum: float
+    maximum: float
+    mean: float
+    rms: float
+    envelope: Envelope
+    spectrum: Spectrum
+
+    @property
+    def label(self) -> str:
+        """Name and unit, the unit once."""
+        return self.name if not self.unit or self.unit in self.name else f"{self.name} [{self.unit}]"
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A recording as it lies on disk; *sample_rate* [Hz] or None where nobody knows it, *rate* in words, *time*: the time column or ''.
+
+    contradictions: where a rig file says otherwise, in words; None where none was asked.
+    """
+
+    file: str
+    kind: str
+    _: KW_ONLY
+    n_sample: int
+    sample_rate: float | None
+    rate: str
+    channels: tuple[ChannelOverview, ...]
+    findings: tuple[Finding, ...]
+    time: str = ""
+    contradictions: tuple[str, ...] | None = None
+
+    @property
+    def plotted(self) -> tuple[ChannelOverview, ...]:
+        """The channels that are no time."""
+        return tuple(channel for channel in self.channels if channel.name != self.time)

@@ -8,8 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel
+from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
+
+# A rig: which column is which channel, in which unit, with which sensitivity, in which direction.
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 
@@ -61,3 +65,21 @@ class Rig:
             for term in channel.terms:
                 factors[row, names.index(term.channel)] = term.factor
         return factors
+
+
+# A condition of a test that was recorded with it: the mean of a channel, or the speed that a tacho shows.
+
+
+@dataclass(frozen=True)
+class RecordedCondition(Settings):
+    """Where a condition is taken from."""
+
+    channel: str = setting("text", "channel whose mean is the condition", default="")
+    tacho: str = setting("text", "channel with tacho pulses, whose mean speed is the condition", default="")
+    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
+
+    def __post_init__(self) -> None:
+        if bool(self.channel) == bool(self.tacho):
+            raise ConfigError("one of 'channel' and 'tacho' is needed", hint="channel: load_cell, or tacho: key")
+        if self.pulses < 1:
+            raise ConfigError("'pulses' must be at least 1")

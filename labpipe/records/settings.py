@@ -1,16 +1,384 @@
-"""Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and the docs."""
+"""Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and the docs.
+
+Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
+
+One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is wrong. Files and Python
+scripts go through the same converters.
+"""
 
 from __future__ import annotations
 
+import cmath
 import dataclasses
 import functools
-from dataclasses import MISSING
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import KW_ONLY, MISSING, dataclass, replace
+from numbers import Complex, Integral, Real
+from pathlib import Path
 from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.quantities import UnitError
-from labpipe.records.setting_values import CONVERTERS, Setting
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain
+from labpipe.registry import nearest
+
+# A kind of file that a settings file can name.
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """*load*: the content of a file, ConfigError where it cannot be read; *files*: the file and every file that it names itself."""
+
+    load: Callable[[Path], Any]
+    files: Callable[[Path], tuple[Path, ...]] = lambda path: (path,)
+
+
+# Roots of polynomials as texts: "-100", "-100+300j", and "-100 +- 300j" for the pair.
+
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_ROOT = re.compile(rf"^(?P<real>[+-]?{_NUMBER})?(?:(?P<sign>\+-|[+-])?(?P<imaginary>{_NUMBER})?[ij])?$")
+EXAMPLE = "for example [-100, -50 +- 300j], in rad/s"
+
+
+def to_roots(value: Any, setting: Any) -> tuple[complex, ...]:  # noqa: ARG001 (one signature for the whole table)
+    """A list of real and complex numbers; a pair of conjugates may be written as one, "-50 +- 300j"."""
+    if isinstance(value, (str, Complex)):
+        value = [value]
+    if not isinstance(value, Iterable) or isinstance(value, Mapping):
+        raise UnitError("a list of roots is needed", EXAMPLE)
+    return tuple(root for entry in value for root in _roots(entry))
+
+
+def _roots(entry: Any) -> tuple[complex, ...]:
+    if isinstance(entry, Complex) and not isinstance(entry, bool):
+        return (complex(entry),)
+    text = "".join(str(entry).replace("±", "+-").replace("rad/s", "").split())
+    match = _ROOT.match(text)
+    if match is None or not text:
+        raise UnitError(f"'{str(entry)[:80]}' is no root", EXAMPLE)
+    real = float(match["real"] or 0.0)
+    if text[-1] not in "ij":
+        return (complex(real),)
+    if match["sign"] is None and match["real"] is not None:
+        # "300j" alone: what was read as the real part is the imaginary one.
+        return (complex(0.0, real),)
+    imaginary = float(match["imaginary"] or 1.0)
+    if match["sign"] == "+-":
+        return (complex(real, imaginary), complex(real, -imaginary))
+    return (complex(real, -imaginary if match["sign"] == "-" else imaginary),)
+
+
+# Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared
+# type.
+
+# The unit of a coefficient by the first letter of its name.
+COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
+ESTIMATE = "estimate"
+LONGEST_ECHO = 80
+# No count of a test rig comes near it.
+LARGEST_INTEGER = 10**9
+_VALUE = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
+_BAND = re.compile(rf"^\s*{_VALUE}\s*((?!to\b)[^\d\s.–-][^\s–]*?)?\s*(?:-|–|\.\.|to)\s*{_VALUE}\s*(.*?)\s*$")
+
+Band = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Declaration of a settings field: its kind, SI unit, choices, and one line of help.
+
+    A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the same dataclass.
+    *needed*: a file must give it, although the dataclass has a default.
+    """
+
+    kind: str
+    help: str
+    _: KW_ONLY
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    section: type | None = None
+    file_kind: str = ""
+    into: str = ""
+    needed: bool = False
+
+
+def to_value(value: Any, setting: Setting) -> float:
+    """ "15 Hz" -> 15.0; the dimension is checked. A number is SI."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        if math.isnan(value):
+            raise UnitError("not-a-number is no value")
+        return float(value)
+    return parse_value(_text(value, f"a value with its unit, for example '1 {setting.unit}'"), setting.unit)
+
+
+def to_uncertain(value: Any, setting: Setting) -> Uncertain:
+    """ "134.5 kN/m +- 0.4 kN/m" or "... +- 1 %" -> value and standard error."""
+    if isinstance(value, Uncertain):
+        return value
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return Uncertain(to_value(value, setting))
+    return parse_uncertain(_text(value, "a value with its unit"), setting.unit)
+
+
+def to_band(value: Any, setting: Setting) -> Band:
+    """ "1-250 Hz" -> (1.0, 250.0)."""
+    if _is_pair_of_numbers(value):
+        low, high = (float(end) for end in value)
+        text = f"{low:g}-{high:g} {setting.unit}"
+    else:
+        text = _text(value, _band_example(setting))
+        low, high = _parsed_band(text, setting)
+    if not low < high:
+        raise UnitError(f"the band '{text}' is empty", "the lower frequency comes first")
+    return low, high
+
+
+def _band_example(setting: Setting) -> str:
+    return f"a band, for example '10-20 {setting.unit}'"
+
+
+def _parsed_band(text: str, setting: Setting) -> Band:
+    match = _BAND.match(text)
+    if match is None:
+        raise UnitError(f"'{text}' is not a band", f"write {_band_example(setting)}")
+    high_unit = match[4]
+    low = parse_value(f"{match[1]} {match[2] or high_unit}".strip(), setting.unit)
+    return low, parse_value(f"{match[3]} {high_unit}".strip(), setting.unit)
+
+
+def to_bands(value: Any, setting: Setting) -> tuple[Band, ...]:
+    """A list of bands, or one."""
+    several = _is_list(value) and not _is_pair_of_numbers(value)
+    return tuple(to_band(entry, setting) for entry in (value if several else [value]))
+
+
+def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]], ...]:
+    """{x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        raise UnitError(f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
+    pairs = _pairs(value)
+    if isinstance(value, Mapping) and not pairs:
+        raise UnitError(f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
+    return tuple((name, to_bands(entry, setting)) for name, entry in pairs)
+
+
+def to_integer(value: Any, setting: Setting) -> int:  # noqa: ARG001 (one signature for the whole table)
+    """A whole number from zero to LARGEST_INTEGER."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
+        raise UnitError(f"'{_shown(value)}' is not a whole number of at least 0")
+    if int(value) > LARGEST_INTEGER:
+        raise UnitError(f"'{_shown(value)}' is beyond what can be counted here", f"up to {LARGEST_INTEGER}")
+    return int(value)
+
+
+def to_flag(value: Any, setting: Setting) -> bool:  # noqa: ARG001
+    """true or false."""
+    if not isinstance(value, bool):
+        raise UnitError(f"'{_shown(value)}' is neither true nor false")
+    return value
+
+
+def to_text(value: Any, setting: Setting) -> str:  # noqa: ARG001
+    """A text."""
+    return _text(value, "a text")
+
+
+def to_choice(value: Any, setting: Setting) -> str:
+    """One of the setting's choices."""
+    text = _text(value, f"one of {', '.join(setting.choices)}")
+    if text not in setting.choices:
+        hint = nearest(text, setting.choices)
+        raise UnitError(
+            f"unknown choice '{shortened(text)}'", hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})"
+        )
+    return text
+
+
+def to_names(value: Any, setting: Setting) -> tuple[str, ...]:
+    """One name or a list of names."""
+    return tuple(_name(entry, setting) for entry in (value if _is_list(value) else [value]))
+
+
+def _name(value: Any, setting: Setting) -> str:
+    name = to_text(value, setting)
+    if not name:
+        raise UnitError("a text is missing")
+    return name
+
+
+def to_mass(value: Any, setting: Setting) -> Any:
+    """ "0.92 kg", a list (diagonal matrix), a list of lists (matrix), or `estimate`."""
+    if _is_list(value):
+        return tuple(to_values(row, setting) if _is_list(row) else to_mass(row, setting) for row in value)
+    if value == ESTIMATE:
+        return ESTIMATE
+    mass = to_value(value, setting)
+    if mass < 0:
+        raise UnitError(f"the mass '{value}' is negative")
+    return mass
+
+
+def to_values(value: Any, setting: Setting) -> tuple[float, ...]:
+    """One value or a list of values."""
+    return tuple(to_value(entry, setting) for entry in (value if _is_list(value) else [value]))
+
+
+def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
+    """A list of rows of equal length."""
+    if not _is_list(value) or not all(_is_list(row) for row in value):
+        raise UnitError(f"'{_shown(value)}' is not a matrix", f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]")
+    rows = tuple(to_values(row, setting) for row in value)
+    if len({len(row) for row in rows}) != 1:
+        raise UnitError("the rows of the matrix are not equally long")
+    return rows
+
+
+def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ...]:
+    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the unit follows from the first letter of a name."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        raise UnitError(f"'{_shown(value)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}")
+    coefficients = []
+    for name, entry in _pairs(value):
+        unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
+        if unit is None:
+            raise UnitError(f"'{name}' is no coefficient", "their names begin with k_, c_, m_ or b_")
+        coefficients.append((name, to_value(entry, replace(setting, unit=unit))))
+    return tuple(coefficients)
+
+
+def to_series(value: Any, setting: Setting) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    """{ls: [0.03, 0.2]} -> (("ls", (0.03, 0.2)),)."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        raise UnitError(f"'{_shown(value)}' is not a mapping of names to lists of values")
+    return tuple((name, to_values(entry, setting)) for name, entry in _pairs(value))
+
+
+def to_phasors(value: Any, setting: Setting) -> tuple[tuple[str, complex], ...]:
+    """{disc 1: 50 g.mm at 60 deg} -> (("disc 1", 2.5e-5 + 4.3e-5j),); the angle is zero unless given."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        example = f"write for example {{disc 1: 50 {setting.unit} at 60 deg}}"
+        raise UnitError(f"'{_shown(value)}' is not a mapping of names to phasors", example)
+    return tuple((name, _phasor(name, entry, setting)) for name, entry in _pairs(value))
+
+
+def _phasor(name: str, value: Any, setting: Setting) -> complex:
+    if isinstance(value, (complex, float, int)) and not isinstance(value, bool):
+        return complex(value)
+    try:
+        return parse_phasor(_text(value, "a size with its unit"), setting.unit)
+    except UnitError as error:
+        raise UnitError(f"{name}: {error.what}", error.hint) from None
+
+
+def parse_phasor(text: str, unit: str) -> complex:
+    """ "50 g.mm at 60 deg" in the SI unit, complex with its angle, which is zero unless given; UnitError where it cannot be read."""
+    size_text, _, angle_text = (part.strip() for part in text.partition(" at "))
+    angle = parse_value(angle_text, "rad") if angle_text else 0.0
+    return parse_value(size_text, unit) * cmath.exp(1j * angle)
+
+
+def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
+    """A list of lists of names, or one list."""
+    # An empty tuple is the default; an empty list of a file is a slip.
+    if not _is_list(value) or value == []:
+        raise UnitError(f"'{_shown(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
+    entries = list(value)
+    if all(_is_list(entry) for entry in entries):
+        return tuple(to_names(entry, setting) for entry in entries)
+    return (to_names(entries, setting),)
+
+
+def to_section(value: Any, setting: Setting) -> Any:
+    """The settings of a section: as they are, or from a mapping of its entries."""
+    assert setting.section is not None
+    if isinstance(value, setting.section):
+        return value
+    if not isinstance(value, Mapping):
+        raise UnitError(f"'{_shown(value)}' is not a section of settings", f"give a {setting.section.__name__} or a mapping of its entries")
+    try:
+        return setting.section(**value)
+    except TypeError as error:
+        raise UnitError(str(error).removeprefix(f"{setting.section.__name__}.__init__() ")) from None
+
+
+def to_sections(value: Any, setting: Setting) -> tuple[tuple[str, Any], ...]:
+    """Sections by name: {worn: {depth: 20 um}} -> (("worn", Wear(...)),)."""
+    if not isinstance(value, Mapping) and not _is_pairs(value):
+        raise UnitError(f"'{_shown(value)}' is not a mapping of names to sections")
+    return tuple((name, to_section(entry, setting)) for name, entry in _pairs(value))
+
+
+def to_entries(value: Any, setting: Setting) -> tuple[Any, ...]:
+    """A list of sections; a section may make its entries from an object of another package."""
+    value = getattr(setting.section, "entries_from", lambda entries: entries)(value)
+    if not _is_list(value):
+        raise UnitError(f"'{_shown(value)}' is not a list of sections", "each entry begins with '- '")
+    return tuple(to_section(entry, setting) for entry in value)
+
+
+CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
+    "value": to_value,
+    "uncertain": to_uncertain,
+    "band": to_band,
+    "bands": to_bands,
+    "peaks": to_peaks,
+    "integer": to_integer,
+    "flag": to_flag,
+    "text": to_text,
+    "file": to_text,
+    "choice": to_choice,
+    "names": to_names,
+    "mass": to_mass,
+    "values": to_values,
+    "matrix": to_matrix,
+    "coefficients": to_coefficients,
+    "groups": to_groups,
+    "series": to_series,
+    "phasors": to_phasors,
+    "section": to_section,
+    "sections": to_sections,
+    "entries": to_entries,
+    "roots": to_roots,
+}
+
+
+def _text(value: Any, wanted: str) -> str:
+    if not isinstance(value, str):
+        raise UnitError(f"'{_shown(value)}' is not {wanted}")
+    return value
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, (str, Mapping))
+
+
+def _is_pair_of_numbers(value: Any) -> bool:
+    return _is_list(value) and len(value) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in value)
+
+
+def _is_pairs(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in value)
+
+
+def _pairs(value: Any) -> list[tuple[str, Any]]:
+    return list(value.items() if isinstance(value, Mapping) else value)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "(nothing)"
+    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else shortened(str(value))
+
+
+def shortened(text: str) -> str:
+    """Text of a file as a message repeats it: the first LONGEST_ECHO characters."""
+    return text if len(text) <= LONGEST_ECHO else f"{text[:LONGEST_ECHO]}..."
+
+
+# Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help
+# and the docs.
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
 
@@ -41,6 +409,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         _convert(self)
+
+    @property
+    def written(self) -> list[str]:
+        """Names of the declared settings that are not as they are by default."""
+        declared = (field for field in dataclasses.fields(self) if "setting" in field.metadata)  # type: ignore[arg-type]
+        return [field.name for field in declared if getattr(self, field.name) != field.default]
 
 
 def _convert(settings: Any) -> None:

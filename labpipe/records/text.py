@@ -1,4 +1,4 @@
-"""Records as text: one line for a list, a table for a console, a table for a notebook."""
+"""Records as text: one line for a list, a table for a console, a table for a notebook; and their views for other libraries."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 from labpipe.display import amount_text, difference_in, shown_unit, unit_label, written
 from labpipe.quantities import to_display
-from labpipe.records.finding import WARNING, of_level
-from labpipe.records.parameter import Parameter
+from labpipe.records.finding import WARNING, Parameter, of_level
+from labpipe.registry import Registry
 
 if TYPE_CHECKING:
     from labpipe.records.identification import Fit, Identification
     from labpipe.records.recording import Recording
     from labpipe.records.response import FrequencyResponse
+
+# Records as text: one line for a list, a table for a console, a table for a notebook.
 
 # Largest number of parameters in one line.
 MOST_NAMED = 4
@@ -101,3 +103,14 @@ def identification_line(identification: Identification) -> str:
     rules = "no rules" if not identification.outcomes else "accepted" if identification.accepted else "NOT ACCEPTED"
     verdict = "INCOMPLETE" if identification.failed else rules
     return f"<Identification {identification.title}: {len(identification.fits)} fits{sections}; {verdict}>"
+
+
+# Views of a record for other libraries, loaded on first use. VIEWS by name.
+
+VIEWS = Registry(
+    "view",
+    {
+        "frame": "labpipe.project.scripting:to_frame",
+        "xarray": "labpipe.project.scripting:to_xarray",
+    },
+)

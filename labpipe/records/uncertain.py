@@ -1,4 +1,4 @@
-"""Numbers with their standard uncertainty, and how people write them: 8 V/mm +- 1 %, 0.79 kg +- 5 g (rectangular, source=scale)."""
+"""Numbers with their standard uncertainty, the systematic sources behind them, and the budget they make."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.quantities import UnitError, parse_value, written_unit
 from labpipe.registry import nearest
+
+# Numbers with their standard uncertainty, and how people write them: 8 V/mm +- 1 %, 0.79 kg +- 5 g
+# (rectangular, source=scale).
 
 # Half width over standard uncertainty of distributions with sharp ends (GUM 4.3.7, 4.3.9).
 SHAPES = {"normal": 1.0, "rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0)}
@@ -94,3 +100,150 @@ def _qualified(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
     return replace(plain, std_error=plain.std_error / factor, **entries)
+
+
+# Systematic doubts: a number of the rig that is known with a standard uncertainty, the same error in all
+# that rests on it.
+
+# What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
+EFFECTS = {"gain": "1", "delay": "s", "phase": "rad", "direction": "rad"}
+
+# Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 - d), X e^{+jwd}, X e^{+jd}.
+COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), "phase": (1j, 0)}
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Standard uncertainty of one number [unit]; numbers of one *source* have one error in common.
+
+    dof: degrees of freedom behind it, None where it is known; shape: its distribution (normal, rectangular, triangular).
+    """
+
+    source: str
+    std_error: float
+    unit: str
+    dof: float | None = None
+    shape: str = "normal"
+
+
+def doubt_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Doubt:
+    """The doubt of a number times *scale* [-]; its own source, if it names one, takes the place of *source*."""
+    return Doubt(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
+
+
+@dataclass(frozen=True)
+class ChannelDoubt:
+    """Doubt of a channel's calibration. *effect*: 'gain' (relative), 'delay' [s], 'phase' [rad] or 'direction' [rad].
+
+    The error d of the number changes the channel's amplitude X [SI] to X (1 - d), X e^{+jwd}, X e^{+jd}; a direction turns the channel.
+    """
+
+    effect: str
+    doubt: Doubt
+
+
+@dataclass(frozen=True)
+class MatrixError:
+    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
+
+    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the *doubt*.
+    """
+
+    doubt: Doubt
+    change: ComplexArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "change", frozen_array(self.change, np.complex128, f"change by {self.doubt.source}", np.shape(self.change))
+        )
+
+
+def as_doubts(entries: Any) -> tuple[ChannelDoubt, ...]:
+    """The doubts of a channel, as they are or from the mappings of a file."""
+    return tuple(entry if isinstance(entry, ChannelDoubt) else ChannelDoubt(entry["effect"], Doubt(**entry["doubt"])) for entry in entries)
+
+
+# The uncertainty budget of a fit: what noise and every systematic source leave of its parameters.
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Doubts of the parameters *names* of a fit, in their units.
+
+    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it, NaN where there
+    is none; random_dof behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every
+    parameter by one standard uncertainty of the source, with its sign: their outer products are the covariance by each source.
+    drawn (n_parameter, 3) [unit of the parameter]: scatter and ends of the 95 % interval of Monte Carlo draws of noise and sources, None
+    where there are none.
+    """
+
+    names: tuple[str, ...]
+    random: FloatArray
+    random_dof: float | None
+    sources: tuple[Doubt, ...]
+    changes: FloatArray
+    drawn: FloatArray | None = None
+
+    @property
+    def systematic(self) -> FloatArray:
+        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are independent of each other.
+
+        Equation (unc-systematic).
+        """
+        return np.asarray(np.sqrt(np.sum(self.changes**2, axis=0)))
+
+    @property
+    def combined(self) -> FloatArray:
+        """Combined standard uncertainty (n_parameter,) [unit of the parameter]. Equation (unc-combined)."""
+        return np.hypot(self.random, self.systematic)
+
+    @property
+    def dof(self) -> FloatArray:
+        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite, GUM G.4.1); inf: known.
+
+        Equation (unc-dof).
+        """
+        terms = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
+        terms += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
+        total = np.sum(terms, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(total > 0, self.combined**4 / total, np.inf)
+
+    def with_sources(self, sources: tuple[Doubt, ...], changes: FloatArray) -> Budget:
+        """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter]; draws did not hold these."""
+        return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
+
+    def shares(self, name: str) -> dict[str, float]:
+        """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1.
+
+        Equation (unc-share).
+        """
+        column = self.names.index(name)
+        parts = {"noise": float(self.random[column] ** 2)}
+        parts.update({source.source: float(change[column] ** 2) for source, change in zip(self.sources, self.changes, strict=True)})
+        whole = sum(parts.values())
+        return {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])} if whole > 0 else parts
+
+    def change_by(self, source: str, name: str) -> float:
+        """Change of a parameter by one standard uncertainty of a source; zero for a source that the fit does not have."""
+        column = self.names.index(name)
+        numbers = [number for number, source_of_change in enumerate(self.sources) if source_of_change.source == source]
+        return float(sum(self.changes[number, column] for number in numbers))
+
+
+# What changes between repeats of a test and is not seen within one: drift between days, remounting.
+
+
+@dataclass(frozen=True)
+class RepeatSource:
+    """A standard uncertainty of one *parameter* of every fit, relative to its value.
+
+    per: condition; tests of one value of it have one error in common. Empty: every test has its own. dof: degrees of freedom behind the
+    size, None where it is known.
+    """
+
+    name: str
+    parameter: str
+    relative: float
+    per: str = ""
+    dof: float | None = None

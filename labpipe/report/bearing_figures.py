@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.bearings.coefficients import BearingCoefficients
+from labpipe.bearings.kinds import BearingCoefficients
 from labpipe.quantities import display_unit, to_display
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, named_ticks, stacked
 from labpipe.report.document import Figure

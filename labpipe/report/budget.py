@@ -9,10 +9,10 @@ import numpy as np
 
 from labpipe.display import difference_in, shown_unit, two_digits
 from labpipe.quantities import to_display
-from labpipe.records.budget import Budget
 from labpipe.records.comparison import Comparison
+from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.parameter import Parameter
+from labpipe.records.uncertain import Budget
 from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stacked
 from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded

@@ -1,36 +1,247 @@
-"""From an identification to the document that people read: verdict first, doubt beside every number, provenance last."""
+"""From an identification to the document that people read: verdict first, uncertainty beside every number, provenance last."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
 from labpipe.errors import ConfigError
-from labpipe.records.identification import Identification
-from labpipe.registry import nearest
-from labpipe.report.cover import cover_facts
-from labpipe.report.document import Document, Section
+from labpipe.records.finding import NOTE, WARNING, Finding
+from labpipe.records.identification import Identification, of_points
+from labpipe.registry import Registry, nearest
+from labpipe.report.cover import cover_facts, section_facts
+from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
-from labpipe.report.provenance import provenance_sections
-from labpipe.report.rotor_figure import rotor_sections
-from labpipe.report.verdict import verdict_sections
+from labpipe.report.wording import fit_title
 from labpipe.sections import section
+
+# Name of a model or of a pipeline's section -> the function from an identification to what its results add to the report together.
+REPORT_PARTS = Registry("report part", {})
+
+# What a reader must know first: whether the result is accepted, and every warning and note in words.
+
+MOST_NOTES = 12
+# Characters of all notes of one kind that are still read.
+LONGEST_NOTES = 1200
+# Codes of findings with which a result must not be used.
+SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop", "feedback")
+
+
+def verdict_sections(identification: Identification) -> tuple[Section, ...]:
+    """Verdict, warnings and, where there are any, notes."""
+    notes = _notes(identification)
+    return (
+        Section("Verdict", _verdict(identification)),
+        Section("Warnings", _warnings(identification)),
+        *([Section("Notes", notes)] if notes else []),
+    )
+
+
+def _verdict(identification: Identification) -> tuple[Block, ...]:
+    if identification.failed:
+        return (*_failed(identification), *_judged(identification))
+    return _judged(identification)
+
+
+def _failed(identification: Identification) -> tuple[Block, ...]:
+    """Missing results with their reasons, before all results."""
+    rows = tuple((failed.name, failed.message) for failed in identification.failed)
+    lead = Paragraph(f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.", "failed")
+    return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
+
+
+def _judged(identification: Identification) -> tuple[Block, ...]:
+    outcomes = identification.outcomes
+    codes = _by_code(identification, WARNING)
+    doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
+    if not outcomes:
+        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note")
+        return (lead, *_not_to_be_signed(identification))
+    failed = sum(not outcome.passed for outcome in outcomes)
+    if failed:
+        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{doubt}", "failed")
+    else:
+        unchecked = _unchecked(identification)
+        said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
+        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}{said}", "note" if unchecked else "passed")
+    rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
+    table = Table(("section", "rule", "found", "outcome"), rows, "Rules of the pipeline")
+    return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
+
+
+def _unchecked(identification: Identification) -> list[str]:
+    """What no rule looked at, in words; empty where everything was checked, which alone makes a box green."""
+    unchecked = [] if identification.outcomes else ["no accept or expect rule was given"]
+    fits = [fit for fit in identification.fits if not of_points(fit.model)]
+    without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
+    if without:
+        unchecked.append(f"chi-square, since the noise is not known ({_listed(without)})")
+    unjudged = [origin for origin, finding in _of_fits(identification) if finding.code == "not-judged"]
+    if unjudged:
+        unchecked.append(f"whether the residual is noise ({_listed(unjudged)})")
+    return unchecked
+
+
+def _listed(origins: list[str]) -> str:
+    """Each origin once, up to a number."""
+    names = list(dict.fromkeys(origins))
+    more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
+    return ", ".join([*names[:MOST_NOTES], *more])
+
+
+def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
+    """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could compare with."""
+    unchecked = [origin for origin, finding in _of_fits(identification) if finding.code == "no-covariance"]
+    if not unchecked:
+        return ()
+    return (Paragraph(f"By G.o.F alone, chi-square could not be checked (no covariance): {'; '.join(unchecked)}.", "warning"),)
+
+
+def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
+    """Fits and comparisons that must not be used, named beside the verdict: a rule can pass for the wrong reason."""
+    serious: dict[str, list[str]] = {}
+    for origin, finding in (*_of_fits(identification), *_of_sections(identification)):
+        if finding.code in SERIOUS:
+            serious.setdefault(origin, []).append(finding.code)
+    if not serious:
+        return ()
+    listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
+    more = [f"and {len(listed) - MOST_NOTES} more"] if len(listed) > MOST_NOTES else []
+    return (Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),)
+
+
+def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
+    """The findings of all fits, each with the fit that it is of."""
+    return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
+
+
+def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
+    """The findings of the sections other than fits, with their origin."""
+    return [pair for name, record in identification.sections.items() for pair in section(name).findings(record)]
+
+
+def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
+    """Every finding of a level by its code, with where it comes from: measurements, fits, other sections."""
+    measured = [(response.name or "measurement", finding) for response in identification.responses for finding in response.findings]
+    codes: dict[str, list[tuple[str, Finding]]] = {}
+    for origin, finding in (*measured, *_of_fits(identification), *_of_sections(identification)):
+        if finding.level == level:
+            codes.setdefault(finding.code, []).append((origin, finding))
+    return codes
+
+
+def _warnings(identification: Identification) -> tuple[Block, ...]:
+    """Each kind of warning once in full, with the number of fits that carry it."""
+    none = "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+    blocks: list[Block] = []
+    for code, entries in _by_code(identification, WARNING).items():
+        origin, finding = entries[0]
+        more = f" ({len(entries)} times in all; this is the first)" if len(entries) > 1 else ""
+        blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
+    if blocks:
+        return tuple(blocks)
+    unchecked = _unchecked(identification)
+    return (Paragraph(f"{none} Not checked: {'; '.join(unchecked)}.", "note") if unchecked else Paragraph(none, "passed"),)
+
+
+def _notes(identification: Identification) -> tuple[Block, ...]:
+    """Each kind of note in one box, every note in full where they are few, else the first alone with their number."""
+    blocks: list[Block] = []
+    for code, entries in _by_code(identification, NOTE).items():
+        notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
+        said = "; ".join(notes)
+        if len(notes) > 1 and (len(notes) > MOST_NOTES or len(said) > LONGEST_NOTES):
+            said = f"{notes[0]} ({len(notes)} such notes in all; this is the first)"
+        blocks.append(Paragraph(f"{code}: {said}.", "note"))
+    return tuple(blocks)
+
+
+# The last sections of a report: rig and conditions, and where the numbers come from.
+
+# Parts of the settings that the numbers depend on.
+SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
+
+
+def provenance_sections(identification: Identification) -> tuple[Section, ...]:
+    """Rig and conditions; sources with their checksums, settings, and how to repeat it all."""
+    return (Section("Rig and conditions", _rig(identification)), Section("Provenance", _provenance(identification)))
+
+
+def rig_blocks(identification: Identification) -> tuple[Block, ...]:
+    """The rig in words and its channels as a table; nothing without a rig."""
+    rig = identification.rig
+    blocks: list[Block] = []
+    if rig:
+        mass = f" Moving mass {rig['mass']:g} kg." if rig.get("mass") is not None else ""
+        blocks.append(Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"))
+        rows = tuple(
+            (
+                entry["channel"]["name"],
+                entry["column"],
+                entry["channel"]["quantity"],
+                entry["channel"]["role"],
+                entry["channel"]["dof"],
+                entry["unit"],
+                f"{entry['scale']:.6g}",
+            )
+            for entry in rig.get("channels", [])
+        )
+        header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
+        blocks.append(Table(header, rows, "Channels", (6,)))
+    return tuple(blocks)
+
+
+def _rig(identification: Identification) -> tuple[Block, ...]:
+    blocks = list(rig_blocks(identification))
+    conditions = {name: entry for name, entry in identification.measured_tests if entry}
+    stated = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
+    if stated:
+        blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
+    for facts in section_facts(identification) if not blocks else ():
+        blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
+    return tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),)
+
+
+def _provenance(identification: Identification) -> tuple[Block, ...]:
+    rows = tuple((source["path"], source["sha256"]) for source in identification.sources)
+    repeat = f"To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR` over files with these checksums."
+    settings = {key: value for key, value in identification.settings.items() if key in SHOWN_SETTINGS}
+    return (
+        Table(("source file", "SHA-256"), rows, "Source files"),
+        Paragraph(repeat),
+        Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
+        Code(json.dumps(settings, indent=1)),
+    )
+
+
+# From an identification to the document that people read: verdict first, doubt beside every number,
+# provenance last.
 
 
 def section_parts(identification: Identification) -> tuple[Section, ...]:
     """The parts of all sections of the pipeline beside its fits, in the order in which they were run."""
-    return tuple(part for name, record in identification.sections.items() for part in section(name).call("report", record, identification))
+    return tuple(part for name, record in identification.sections.items() for part in section(name).report(record, identification))
 
 
 Part = Callable[[Identification], tuple[Section, ...]]
+
+
 # The parts of a report in their order; each gives its sections, or none where the result has nothing of its kind.
+def added_sections(identification: Identification) -> tuple[Section, ...]:
+    """Sections that models, or sections of the pipeline, add for all their results together."""
+    there = {fit.model for fit in identification.fits} | set(identification.sections)
+    parts = dict.fromkeys(REPORT_PARTS.load(name) for name in REPORT_PARTS.names() if name in there)
+    return tuple(section for part in parts for section in part(identification))
+
+
 PARTS: tuple[Part, ...] = (
     verdict_sections,
     section_parts,
     fit_sections,
     measurement_sections,
-    rotor_sections,
+    added_sections,
     provenance_sections,
 )
 

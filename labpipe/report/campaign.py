@@ -1,23 +1,244 @@
-"""The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who differs from the rest."""
+"""The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who differs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.campaign.bandwise import holm
-from labpipe.campaign.control import SETTLED, control_limits, from_the_rest, straight_trend
 from labpipe.display import written
 from labpipe.errors import DataError, FitError
-from labpipe.records.identification import Identification
-from labpipe.report.campaign_figures import control_figure, sliding_overlays, trend_figure
-from labpipe.report.coefficient_series import CoefficientSeries, coefficient_series
-from labpipe.report.cover import cover_facts
-from labpipe.report.document import Block, Document, Paragraph, Section, Table
+from labpipe.quantities import UnitError, display_unit, si_amount, to_display
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stacked
+from labpipe.report.cover import DATES, cover_facts
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
 from labpipe.report.wording import rounded, unit_text
+from labpipe.uncertainty.amounts import joint_errors, matrix_of
+from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
+
+# One coefficient in many results: its values with their doubt, and the conditions of the tests that they
+# come from.
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no condition gives it.
+
+    random_error: standard error of this test alone; changes: by sources that tests may have in common.
+    """
+
+    label: str
+    parameter: Parameter
+    conditions: dict[str, tuple[float, str]]
+    day: date | None
+    random_error: float | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CoefficientSeries:
+    """The values of one parameter of one fit, by their dates where all tests have one, else as the results were given."""
+
+    fit: str
+    name: str
+    values: tuple[Value, ...]
+
+    @property
+    def title(self) -> str:
+        """The parameter and its fit."""
+        return f"{self.name} of {self.fit}"
+
+    @property
+    def unit(self) -> str:
+        """The unit that all values are shown in."""
+        return display_unit(self.values[0].parameter.unit)
+
+    @property
+    def axis(self) -> Axis:
+        """The ordinate of its figures."""
+        return Axis(self.name, unit_text(self.values[0].parameter.unit))
+
+    @property
+    def dated(self) -> bool:
+        """Whether the conditions give a date for every value."""
+        return all(value.day is not None for value in self.values)
+
+    def shown(self) -> FloatArray:
+        """Values (n,) [display unit]."""
+        return np.array([to_display(value.parameter.value, self.unit) for value in self.values])
+
+    def errors(self) -> FloatArray:
+        """Standard errors (n,) [display unit], NaN where a fit has none."""
+        zero = to_display(0.0, self.unit)
+        errors = [value.parameter.full_error for value in self.values]
+        return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
+
+    def joint_errors(self) -> FloatArray:
+        """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have sources in common."""
+        scale = abs(to_display(1.0, self.unit) - to_display(0.0, self.unit))
+        alone = np.array([np.nan if value.random_error is None else scale * value.random_error for value in self.values])
+        return joint_errors(alone, scale * matrix_of([value.changes for value in self.values]))
+
+    def intervals(self) -> FloatArray:
+        """95 % intervals (n, 2) [display unit], NaN where there is none."""
+        ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
+        return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
+
+    def over(self) -> dict[str, tuple[Axis, FloatArray]]:
+        """condition -> (axis, values (n,) [axis unit]) for every amount that all tests have and that differs between them."""
+        names = [name for name in self.values[0].conditions if all(name in value.conditions for value in self.values)]
+        conditions = {}
+        for name in names:
+            units = {value.conditions[name][1] for value in self.values}
+            if len(units) == 1 and len({value.conditions[name][0] for value in self.values}) > 1:
+                unit = units.pop()
+                amounts = [to_display(value.conditions[name][0], display_unit(unit)) for value in self.values]
+                conditions[name] = (Axis(name, unit_text(unit)), np.array(amounts))
+        days = [value.day for value in self.values if value.day is not None]
+        if self.dated and len(set(days)) > 1:
+            since = np.array([float((day - min(days)).days) for day in days])
+            conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
+        return conditions
+
+
+def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
+    """Every parameter that two results or more have, of fits and other sections; sliding fits are drawn over frequency instead."""
+    groups: dict[tuple[str, str], list[Value]] = {}
+    for result, identification in results:
+        for listed in single_parameters(identification):
+            title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
+            groups.setdefault((title, listed.parameter.name), []).append(_value(result, identification, listed))
+    series = [CoefficientSeries(fit, name, _ordered(values)) for (fit, name), values in groups.items() if len(values) > 1]
+    return [entry for entry in series if len({value.parameter.unit for value in entry.values}) == 1]
+
+
+def single_parameters(identification: Identification) -> list[ListedParameter]:
+    """Parameters that occur once for their fit, test and term."""
+    rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
+    counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
+    return [listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1]
+
+
+def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
+    if any(value.day is None for value in values):
+        return tuple(values)
+    return tuple(sorted(values, key=lambda value: value.day or date.min))
+
+
+def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
+    label = f"{result}, {listed.test}" if listed.test and result else listed.test or result
+    conditions = identification.test_conditions.get(listed.test, {})
+    amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
+    days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
+    day = next((day for day in days if day is not None), None)
+    return Value(label, listed.parameter, amounts, day, listed.random_error, listed.changes)
+
+
+def _amount(text: str) -> tuple[float, str] | None:
+    try:
+        return si_amount(text)
+    except UnitError:
+        return None
+
+
+def _day(text: str) -> date | None:
+    """The day of an ISO date such as 2026-03-02 or 2026-03-02T14:10."""
+    try:
+        return date.fromisoformat(text[:10])
+    except ValueError:
+        return None
+
+
+# The figures of a campaign: a coefficient over a condition, its control chart, and sliding fits of several
+# results together.
+
+MOST_TOGETHER = 12
+LONGEST_NAME = 24
+# Points of a trend line, so that its band bends smoothly.
+N_TREND = 41
+
+
+def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
+    """Values with their 95 % intervals over a condition; the weighted line with its 95 % interval where there are three or more."""
+    axis, x = series.over()[condition]
+    low, high = series.intervals().T
+    tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
+    chart = stacked([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
+    caption = f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight trend, shaded: its 95 % interval."
+    return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
+
+
+def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
+    """The weighted line over x (n,) with its 95 % interval; nothing where the tests do not carry one."""
+    try:
+        line = straight_trend(x, series.shown(), series.joint_errors())
+    except FitError:
+        return ()
+    drawn = np.linspace(x.min(), x.max(), N_TREND)
+    columns = np.column_stack([np.ones_like(drawn), drawn - np.mean(x)])
+    middle = columns @ line.values
+    reach = line.quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, line.covariance, columns))
+    return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),)
+
+
+def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
+    """The values in their order with centre and limits; those outside are ringed."""
+    values = series.shown()
+    places, outside = np.arange(1, values.size + 1), list(limits.outside)
+    ringed = [dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)] if outside else []
+    ends = [level(end, 1, "--", width=1.0) for end in (limits.low, limits.high)]
+    tests = curve("tests", places, values, marker=".", size=4.0)
+    names = [_place_name(series, n) for n in range(values.size)]
+    x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
+    chart = stacked([Panel(x, series.axis, (tests, *ringed, level(limits.centre, width=0.9), *ends))], 3.0)
+    caption = f"{series.title}: individuals chart; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
+    return Figure(chart, caption, f"Control chart of {series.title} with {len(outside)} values outside its limits")
+
+
+def _place_name(series: CoefficientSeries, number: int) -> str:
+    value = series.values[number]
+    return str(value.day) if series.dated else value.label[-LONGEST_NAME:]
+
+
+def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
+    """Every coefficient of sliding fits over frequency, one curve per test; where two tests or more have them."""
+    groups: dict[tuple[str, str], dict[str, list[Fit]]] = {}
+    for result, identification in results:
+        for fit in identification.fits:
+            label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
+            groups.setdefault((fit.name, fit.term), {}).setdefault(label, []).append(fit)
+    figures: list[Figure] = []
+    for (name, term), tests in groups.items():
+        sliding = {label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)}
+        if len(sliding) > 1:
+            title = f"{name} of {term}" if term else name
+            figures.extend(_overlay(title, parameter, sliding) for parameter in sliding_names(next(iter(sliding.values()))))
+    return figures
+
+
+def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
+    series = []
+    for number, (label, fits) in enumerate(list(tests.items())[:MOST_TOGETHER]):
+        shared = [fit for fit in fits if any(p.name == parameter for p in fit.parameters)]
+        if shared:
+            series.append(sliding_curve(shared, parameter, label, number, 0.15))
+    unit = unit_text(next(iter(tests.values()))[0].parameter(parameter).unit)
+    more = f"; the first {MOST_TOGETHER} of {len(tests)}" if len(tests) > MOST_TOGETHER else ""
+    caption = f"{title}: {parameter} over frequency of {len(tests)} tests, shaded: 95 % intervals{more}."
+    chart = stacked([Panel(CENTRE, Axis(parameter, unit), tuple(series))], 3.4)
+    return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
+
+
+# The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who
+# differs from the rest.
 
 LEVEL = 0.05
 FEWEST = 3

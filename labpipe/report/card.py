@@ -7,15 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe import __version__
-from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.finding import Finding
-from labpipe.records.overview import ChannelOverview, Overview
+from labpipe.records.recording import ChannelOverview, Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
-from labpipe.report.channel_figures import channel_blocks
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.report.chart import PALETTE_SIZE, WIDTH, Axis, Chart, Panel, curve, dots, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import PHASE, element_names, over_frequency, phase_degrees, response_figure
-from labpipe.report.spectral_figures import spectral_blocks
+from labpipe.report.measurement import channel_blocks, spectral_blocks
 
 # Height of a channel's two plots side by side [in].
 HEIGHT = 2.1

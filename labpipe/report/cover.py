@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from labpipe.records.identification import Identification
 from labpipe.sections import section
@@ -36,9 +36,9 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
     return tuple((what, which) for what, which in facts.items() if which)
 
 
-def section_facts(identification: Identification) -> list[dict[str, str]]:
+def section_facts(identification: Identification) -> list[Mapping[str, str]]:
     """Cover entries of the sections of a result."""
-    facts = (section(name).call("cover", record, default={}) for name, record in identification.sections.items())
+    facts = (section(name).cover(record) for name, record in identification.sections.items())
     return [entry for entry in facts if entry]
 
 

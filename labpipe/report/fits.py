@@ -1,23 +1,18 @@
-"""The sections of fits: every single fit in full, the bands of a sliding fit over frequency, the lines of a calibration together."""
+"""The sections of fits: every single fit in full, the bands of a sliding fit, lines of a calibration, model selection."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from labpipe.display import difference_in, with_error
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.finding import WARNING, of_level
+from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import Fit, Identification, of_points
 from labpipe.report import figures
 from labpipe.report.budget import budget_blocks
-from labpipe.report.candidates import candidate_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.dynamic_stiffness_figures import dynamic_stiffness_blocks
-from labpipe.report.matrix_figure import MOST_TOGETHER, matrix_figures
-from labpipe.report.modal_figures import modal_blocks
-from labpipe.report.ring_down_figures import ring_down_figures
-from labpipe.report.robust_figures import robust_blocks
-from labpipe.report.wear_figures import wear_figures
+from labpipe.report.figures import MOST_TOGETHER, matrix_figures
 from labpipe.report.wording import (
     STARS_EXPLAINED,
     band_text,
@@ -28,6 +23,62 @@ from labpipe.report.wording import (
     parameter_row,
     significance,
 )
+
+# Field of a fit -> the function from the fit to the blocks that show this field.
+
+# Model selection: candidate models of a fit as a table.
+
+EXPLAINED = (
+    "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no support. p: chance of so large "
+    "an improvement by the richer model that contains this one, if this one is right."
+)
+BY_BIC = (
+    "BIC = chi² + parameters ln(equations): the least is the best supported, and 10 above it a form is very strongly spoken against. p: "
+    "chance of so large a chi² if this form is right; below 1 % it is not, whatever its BIC."
+)
+HEADER = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
+
+
+def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
+    """Candidate models of the fit, the best first; nothing where there are none."""
+    if not fit.candidates:
+        return ()
+    if fit.candidates[0].bic is not None:
+        return _by_bic(fit)
+    best = fit.candidates[0].aic
+    rows = tuple(
+        (
+            candidate.name,
+            str(candidate.parameters),
+            f"{candidate.chi2:.1f}",
+            str(candidate.dof),
+            f"{candidate.aic - best:.1f}",
+            "" if candidate.p_value is None else f"{candidate.p_value:.3g}",
+        )
+        for candidate in fit.candidates
+    )
+    return (Table(HEADER, rows, "Which structure the data ask for", (1, 2, 3, 4, 5)), Paragraph(EXPLAINED))
+
+
+def _by_bic(fit: Fit) -> tuple[Block, ...]:
+    """Candidates that are chosen by BIC, with their own chi-square test."""
+    best = fit.candidates[0].bic or 0.0
+    rows = tuple(
+        (
+            candidate.name,
+            str(candidate.parameters),
+            f"{candidate.chi2 / candidate.dof:.4g}",
+            "" if candidate.chi2_p is None else f"{candidate.chi2_p:.2g}",
+            "" if candidate.bic is None else f"{candidate.bic - best:.1f}",
+        )
+        for candidate in fit.candidates
+    )
+    header = ("form", "parameters", "chi² per dof", "p", "BIC - best")
+    return (Table(header, rows, "Which form the data ask for", (1, 2, 3, 4)), Paragraph(BY_BIC))
+
+
+# The sections of fits: every single fit in full, the bands of a sliding fit over frequency, the lines of a
+# calibration together.
 
 PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
 NUMERIC = (1, 3, 4, 5, 7)
@@ -52,7 +103,8 @@ def fit_figures(fit: Fit) -> list[Figure]:
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
         shown.extend(matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)])
-    shown.extend(wear_figures(fit))
+        if fit.curve.before is not None:
+            shown.append(figures.tuning_figure(fit, fit.curve))
     if fit.correlation.shape[0] > 2:
         shown.append(figures.correlation_figure(fit))
     return shown
@@ -88,12 +140,15 @@ def _single(fit: Fit) -> tuple[Block, ...]:
         *(Paragraph(sentence, "note") for sentence in entangled_text(fit)),
         *(Paragraph(note, "note") for note in fit.notes),
         *candidate_blocks(fit),
-        *modal_blocks(fit),
-        *ring_down_figures(fit),
-        *dynamic_stiffness_blocks(fit),
-        *robust_blocks(fit),
+        *_blocks_of_details(fit),
         *fit_figures(fit),
     )
+
+
+def _blocks_of_details(fit: Fit) -> Iterator[Block]:
+    """What the model of a fit shows beside its parameters."""
+    for detail in fit.details:
+        yield from DETAILS.load(detail.key).blocks(fit, detail)
 
 
 def _correlation_of_two(fit: Fit) -> tuple[Block, ...]:
@@ -107,7 +162,7 @@ def _correlation_of_two(fit: Fit) -> tuple[Block, ...]:
 
 def _described(fit: Fit) -> str:
     """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
-    chi2, lines = "", "frequency lines" if fit.ring_down is None else "samples or lines"
+    chi2, lines = "", "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines"
     if fit.gof.chi2_reduced is not None:
         p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
         chi2 = f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; 1 is expected."

@@ -7,7 +7,8 @@ import math
 from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.distributions import student_tail
 from labpipe.quantities import display_unit, to_display
-from labpipe.records.identification import Fit, Parameter
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
 from labpipe.records.study import StudyThreshold
 
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
@@ -121,7 +122,7 @@ def inflated_text(fit: Fit) -> str:
     wider = [(p.name, _beyond_noise(p) / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
     wider = [(name, factor) for name, factor in wider if factor > 1 + ALIKE]
     # Small given numbers of a floating bearing stay with its noise.
-    if not wider or (fit.dynamic_stiffness is not None and not mismatch):
+    if not wider or (not mismatch and any(detail.given_in_noise for detail in fit.details)):
         return ""
     listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)
     return f" The residual is not noise (model-mismatch above): standard errors and intervals are those of noise alone times: {listed}."

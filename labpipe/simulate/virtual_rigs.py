@@ -1,38 +1,58 @@
-"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their files, and responses for studies."""
+"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: settings, runs, their files as a logger writes them, truth."""
 
 from __future__ import annotations
 
+import math
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
-from labpipe.records.channel_spectra import ChannelSpectra
 from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.run_up import RunUp
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import Registry, nearest
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
+# The truth of a virtual rig by the names that a fit gives its parameters.
+
+
+def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, float]:
+    """Mass [kg], k [N/m], c [N.s/m] with f_n = sqrt(k / m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) [1], by name.
+
+    Equation (sim-one-mass).
+    """
+    natural = math.sqrt(stiffness / mass)
+    return {"mass": mass, "k": stiffness, "c": damping, "f_n": natural / (2 * math.pi), "zeta": damping / (2 * mass * natural)}
+
+
+def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: ArrayLike) -> dict[str, float]:
+    """Entries of the matrices (n, n) by name: k_xx, k_xy, ... of k and the labels x, y; *glue* between two labels."""
+    return {
+        f"{letter}_{labels[row]}{glue}{labels[column]}": float(value)
+        for letter, matrix in matrices.items()
+        for (row, column), value in np.ndenumerate(np.asarray(matrix))
+    }
+
+
+# Virtual rigs with true parameters. VIRTUAL_RIGS by kind: the settings of a rig file, its runs, their
+# files, and responses for studies.
+
 VIRTUAL_RIGS = Registry(
     "virtual rig",
     {
-        "virtual-magnetic-rig": "labpipe.simulate.magnetic_rig:MAGNETIC_RIG",
-        "virtual-mdof-rig": "labpipe.simulate.mdof_rig:MDOF_RIG",
-        "virtual-ball-bearing-rig": "labpipe.simulate.ball_bearing_rig:BALL_BEARING_RIG",
-        "virtual-journal-rig": "labpipe.simulate.journal_rig:JOURNAL_RIG",
-        "virtual-unbalance-rig": "labpipe.simulate.unbalance_rig:UNBALANCE_RIG",
-        "virtual-white-noise-rig": "labpipe.simulate.white_noise_rig:WHITE_NOISE_RIG",
-        "virtual-decay-rig": "labpipe.simulate.decay_rig:DECAY_RIG",
-        "virtual-floating-rig": "labpipe.simulate.floating_rig:FLOATING_RIG",
-        "virtual-sweep-rig": "labpipe.simulate.sweep_rig:SWEEP_RIG",
-        "virtual-base-rig": "labpipe.simulate.base_rig:BASE_RIG",
-        "virtual-levitated-rig": "labpipe.simulate.levitated_rig:LEVITATED_RIG",
+        "virtual-mdof-rig": "labpipe.simulate.linear:MDOF_RIG",
+        "virtual-white-noise-rig": "labpipe.simulate.linear:WHITE_NOISE_RIG",
+        "virtual-sweep-rig": "labpipe.simulate.linear:SWEEP_RIG",
+        "virtual-base-rig": "labpipe.simulate.linear:BASE_RIG",
     },
 )
 
@@ -63,11 +83,47 @@ class LoggedTable:
 
 
 @dataclass(frozen=True)
+class LoggedFile:
+    """A text file in a format of its own: *content* is what *write* puts at a path."""
+
+    content: Any
+    write: Callable[[Path, Any], None]
+
+
+@dataclass(frozen=True)
 class Simulation:
     """*files* by the name of their run, and the *truth*: entries of truth.json."""
 
-    files: Mapping[str, LoggedTable | FrequencyResponse | RunUp]
+    files: Mapping[str, LoggedTable | FrequencyResponse | LoggedFile]
     truth: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A run: its recording, or its calibration table ("name [unit]": (n_row,)), and its true parameters."""
+
+    name: str
+    truth: dict[str, Any]
+    recording: Recording | None = None
+    table: dict[str, FloatArray] | None = None
+
+
+def generator(seed: int, name: str) -> np.random.Generator:
+    """The random numbers of a run: the same for a seed and a name, whatever other runs are made."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+
+def require_positive(rig: Any, *names: str) -> None:
+    """ConfigError for the first of the entries that is not above zero."""
+    for name in names:
+        if not getattr(rig, name) > 0:
+            raise ConfigError(f"{name} must be positive", field=name)
+
+
+def with_noise(rig: Any, level: float) -> Any:
+    """The rig with every number of its section `noise` times *level*."""
+    scaled = {field.name: level * getattr(rig.noise, field.name) for field in fields(rig.noise)}
+    return replace(rig, noise=replace(rig.noise, **scaled))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,12 +142,56 @@ class VirtualRigKind:
     runs: Callable[[Any], tuple[str, ...]]
     simulate: Callable[[Any, int, Sequence[str]], Simulation]
     parameters: Callable[[Any, Sequence[str]], Truth]
-    noisy: Callable[[Any, float], Any]
+    noisy: Callable[[Any, float], Any] = with_noise
     recordings: Callable[[Any, int, Sequence[str]], Sequence[Recording]] | None = None
     usual: Callable[[Any], tuple[str, ...]] | None = None
     response: Callable[[Any, Sequence[int] | None], FrequencyResponse] | None = None
     with_lines: Callable[[Any, int], Any] | None = None
     std_errors: Callable[[Any, Sequence[str], tuple[float, float]], Truth] | None = None
+
+
+def kind_of_recordings(
+    settings: type,
+    *,
+    record: Callable[[Any, str, np.random.Generator], Recording],
+    logged: Callable[[Recording], LoggedTable],
+    truth: Callable[[Any], Mapping[str, Any]],
+    **others: Any,
+) -> VirtualRigKind:
+    """A kind whose runs are recordings: *record* makes a run by name, *logged* its file; *others* as of VirtualRigKind.
+
+    The parameters are the *truth* unless they are given.
+    """
+
+    def made(rig: Any, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
+        return tuple(record(rig, name, generator(seed, name)) for name in names)
+
+    def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
+        return Simulation({run.name: logged(run) for run in made(rig, seed, names)}, {"truth": truth(rig)})
+
+    defaults = {"simulate": simulated, "recordings": made, "parameters": lambda rig, _runs: truth(rig)}
+    return VirtualRigKind(settings=settings, **{**defaults, **others})
+
+
+def kind_of_tests(
+    settings: type,
+    *,
+    tests: Callable[[Any, int, Sequence[str]], Sequence[SimulatedRun]],
+    logged: Callable[[Recording], LoggedTable],
+    **others: Any,
+) -> VirtualRigKind:
+    """A kind whose runs each have their truth, recordings as well as calibration tables; *others* as of VirtualRigKind."""
+
+    def recordings_of(rig: Any, seed: int, names: Sequence[str]) -> list[Recording]:
+        return [run.recording for run in tests(rig, seed, names) if run.recording is not None]
+
+    def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
+        runs = tests(rig, seed, names)
+        tables = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
+        files = {run.name: logged(run.recording) if run.recording is not None else tables[run.name] for run in runs}
+        return Simulation(files, {"runs": {run.name: run.truth for run in runs}})
+
+    return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
 
 
 def kind_of(rig: VirtualRig) -> VirtualRigKind:
@@ -152,3 +252,42 @@ def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
         if name not in available:
             raise ConfigError(f"no run '{name}'", hint=nearest(name, available))
     return chosen
+
+
+# Recordings in the format of virtual loggers: units, whole numbers, and packing.
+
+# Long runs are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
+WHOLE = {"force": ("mN", 1e3), "displacement": ("nm", 1e9), "acceleration": ("mm/s^2", 1e3), "current": ("mA", 1e3), "tacho": ("V", 1.0)}
+FINE_VOLTAGE, COARSE_VOLTAGE = ("uV", 1e6), ("mV", 1e3)
+
+
+def force_and_displacements(run: Recording) -> LoggedTable:
+    """Force and two displacements in um, single precision; the bytes of noise pack best one position after the other."""
+    titles = ("force [N]", *(f"{channel.name} [um]" for channel in run.channels[1:]))
+    columns = dict(zip(titles, (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
+    return LoggedTable(columns, dictionary=False, split=True)
+
+
+def force_and_accelerations(run: Recording) -> LoggedTable:
+    """As a 16-bit logger stores them: force in cN, accelerometers in mV at 10 mV per m/s^2."""
+    steps = np.rint(run.samples * [100.0, *[10.0] * (len(run.channels) - 1)])
+    titles = ("force [cN]", *(f"{channel.name} [mV]" for channel in run.channels[1:]))
+    columns = {title: column.astype(np.int16) for title, column in zip(titles, steps.T, strict=True)}
+    return LoggedTable(columns, level=19, dictionary=False)
+
+
+def whole_numbers(
+    run: Recording, units: Mapping[str, tuple[str, float]] | None = None, steps: Mapping[str, int] | None = None
+) -> LoggedTable:
+    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV. *units* as WHOLE has them.
+
+    *steps*: by channel, the step of the logger in the recorded unit; coarse steps pack best by a dictionary of their values.
+    """
+    columns: dict[str, NDArray[np.int32]] = {}
+    chosen = {**WHOLE, **(units or {})}
+    for number, channel in enumerate(run.channels):
+        voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
+        unit, per_si = chosen.get(channel.quantity, voltage)
+        step = steps[channel.name] if steps else 1
+        columns[f"{channel.name} [{unit}]"] = step * np.rint(run.samples[:, number] * (per_si / step)).astype(np.int32)
+    return LoggedTable(columns, level=19, dictionary=bool(steps), split=not steps)

@@ -1,4 +1,10 @@
-"""Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of noise."""
+"""Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of noise.
+
+All channels under periodic excitation: averages over periods, and their covariance from the scatter between periods.
+
+With few periods a covariance line by line has few degrees of freedom nu, and weights by it lose efficiency, nu/(nu - 2) and more. The
+noise of the channels does not depend on the excitation, so it is pooled over runs where these agree, and over neighbouring lines.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +13,138 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import special
 
-from labpipe.errors import ConfigError
-from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import SampleSource
-from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.spectra.bands import line_range, mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
-from labpipe.spectra.masks import mask_findings, masked_bands
+from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import without_rounding
-from labpipe.spectra.measured_lines import MeasuredLines
-from labpipe.spectra.periodic_lines import periodic_lines
-from labpipe.spectra.ports import check_rates, source_findings
-from labpipe.spectra.random_lines import random_lines
+from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.ports import check_rates, lines_left, source_findings
+from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
+from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.without_shaft import lines_of_shaft, without_shaft
+from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
+
+# All channels under periodic excitation: averages over periods, and their covariance from the scatter
+# between periods.
+
+# Degrees of freedom below which the loss of efficiency exceeds a tenth.
+ENOUGH_DOF = 13.0
+# Runs share their noise unless it differs by more than this share and by more standard errors than this.
+SAME_SHARE, SAME_ERRORS = 0.1, 4.0
+
+
+def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> MeasuredLines:
+    """The averages over periods of every recording, one run each, at the lines where any force acts in any of them.
+
+    DataError for a single period, and where no force exceeds its noise.
+    """
+    averaged = [_averaged(source, settings, layout, number) for number, source in enumerate(sources)]
+    n_period = min(spectrum.n_period for spectrum in averaged)
+    if n_period < 2:
+        raise DataError("one period is left, so the noise of the channels is unknown", hint="record at least 2 after the transient ones")
+    spectra = [_summed(spectrum, layout) for spectrum in _pooled(averaged, settings.smooth)]
+    excited = np.zeros((spectra[0].frequency.size, len(spectra), len(layout.channels)), bool)
+    for run, spectrum in enumerate(spectra):
+        for column in layout.inputs:
+            if np.any(np.abs(spectrum.mean[:, column]) > 0):
+                excited[:, run, column] = excited_lines(spectrum, [column])
+    lines = np.any(excited, axis=(1, 2))
+    if not np.any(lines):
+        raise DataError("no line of the forces exceeds its noise", hint="check `period` and `band`, or raise the level")
+    vectors = np.stack([spectrum.mean[lines] for spectrum in spectra], axis=1)
+    covariance = np.stack([spectrum.noise[lines] for spectrum in spectra if spectrum.noise is not None], axis=1)
+    findings, weak = snr_findings(vectors, covariance, layout.channels, excited[lines])
+    return MeasuredLines(
+        frequency=spectra[0].frequency[lines],
+        vectors=vectors,
+        covariance=covariance,
+        runs=tuple(source.name or f"run {number}" for number, source in enumerate(sources, 1)),
+        dof=min(spectrum.dof for spectrum in spectra),
+        findings=findings,
+        weak=weak,
+    )
+
+
+def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int) -> LineSpectrum:
+    """The lines of the recorded channels of one recording in the band."""
+    assert settings.period is not None
+    n_sample = samples_per_period(settings.period, source.sample_rate)
+    average = PeriodAverage(
+        n_sample, len(source.channels), settings.skip, line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    )
+    for block in checked_blocks(source):
+        average.add(block)
+    spectrum = average.spectrum(source.sample_rate)
+    spectrum = spectrum.select(lines_left(spectrum.frequency, settings))
+    noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
+    return LineSpectrum(spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof)
+
+
+def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
+    """Corrected for the sensors, with the sums."""
+    transform = layout.transform(spectrum.frequency)
+    assert spectrum.noise is not None
+    noise = transform @ spectrum.noise @ transform.conj().swapaxes(1, 2)
+    mean = np.einsum("lcr,lr->lc", transform, spectrum.mean)
+    return LineSpectrum(spectrum.frequency, mean, noise, spectrum.n_period, spectrum.dof)
+
+
+def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
+    """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side or as many as are needed."""
+    single = [_noise_of_a_period(spectrum) for spectrum in spectra]
+    if len(spectra) > 1 and shared_noise(single, [spectrum.dof for spectrum in spectra]):
+        dof = sum(spectrum.dof for spectrum in spectra)
+        pooled = np.sum([spectrum.dof * noise for spectrum, noise in zip(spectra, single, strict=True)], axis=0) / dof
+        single = [pooled * _present(noise) for noise in single]
+    else:
+        dof = min(spectrum.dof for spectrum in spectra)
+    half_width = smooth
+    while smooth and (2 * half_width + 1) * dof < ENOUGH_DOF:
+        half_width += 1
+    return [
+        smoothed_noise(LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, dof), half_width, with_inverse=True)
+        for s, noise in zip(spectra, single, strict=True)
+    ]
+
+
+def _present(noise: ComplexArray) -> FloatArray:
+    """One where both channels of a covariance were recorded, (n_channel, n_channel)."""
+    there = np.any(np.einsum("lcc->lc", noise).real > 0, axis=0)
+    return np.outer(there, there).astype(float)
+
+
+def _noise_of_a_period(spectrum: LineSpectrum) -> ComplexArray:
+    assert spectrum.noise is not None
+    return np.asarray(spectrum.noise * spectrum.n_period)
+
+
+def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
+    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of each.
+
+    The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance of the logarithm of an F-distributed
+    number. A channel without noise in one of two runs is not in that run. Equation (spec-pooled-runs).
+    """
+    powers = [np.einsum("lcc->lc", noise).real for noise in noises]
+    for power, dof in zip(powers[1:], dofs[1:], strict=True):
+        both: BoolArray = np.all((power > 0) & (powers[0] > 0), axis=0)
+        if not np.any(both):
+            return False
+        ratio = np.mean(np.log(power[:, both] / powers[0][:, both]), axis=0)
+        ratio = ratio - (special.psi(dof) - np.log(dof)) + (special.psi(dofs[0]) - np.log(dofs[0]))
+        error = np.sqrt((special.polygamma(1, dof) + special.polygamma(1, dofs[0])) / power.shape[0])
+        if np.any((np.abs(ratio) > SAME_SHARE) & (np.abs(ratio) > SAME_ERRORS * error)):
+            return False
+    return True
+
+
+# Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free
+# of noise.
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, ChannelLayout], MeasuredLines]] = {
     "periodic": periodic_lines,

@@ -1,11 +1,19 @@
-"""Choice of frequency lines: inside a band, outside excluded bands."""
+"""Choice of frequency lines: inside a band, outside excluded bands and harmonics of the shaft speed."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding, note
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.shaft import shaft_motion
+
+# Choice of frequency lines: inside a band, outside excluded bands.
 
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the band.
 EDGE = 1e-9
@@ -47,3 +55,34 @@ def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | No
 def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
     low, high = band
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))
+
+
+# Lines of the shaft speed and its harmonics, excluded from a response.
+
+# Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the speed lies on a line.
+LOBE = {"periodic": 0.5, "random": 2.0, "impact": 2.0}
+
+
+def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[tuple[float, float], ...]:
+    """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the mask's width."""
+    if settings.mask is None:
+        return ()
+    width = _usual_width(settings) if settings.mask.width is None else settings.mask.width
+    ranges = dict.fromkeys(shaft_motion(source, settings.mask).speed_range for source in sources)
+    return tuple(
+        (max(order * low - width, 0.0), order * high + width) for low, high in ranges for order in range(1, settings.mask.harmonics + 1)
+    )
+
+
+def _usual_width(settings: FrfSettings) -> float:
+    length = settings.period or settings.block
+    assert length is not None
+    return LOBE[settings.excitation] / length
+
+
+def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:
+    """A note on the excluded bands."""
+    if not bands:
+        return ()
+    named = ", ".join(f"{low:.6g}-{high:.6g} Hz" for low, high in bands)
+    return (note("masked", f"lines of the shaft speed are left out: {named}"),)

@@ -17,10 +17,10 @@ from scipy import fft, linalg, special
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
+from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import definite_inverse, product
-from labpipe.spectra.periodic import LineSpectrum
+from labpipe.spectra.period_average import LineSpectrum
 from labpipe.spectra.ports import Layout
-from labpipe.spectra.reading import checked_blocks
 from labpipe.spectra.settings import FrfSettings
 
 BIASED = "The FRF is biased towards minus the inverse of the controller by an amount that cannot be known"

@@ -13,8 +13,8 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding, note
-from labpipe.records.free_decay import FreeDecay, FreeDecays
 from labpipe.records.recording import SampleSource
+from labpipe.records.spectra import FreeDecay, FreeDecays
 from labpipe.spectra.ports import response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 

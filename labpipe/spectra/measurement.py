@@ -8,32 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError
-from labpipe.records.arrays import handed_over
-from labpipe.records.factored_covariance import FactoredCovariance
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.aliasing import AliasingMonitor, aliasing_findings
-from labpipe.spectra.convert import TRANSMISSIBILITY
-from labpipe.spectra.directional import directional
+from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port
+from labpipe.spectra.bands import mask_findings, masked_bands
+from labpipe.spectra.channel_layout import sum_errors
+from labpipe.spectra.channels import doubt_findings
+from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
-from labpipe.spectra.from_impact import impact_parts
-from labpipe.spectra.from_periodic import LOW_SNR, periodic_parts
-from labpipe.spectra.from_random import random_parts
-from labpipe.spectra.from_stepped import stepped_parts
-from labpipe.spectra.from_sweep import sweep_parts
-from labpipe.spectra.joining import joined
+from labpipe.spectra.impact import impact_parts
 from labpipe.spectra.joint import joint_parts
-from labpipe.spectra.masks import mask_findings, masked_bands
-from labpipe.spectra.parts import Parts
-from labpipe.spectra.ports import Layout, check_rates, find_layout, source_findings
-from labpipe.spectra.realisations import realisations, robust_mean
-from labpipe.spectra.reciprocity import reciprocity_findings
+from labpipe.spectra.periodic import LOW_SNR, periodic_parts, realisations, robust_mean
+from labpipe.spectra.ports import Layout, Parts, check_rates, find_layout, joined, source_findings
+from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
+from labpipe.spectra.random import random_parts
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.sum_doubts import sum_errors
-from labpipe.spectra.sums import doubt_findings
-from labpipe.spectra.without_shaft import without_shaft
+from labpipe.spectra.stepped import stepped_parts
+from labpipe.spectra.swept_sine import sweep_parts
+from labpipe.spectra.synchronous import without_shaft
 
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5

@@ -1,8 +1,8 @@
-"""Order tracking: amplitude and phase of an order of the shaft speed per segment of a run, forward and backward."""
+"""Order tracking over a run: amplitude and phase of orders, forward and backward, and cascade spectra."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,11 +12,51 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
-from labpipe.spectra.directional import FORWARD_BACKWARD, FROM_DIRECTIONAL, directions
-from labpipe.spectra.planes import Plane, planes_of
-from labpipe.spectra.reading import checked_blocks
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST_ANGLE, directions
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
+
+# Measuring planes of a shaft: pairs of outputs in known directions, grouped by the names of their dofs.
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Two outputs of one plane: its *name* ("front" of front.x and front.y, empty for x and y), their *columns* and *angles* [rad]."""
+
+    name: str
+    columns: tuple[int, int]
+    angles: tuple[float, float]
+
+    @property
+    def directions(self) -> FloatArray:
+        """Rows (cos, sin) of the two outputs, (2, 2) [1]."""
+        return np.column_stack([np.cos(self.angles), np.sin(self.angles)])
+
+    def labelled(self, what: str) -> str:
+        """Label of a column of the plane: "front:f", or "f" for a plane without a name."""
+        return f"{self.name}:{what}" if self.name else what
+
+
+def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
+    """The planes with two outputs in known, different directions, in the order of the outputs.
+
+    A dof "bearing2.y" points at 90 deg in the plane "bearing2"; a dof without direction (z) is in no plane.
+    """
+    members_of: dict[str, list[tuple[int, float]]] = {}
+    for column, port in enumerate(ports):
+        name, _, axis = port.dof.rpartition(".") if port.angle is None else ("", "", "")
+        angle = AXIS_ANGLES.get(axis) if port.angle is None else port.angle
+        if angle is not None:
+            members_of.setdefault(name, []).append((column, angle))
+    pairs = {name: members for name, members in members_of.items() if len(members) == 2}
+    planes = [Plane(name, (first[0], second[0]), (first[1], second[1])) for name, (first, second) in pairs.items()]
+    return tuple(plane for plane in planes if abs(np.linalg.det(plane.directions)) >= SMALLEST_ANGLE)
+
+
+# Order tracking: amplitude and phase of an order of the shaft speed per segment of a run, forward and
+# backward.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,3 +187,42 @@ def _fitted(
     speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
     row = int(np.searchsorted(orders, order))
     return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size
+
+
+# Waterfall (cascade) spectra of a run, block by block.
+
+MOST_BLOCKS = 40
+
+
+@dataclass(frozen=True)
+class CascadeSpectra:
+    """speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude (n_block, n_line, n_output) 0-to-peak [SI], labels (n_output,)."""
+
+    speed: FloatArray
+    frequency: FloatArray
+    amplitude: FloatArray
+    labels: tuple[str, ...]
+
+
+def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0) -> CascadeSpectra:
+    """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled to a sine's amplitude).
+
+    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks. Equation (spec-cascade).
+    """
+    length = round(source.sample_rate / resolution)
+    motion = shaft_motion(source, lines)
+    outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
+    samples = np.concatenate(list(checked_blocks(source)))[:, outputs]
+    count = samples.shape[0] // length
+    if count < 2:
+        raise DataError(f"recording '{source.name}' is shorter than two blocks of {1 / resolution:g} s", hint="a cascade needs a run")
+    window = np.hanning(length + 1)[:-1]
+    starts = [int(start) for start in np.linspace(0, samples.shape[0] - length, min(count, MOST_BLOCKS))]
+    blocks = np.stack([samples[start : start + length] for start in starts])
+    amplitude = 2 * np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window[:, None], axis=1)) / window.sum()
+    ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
+    speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
+    frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length
+    inside = frequency <= orders * speed.max()
+    labels = tuple(source.channels[number].name for number in outputs)
+    return CascadeSpectra(speed, frequency[inside], amplitude[:, inside], labels)

@@ -1,177 +1,357 @@
-"""Periodic excitation: average of whole periods line by line, noise from the scatter between periods."""
+"""Recordings of a periodic excitation -> FRF matrix: scatter between periods as covariance, phase realisations, nonlinear distortion."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft, special
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding, note
+from labpipe.records.recording import SampleSource
+from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.uncertain import MatrixError
+from labpipe.spectra.bands import line_range
+from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.covariance import covariance_of_periodic
+from labpipe.spectra.feedback import feedback_of_periods
+from labpipe.spectra.joint import check_references, covariance_by_neighbours, open_loop_note
+from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
+from labpipe.spectra.quality import force_inverse
+from labpipe.spectra.random import cut_at, rest_of_mean
+from labpipe.spectra.settings import FrfSettings
 
-# Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for example).
-OUTLIER_LEVEL = 1e-3
+# Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
+
+LOW_SNR = 10.0
+
+
+def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
+
+    DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation (frf-periodic).
+    """
+    assert settings.period is not None
+    averaged = [_period_average(source, settings) for source in sources]
+    single = [spectrum for spectrum, _ in averaged]
+    spectra = [smoothed_noise(spectrum, settings.smooth) for spectrum in single]
+    acting = _acting(spectra, layout)
+    lines = np.all(acting, axis=1)
+    if settings.reference and np.any(lines):
+        lines = _injected(spectra, sources, settings)
+    if not np.any(lines):
+        _refuse_lines(acting)
+    spectra = [spectrum.select(lines) for spectrum in spectra]
+    n_input = len(layout.inputs)
+    mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
+    forces, responses = mean[:, :n_input], mean[:, n_input:]
+    inverse = force_inverse(forces, layout)
+    matrix = responses @ inverse
+    noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
+    covariance = None
+    if len(noises) == len(spectra) and settings.reference:
+        covariance = covariance_by_neighbours(spectra[0].frequency, matrix, mean, noises)
+    elif len(noises) == len(spectra):
+        covariance = covariance_of_periodic(matrix, inverse, np.stack(noises))
+    snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
+    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
+    open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
+    if open_loop is not None and covariance is not None:
+        findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
+    else:
+        findings = (*findings, *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, layout))
+    averages = float(min(spectrum.n_period for spectrum in spectra))
+    dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
+    return Parts(
+        frequency=spectra[0].frequency,
+        matrix=matrix,
+        covariance=covariance,
+        averages=averages,
+        dof=dof,
+        findings=findings,
+        snr=snr,
+        change=_change(spectra, [half for _, half in averaged], lines, layout),
+        open_loop=open_loop,
+    )
+
+
+def _injected(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings) -> BoolArray:
+    """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that the loop answers.
+
+    Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign. DataError for a reference without
+    lines.
+    """
+    check_references(sources, settings)
+    injected = np.ones(spectra[0].frequency.size, bool)
+    for spectrum, source in zip(spectra, sources, strict=True):
+        columns = [number for number, channel in enumerate(source.channels) if channel.name in settings.reference]
+        columns = [column for column in columns if np.any(spectrum.mean[:, column] != 0)]
+        lines = excited_lines(spectrum, columns) if columns else np.zeros_like(injected)
+        if not np.any(lines):
+            what = f"recording '{source.name}': no line of the reference {', '.join(settings.reference)} exceeds its noise"
+            raise DataError(what, hint="is it what is injected into this loop, and `period` its period?")
+        injected &= lines
+    if not np.any(injected):
+        raise DataError("no line is excited by a reference in all recordings", hint="inject the same lines into every axis, one by one")
+    return injected
+
+
+def _open_loop(spectra: Sequence[LineSpectrum], mean: ComplexArray, noises: Sequence[ComplexArray], n_input: int) -> ComplexArray:
+    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input); *mean* (n_line, n_channel, n_recording)."""
+    power = mean @ mean.conj().swapaxes(1, 2)
+    power = power + np.sum([spectrum.n_period * noise for spectrum, noise in zip(spectra, noises, strict=True)], axis=0)
+    return np.asarray(power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True))
+
+
+def _change(
+    spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
+) -> ComplexArray | None:
+    """H of the second half of the periods less that of the first, (n_line, n_output, n_input) [output unit / N]."""
+    first = [half.select(lines) for half in halves if half is not None]
+    if len(first) < len(spectra):
+        return None
+    rest = [rest_of_mean(s.mean, s.n_period, half.mean, half.n_period) for s, half in zip(spectra, first, strict=True)]
+    before, after = (
+        np.stack([layout.padded(e, mean, 1) for e, mean in enumerate(means)], axis=2) for means in ([half.mean for half in first], rest)
+    )
+    n_input = len(layout.inputs)
+    old, new = (mean[:, n_input:] @ force_inverse(mean[:, :n_input], layout) for mean in (before, after))
+    return new - old
+
+
+def _refuse_lines(acting: BoolArray) -> None:
+    """DataError: silent forces, or forces whose lines are interleaved (zipper)."""
+    if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
+        what = "no line is excited by all forces independently: their lines are interleaved"
+        raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
+    raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
+
+
+def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
+    """Whether every force acts in one of the recordings, (n_line, n_input); a line counts where all do, hum in a single one does not."""
+    acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
+    for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
+        for number, column in enumerate(columns):
+            if column >= 0:
+                acting[:, number] |= excited_lines(spectrum, [column])
+    return acting
+
+
+def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None]:
+    """The averaged lines of one recording in the band, and those of the first half of its periods."""
+    assert settings.period is not None
+    n_sample = samples_per_period(settings.period, source.sample_rate)
+    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
+    half: LineSpectrum | None = None
+    n_half = (source.n_sample // n_sample - settings.skip) // 2
+    for block, ends_half in cut_at(checked_blocks(source), (settings.skip + n_half) * n_sample):
+        average.add(block)
+        if ends_half and n_half > 0:
+            half = average.spectrum(source.sample_rate)
+    spectrum = average.spectrum(source.sample_rate)
+    chosen = lines_left(spectrum.frequency, settings)
+    return spectrum.select(chosen), None if half is None else half.select(chosen)
+
+
+def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
+    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
+    std = np.sqrt(np.einsum("eljj->lje", noise).real)
+    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
+    ratio[np.abs(mean) == 0] = 0.0
+    return np.minimum(np.max(ratio, axis=2), 1e12)
+
+
+def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
+    message = f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods after the transient ones"
+    return (Finding("no-covariance", message),)
+
+
+def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
+    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise."""
+    assert snr is not None
+    n_input = len(layout.inputs)
+    poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
+    forces = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        for port, share in zip(layout.inputs, poor, strict=True)
+        if share > POOR_SHARE
+    )
+    size = np.max(np.abs(mean[:, n_input:]), axis=2)
+    noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
+    weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
+    responses = (
+        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in power over the band")
+        for port, is_weak in zip(layout.outputs, weak, strict=True)
+        if is_weak
+    )
+    return (*forces, *responses)
+
+
+# Nonlinear distortion beside noise, from periodic excitation.
 
 
 @dataclass(frozen=True)
-class LineSpectrum:
-    """Fourier amplitudes of all channels averaged over periods, and the noise of the averages.
+class Distortion:
+    """Levels of one FRF element over frequency (n_frequency,) [Hz], all as standard deviations of one realisation's FRF [its unit].
 
-    frequency  (n_line,) [Hz]
-    mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t) [unit of the channel]
-    noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H], or None with a single period
-    dof        complex degrees of freedom behind each line of the noise
+    gain (n_frequency,): best linear approximation, the mean of the realisations; total: standard deviation between realisations of
+    the phases; noise: standard deviation from the scatter between periods; nonlinear: the excess of total over noise.
     """
 
     frequency: FloatArray
-    mean: ComplexArray
-    noise: ComplexArray | None
-    n_period: int
-    dof: float
+    gain: ComplexArray
+    total: FloatArray
+    noise: FloatArray
+    n_realisation: int
 
-    def select(self, lines: BoolArray) -> LineSpectrum:
-        """The spectrum at the lines of the mask *lines* (n_line,); mean and noise keep their units [unit of the channel]."""
-        noise = None if self.noise is None else self.noise[lines]
-        return LineSpectrum(self.frequency[lines], self.mean[lines], noise, self.n_period, self.dof)
-
-
-def samples_per_period(period: float, sample_rate: float) -> int:
-    """Samples in a period [s]; ConfigError unless their number is whole."""
-    exact = period * sample_rate
-    n_sample = round(exact)
-    if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
-        hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
-        raise ConfigError(f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number", hint=hint)
-    return n_sample
+    @property
+    def nonlinear(self) -> FloatArray:
+        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total. Equation (frf-distortion)."""
+        return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
-class PeriodAverage:
-    """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
+def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0, force: int = 0) -> Distortion:
+    """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
 
-    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation (spec-period).
+    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to realisation (Pintelon and
+    Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method). DataError for fewer than two realisations, different
+    lines, or FRFs of single periods.
     """
-
-    def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
-        """*n_sample* samples per period, *skip* transient periods; *lines* of the DFT, by default all above 0 Hz."""
-        self._n_sample = n_sample
-        self._lines = lines
-        self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
-        self._skip = skip
-        self._rest: FloatArray = np.empty((0, n_channel))
-        n_line = self._line_numbers.size
-        self._mean = np.zeros((n_line, n_channel), np.complex128)
-        self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
-        self.n_period = 0
-
-    def add(self, block: FloatArray) -> None:
-        """Add the next block (n, n_channel) [unit of the channel]."""
-        samples = np.concatenate([self._rest, block]) if self._rest.size else block
-        n_whole = samples.shape[0] // self._n_sample
-        for number in range(n_whole):
-            self._add_period(samples[number * self._n_sample : (number + 1) * self._n_sample])
-        self._rest = samples[n_whole * self._n_sample :].copy()
-
-    def _add_period(self, period: FloatArray) -> None:
-        if self._skip > 0:
-            self._skip -= 1
-            return
-        # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
-        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (2 / self._n_sample)
-        self.n_period += 1
-        before = amplitude - self._mean
-        self._mean += before / self.n_period
-        after = amplitude - self._mean
-        self._scatter += before[:, :, None] * after[:, None, :].conj()
-
-    def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines; DataError when no period is left after the transient ones. Equation (spec-period-noise)."""
-        n = self.n_period
-        if n == 0:
-            raise DataError(
-                "the recording is too short for one period after the transient ones",
-                hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or record longer",
-            )
-        frequency = self._line_numbers * (sample_rate / self._n_sample)
-        noise = None if n == 1 else self._scatter / (n * (n - 1))
-        return LineSpectrum(frequency, self._mean.copy(), noise, n, float(n - 1))
+    if len(realisations) < 2:
+        raise DataError("distortion needs at least two realisations of the phases", hint="record with other phases")
+    first = realisations[0]
+    for other in realisations:
+        if other.frequency.shape != first.frequency.shape or np.any(other.frequency != first.frequency):
+            raise DataError(f"'{other.name}' has other lines than '{first.name}'")
+        if other.variance is None:
+            raise DataError(f"'{other.name}' has no covariance, so its noise level is unknown", hint="record several periods")
+    matrices = np.array([response.matrix[:, output, force] for response in realisations])
+    noise = np.mean([response.variance[:, output, force] for response in realisations if response.variance is not None], axis=0)
+    total = np.var(matrices, axis=0, ddof=1)
+    return Distortion(first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise), len(realisations))
 
 
-def smoothed_noise(spectrum: LineSpectrum, half_width: int) -> LineSpectrum:
-    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
+@dataclass(frozen=True)
+class DetectionLines:
+    """Response at lines without force: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of the channel]."""
 
-    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood fit with weights
-    of 4 degrees of freedom is inefficient and underestimates its standard errors. Measurement noise is broadband, so neighbouring
-    lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged;
-    of fewer periods than channels its own noise has no inverse, and what exceeds its neighbours' raises theirs.
-    Equation (spec-smoothed-noise).
+    frequency: FloatArray
+    level: FloatArray
+    noise: FloatArray
+
+    @property
+    def distortion(self) -> float:
+        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger. Equation (frf-detection)."""
+        return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
+
+
+def detection_lines(spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float) -> dict[str, DetectionLines]:
+    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of one output.
+
+    An odd multisine in a nonlinear system of even order responds at even lines only, of odd order at odd ones only, so lines left
+    out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spacing* [Hz]: fundamental of the excitation;
+    *excited* (n_line,): mask of the spectrum's lines. DataError without noise, or when the force leaves no line out.
     """
-    if spectrum.noise is None or half_width == 0:
-        return spectrum
-    broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
-    smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
-    own = spectrum.noise
-    if spectrum.dof < own.shape[-1]:
-        power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
-        raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
-        own = np.where(np.all((around > 0) | (power == 0), axis=1)[:, None, None], smooth * raised[:, :, None] * raised[:, None], own)
-    noise = np.where(broadband[:, None, None], smooth, own)
-    count = _neighbourhood_count(broadband, half_width, centre=True)
-    dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
-    return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
+    if spectrum.noise is None:
+        raise DataError("detection lines need the noise of at least two periods")
+    if not np.any(excited):
+        raise DataError("no line is excited")
+    numbers = np.round(spectrum.frequency / spacing).astype(np.int64)
+    on_grid = np.abs(spectrum.frequency / spacing - numbers) < 1e-6
+    first, last = np.flatnonzero(excited)[[0, -1]]
+    silent = on_grid & ~excited
+    silent[:first] = silent[last + 1 :] = False
+    if not np.any(silent):
+        raise DataError("the force acts at every line, none is left to detect distortion", hint="leave lines out of the excitation")
+    std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, column])
+    level = np.abs(spectrum.mean[:, column])
+    chosen = {"odd": silent & (numbers % 2 == 1), "even": silent & (numbers % 2 == 0)}
+    return {kind: DetectionLines(spectrum.frequency[lines], level[lines], std[lines]) for kind, lines in chosen.items()}
 
 
-def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
-    """Lines whose noise power (n_line, n_channel) equals that of their neighbours, by repeated F-tests.
+# Several phase realisations of a periodic excitation: mean FRF and nonlinear distortion.
 
-    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is repeated without the outliers.
+
+def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
+    """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many as it has forces.
+
+    DataError unless every set of forces has the same number of realisations, at least two.
     """
-    broadband = np.ones(power.shape[0], bool)
-    while True:
-        neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
-        count = _neighbourhood_count(broadband, half_width, centre=False)
-        limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
-        # A line without remaining neighbours cannot be tested.
-        outliers = np.any((power > limit[:, None] * neighbours) & (neighbours > 0), axis=1) & broadband
-        if not np.any(outliers):
-            return broadband
-        broadband &= ~outliers
+    series: dict[tuple[tuple[str, str], ...], list[SampleSource]] = {}
+    for source in sources:
+        forces = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "input")
+        series.setdefault(forces, []).append(source)
+    counts = {len(members) / max(len(forces), 1) for forces, members in series.items()}
+    number = min(counts)
+    if len(counts) > 1 or number < 2 or number != int(number):
+        hint = "as many recordings of every force direction, two or more; leave `realisations` out for one"
+        raise DataError(f"{len(sources)} recording(s) do not form realisations of one measurement", hint=hint)
+    return [[source for members in series.values() for source in _chunk(members, n, int(number))] for n in range(int(number))]
 
 
-def _neighbourhood_sum(values: NDArray[Any], half_width: int, centre: bool) -> NDArray[Any]:
-    """Sum over k-h ... k+h along axis 0, truncated at the ends, with or without line k itself (*centre*).
+def _chunk(series: list[SampleSource], n: int, number: int) -> list[SampleSource]:
+    size = len(series) // number
+    return series[n * size : (n + 1) * size]
 
-    Term by term: differences of running sums would lose small noise behind one huge line.
+
+def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
+    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the number M of realisations.
+
+    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1 degrees of freedom per
+    line. Raises as robust_distortion does. Equation (frf-robust).
     """
-    total = values.copy() if centre else np.zeros_like(values)
-    for shift in range(1, min(half_width, values.shape[0] - 1) + 1):
-        total[shift:] += values[:-shift]
-        total[:-shift] += values[shift:]
-    return total
+    first, m = responses[0], len(responses)
+    distortion = np.empty(first.matrix.shape)
+    noise = np.empty(first.matrix.shape)
+    for output, force in np.ndindex(first.matrix.shape[1:]):
+        levels = robust_distortion(responses, output, force)
+        excess = _neighbours_mean(levels.total**2 - levels.noise**2, half_width)
+        distortion[:, output, force] = np.sqrt(np.maximum(excess, 0.0))
+        noise[:, output, force] = levels.noise
+    covariance = np.mean([response.covariance for response in responses if response.covariance is not None], axis=0)
+    matrix = np.mean([response.matrix for response in responses], axis=0)
+    return dataclasses.replace(
+        first,
+        matrix=matrix,
+        covariance=(covariance + uncorrelated(distortion**2)) / m,
+        distortion=distortion / np.sqrt(m),
+        errors=_mean_errors(responses),
+        change=_mean_of(responses, "change"),
+        open_loop=_mean_of(responses, "open_loop"),
+        snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
+        averages=sum(response.averages for response in responses),
+        covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),
+        findings=(*dict.fromkeys(f for response in responses for f in response.findings), _distortion_note(matrix, distortion, noise, m)),
+    )
 
 
-def _neighbourhood_count(chosen: BoolArray, half_width: int, centre: bool) -> FloatArray:
-    return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, centre), 1)
+def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> ComplexArray | None:
+    """The mean of an array that every response has, or None."""
+    present = [values for response in responses if (values := getattr(response, name)) is not None]
+    return np.asarray(np.mean(present, axis=0)) if len(present) == len(responses) else None
 
 
-def neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True) -> NDArray[Any]:
-    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ... k+h, with or without line k itself."""
-    shape = (-1,) + (1,) * (values.ndim - 1)
-    total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, centre)
-    mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, centre).reshape(shape)
-    return mean
+def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
+    """The systematic errors of the mean: all realisations were measured through the same sums."""
+    together = zip(*(response.errors for response in responses), strict=True)
+    return tuple(MatrixError(errors[0].doubt, np.asarray(np.mean([error.change for error in errors], axis=0))) for errors in together)
 
 
-def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> BoolArray:
-    """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
+def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
+    """Mean over lines k-h ... k+h, truncated at the ends."""
+    ones = np.ones(2 * half_width + 1)
+    middle = slice(half_width, half_width + values.size)
+    total, count = (np.convolve(terms, ones)[middle] for terms in (values, np.ones(values.size)))
+    return np.asarray(total / count)
 
-    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation (spec-excited).
-    """
-    force = np.abs(spectrum.mean[:, inputs])
-    excited = force > floor * np.max(force, axis=0)
-    if spectrum.noise is not None:
-        std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, inputs])
-        excited &= force > signal_to_noise * std
-    return np.any(excited, axis=1)
+
+def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
+    size = np.sqrt(np.mean(np.abs(matrix) ** 2))
+    nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
+    message = f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), noise by {noisy:.2g} % in each"
+    return note("distortion", message)

@@ -1,4 +1,6 @@
-"""All channels under random excitation: the part of every channel that is due to each recorded drive, and what is left as noise.
+"""All channels under random excitation: what is due to each recorded drive, and how far noise covers the rest.
+
+All channels under random excitation: the part of every channel that is due to each recorded drive, and what is left as noise.
 
 With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since the drives hold none of the
 sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over the number of averages, is independent from column to
@@ -8,23 +10,72 @@ column.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
-from labpipe.records.recording import SampleSource
+from labpipe.records.recording import Channel, SampleSource
 from labpipe.registry import nearest
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channel_layout import ChannelLayout
+from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import hermitian
-from labpipe.spectra.measured_lines import MeasuredLines, snr_findings
-from labpipe.spectra.parts import LOW_COHERENCE, lines_left
-from labpipe.spectra.reading import checked_blocks
+from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
+
+# What either excitation gives of all channels side by side, and how far noise covers it.
+
+LOW_SNR = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredLines:
+    """frequency (n_line,) [Hz], vectors (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel, n_channel) [SI], as in
+    ChannelSpectra; dof: complex degrees of freedom of the covariance; weak: outputs that are mostly noise.
+    """
+
+    frequency: FloatArray
+    vectors: ComplexArray
+    covariance: ComplexArray
+    runs: tuple[str, ...]
+    dof: float
+    line_correlation: tuple[complex, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    weak: set[str] = field(default_factory=set)
+
+
+def snr_findings(
+    vectors: ComplexArray, covariance: ComplexArray, channels: Sequence[Channel], excited: BoolArray
+) -> tuple[tuple[Finding, ...], set[str]]:
+    """Warnings where noise is large, and the names of the outputs among them; *vectors* and *covariance* [SI] as in MeasuredLines.
+
+    Of forces line by line where they act, *excited* (n_line, n_run, n_channel), of responses in power over band and runs.
+    """
+    size = np.abs(vectors)
+    noise = np.sqrt(np.maximum(np.einsum("lrcc->lrc", covariance).real, 0.0))
+    findings: list[Finding] = []
+    weak: set[str] = set()
+    for number, channel in enumerate(channels):
+        acting = excited[:, :, number]
+        if channel.role == "input" and np.any(acting):
+            share = float(np.mean((size < LOW_SNR * noise)[:, :, number][acting]))
+            if share > POOR_SHARE:
+                what = f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of its lines"
+                findings.append(Finding("low-snr", what))
+        if channel.role == "output" and np.sum(noise[:, :, number] ** 2) * LOW_SNR**2 > np.sum(size[:, :, number] ** 2):
+            what = f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise, in power over the band"
+            findings.append(Finding("low-snr", what))
+            weak.add(channel.name)
+    return tuple(findings), weak
+
+
+# All channels under random excitation: the part of every channel that is due to each recorded drive, and
+# what is left as noise.
 
 # Share of a drive's power that the others must leave it.
 INDEPENDENT = 1e-3

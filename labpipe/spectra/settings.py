@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass, fields
 
 from labpipe.errors import ConfigError
+from labpipe.records.frf_layout import WindowedSettings
 from labpipe.records.settings import Settings, setting
-from labpipe.records.windowed import WindowedSettings
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
-from labpipe.spectra.reading import READ_SAMPLES
+from labpipe.spectra.channels import READ_SAMPLES
 from labpipe.spectra.settings import ShaftLines
 
 # Hysteresis of the pulse detection, as shares of the tacho's range: below the lower level, then above the upper one.

@@ -1,4 +1,4 @@
-"""Sweeps in a force: where its frequency runs steadily up or down, by which law, and where the record is cut between them."""
+"""Where the frequency of a force stays constant or runs steadily, and how fast a resonance is swept."""
 
 from __future__ import annotations
 
@@ -8,12 +8,172 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
-from labpipe.spectra.dwells import rising_crossings
+from labpipe.records.finding import Finding, note
+from labpipe.spectra.damping import HalfPower, half_power
+
+# Dwells of a stepped sine: where the frequency of a force stays constant.
+
+# Fewest periods of one frequency that count as a dwell.
+LEAST_PERIODS = 5
+# A zero crossing counts once the force has been below this share of its local peak.
+HYSTERESIS = 0.3
+# Share of the force's power below the frequency that sets how long its local peak is looked for.
+LOW_SHARE = 0.005
+# A period belongs to the dwell while its crossing lies within so many standard errors of where the periods before put it.
+WITHIN = 6.0
+# Scatter of the crossings [periods] above which the force is no sine; least that is believed.
+MOST_SCATTER, LEAST_SCATTER = 0.05, 1e-6
+# Standard errors of the curvature of the phase by which a frequency runs on instead of staying.
+CURVED = 4.0
+
+
+@dataclass(frozen=True)
+class Dwell:
+    """Samples *start* ... *stop* (not included), first and last zero crossing, of a sine of about *frequency* [periods per sample]."""
+
+    start: int
+    stop: int
+    frequency: float
+
+
+def find_dwells(force: FloatArray) -> list[Dwell]:
+    """The dwells in a force (n_sample,) [N], in their order in time.
+
+    The phase of the force, known at its zero crossings, is a broken line over time: every straight piece of LEAST_PERIODS periods or
+    more is a dwell. DataError for a force that is no sine, without dwells, or whose frequency runs on.
+    """
+    times = rising_crossings(force - np.mean(force))
+    if times.size <= LEAST_PERIODS:
+        raise DataError(f"the force has {times.size} periods, too few for a dwell", hint=_HINT)
+    scatter = _scatter(times)
+    if scatter > MOST_SCATTER:
+        raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
+    pieces = [piece for piece in _refined(times, _straight_pieces(times, scatter)) if piece[1] - piece[0] > LEAST_PERIODS]
+    if not pieces:
+        raise DataError(f"the force stays at no frequency for {LEAST_PERIODS} periods", hint=_HINT)
+    curved = [_is_curved(times[first:last]) for first, last in pieces]
+    if np.mean(curved) > 0.5:
+        raise DataError(
+            "the frequency of the force runs on: a sweep, no dwells", hint="excitation: stepped-sine needs constant frequencies"
+        )
+    return [
+        Dwell(int(np.ceil(times[first])), int(times[last - 1]), float((last - 1 - first) / (times[last - 1] - times[first])))
+        for first, last in pieces
+    ]
+
+
+_HINT = "stepped-sine: one frequency after another, each kept; is it another excitation?"
+
+
+def rising_crossings(force: FloatArray) -> FloatArray:
+    """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by a straight line."""
+    from scipy import ndimage
+
+    peak = ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
+    low, high = force < -HYSTERESIS * peak, force > HYSTERESIS * peak
+    marks = np.flatnonzero(low | high)
+    rises = np.flatnonzero(low[marks[:-1]] & high[marks[1:]])
+    return np.array([_crossing(force, int(marks[n]), int(marks[n + 1])) for n in rises])
+
+
+def _longest_period(force: FloatArray) -> int:
+    power = np.abs(np.fft.rfft(force)) ** 2
+    lowest = int(np.searchsorted(np.cumsum(power), LOW_SHARE * power.sum()))
+    return max(3, int(1.5 * force.size / max(lowest, 1)))
+
+
+def _crossing(force: FloatArray, before: int, after: int) -> float:
+    """Root of the straight line through the samples from *before* to *after*, or between the two of opposite sign if there are no more."""
+    values = force[before : after + 1]
+    number = np.arange(values.size)
+    slope, level = np.polyfit(number, values, 1)
+    return float(before - level / slope)
+
+
+def _scatter(times: FloatArray) -> float:
+    """Standard deviation of a crossing [periods], from the second differences: those of a step are few."""
+    bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
+    return max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
+
+
+def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
+    """Ranges (first, end) of crossings on one straight line each, period by period."""
+    pieces, first = [], 0
+    line = _Line()
+    for number, time in enumerate(times):
+        if number - first >= 3 and abs(time - line.at(number - first)) > WITHIN * scatter * line.slope * line.spread(number - first):
+            pieces.append((first, number))
+            first, line = number, _Line()
+        line.add(float(number - first), time)
+    return [*pieces, (first, times.size)]
+
+
+class _Line:
+    """A straight line through points that come one by one."""
+
+    def __init__(self) -> None:
+        self._n, self._x, self._y, self._xx, self._xy = 0, 0.0, 0.0, 0.0, 0.0
+        self.slope = 0.0
+
+    def add(self, x: float, y: float) -> None:
+        self._n += 1
+        dx, dy = x - self._x, y - self._y
+        self._x += dx / self._n
+        self._y += dy / self._n
+        self._xx += dx * (x - self._x)
+        self._xy += dx * (y - self._y)
+        self.slope = self._xy / self._xx if self._n > 1 else 0.0
+
+    def at(self, x: float) -> float:
+        return self._y + self.slope * (x - self._x)
+
+    def spread(self, x: float) -> float:
+        """Standard deviation of a point beside the line [1, of that of a point]."""
+        return float(np.sqrt(1 + 1 / self._n + (x - self._x) ** 2 / self._xx))
+
+
+def _refined(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The *pieces* with the crossing from which the next one's line fits better: a step shows only some periods after it."""
+    long = [piece for piece in pieces if piece[1] - piece[0] > LEAST_PERIODS]
+    ends = [list(piece) for piece in long]
+    for number in range(len(long) - 1):
+        (first, end), (start, last) = long[number], long[number + 1]
+        if end != start:
+            continue
+        near = np.arange(first + (end - first) // 2, end)
+        before = np.polynomial.Polynomial.fit(np.arange(first, near[0]), times[first : near[0]], 1)(near)
+        middle = start + (last - start) // 2
+        after = np.polynomial.Polynomial.fit(np.arange(middle, last), times[middle:last], 1)(near)
+        error_before, error_after = (times[near] - before) ** 2, (times[near] - after) ** 2
+        cost = np.concatenate([[0.0], np.cumsum(error_before)]) + np.concatenate([np.cumsum(error_after[::-1])[::-1], [0.0]])
+        ends[number][1] = ends[number + 1][0] = int(near[0] + np.argmin(cost)) if near.size else end
+    return [(first, end) for first, end in ends]
+
+
+def _is_curved(times: FloatArray) -> bool:
+    """Whether the phase over the last three quarters of the crossings (n,) [samples] bends significantly."""
+    y = times[times.size // 4 :]
+    x = np.linspace(-1, 1, y.size)
+    design = np.polynomial.legendre.legvander(x, 2)
+    if y.size <= 4:
+        return False
+    values = np.linalg.lstsq(design, y, rcond=None)[0]
+    variance = np.sum((y - design @ values) ** 2) / (y.size - 3) * np.linalg.inv(design.T @ design)[2, 2]
+    return bool(abs(values[2]) > CURVED * np.sqrt(variance))
+
+
+def loudest(samples: FloatArray, columns: IntArray) -> int:
+    """The column of the input with the largest variance, of *samples* (n_sample, n_channel) [unit of the channel]."""
+    return int(columns[np.argmax(np.var(samples[:, columns], axis=0))])
+
+
+# Sweeps in a force: where its frequency runs steadily up or down, by which law, and where the record is cut
+# between them.
 
 # Fewest periods that count as a sweep, and the least ratio of its highest to its lowest frequency.
-LEAST_PERIODS, LEAST_SPAN = 10, 1.05
+LEAST_SWEPT_PERIODS, LEAST_SPAN = 10, 1.05
 # Largest ratio of two neighbouring periods in a sweep: beyond it, another one begins, or noise.
 LARGEST_STEP = 1.4
 # A frequency that turns back by this share of the logarithm of the whole span begins another sweep.
@@ -33,7 +193,7 @@ LAWS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray],
     "linear": (np.asarray, np.asarray),
     "logarithmic": (np.log, np.exp),
 }
-_HINT = "sweep: a sine whose frequency runs steadily up or down; is it another excitation?"
+_SWEEP_HINT = "sweep: a sine whose frequency runs steadily up or down; is it another excitation?"
 
 
 @dataclass(frozen=True)
@@ -73,10 +233,10 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     # In noise a line through few samples can put a crossing ahead of the one before.
     times = times[np.diff(np.maximum.accumulate(times), prepend=-np.inf) > 0]
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
-    sweeps = [_sweep(force, times[first:last]) for first, last in pieces if last - first > LEAST_PERIODS]
+    sweeps = [_sweep(force, times[first:last]) for first, last in pieces if last - first > LEAST_SWEPT_PERIODS]
     sweeps = [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low]
     if not sweeps:
-        raise DataError("the force holds no sweep", hint=_HINT)
+        raise DataError("the force holds no sweep", hint=_SWEEP_HINT)
     loudest, longest = max(sweep.level for sweep in sweeps), max(sweep.stop - sweep.start for sweep in sweeps)
     sweeps = [sweep for sweep in sweeps if sweep.level > LEAST_LEVEL * loudest and sweep.stop - sweep.start > LEAST_LENGTH * longest]
     if all(sweep.steps for sweep in sweeps):
@@ -92,7 +252,7 @@ def _runs(times: FloatArray) -> list[tuple[int, int]]:
     # A distance that fits neither to the one before nor to the one after belongs to no run.
     breaks = np.flatnonzero(step > np.log(LARGEST_STEP)) + 1
     edges = [0, *breaks.tolist(), times.size - 1]
-    return [(first, last + 1) for first, last in itertools.pairwise(edges) if last - first > LEAST_PERIODS]
+    return [(first, last + 1) for first, last in itertools.pairwise(edges) if last - first > LEAST_SWEPT_PERIODS]
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
@@ -170,3 +330,64 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
         # Without a pause the cut lies between the last crossing of one sweep and the first of the next.
         starts.append(max(early, 0 if before == 0 else (before + sweep.start + 1) // 2))
     return list(zip(starts, [*starts[1:], n_sample], strict=True))
+
+
+# How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
+
+# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response. With half as many, the
+# damping of a record cut in full motion was off by up to half its standard error (tests/spectra/test_sweep_coverage.py has 8 and 16).
+FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
+
+
+def largest_rate(frequency: float, damping_ratio: float) -> float:
+    """Sweep rate [Hz/s] up to which a resonance at *frequency* [Hz] reaches its steady amplitude: 216 f_n^2 zeta^2 Hz/min.
+
+    ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a logarithmic sweep are the
+    same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b. Equation (frf-sweep-rate).
+    """
+    return 216.0 / 60 * frequency**2 * damping_ratio**2
+
+
+def rate_findings(
+    frequency: FloatArray, matrix: ComplexArray, sweeps: Sequence[FoundSweep], rate: float, n_sample: int, *, leaking: bool
+) -> tuple[Finding, ...]:
+    """The highest resonance of each FRF that is swept faster than ISO 7626-2 allows: the one that is most so.
+
+    A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a warning where the lines are
+    too coarse for the resonance, or, when *leaking*, for the leakage that was taken out. frequency (n_line,) [Hz],
+    matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling [Hz]; *n_sample* of a block.
+    """
+    peaks = _peaks(frequency, matrix)
+    if not peaks:
+        return ()
+    excess = [max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowed(p) for p in peaks]
+    worst = int(np.argmax(excess))
+    peak, times = peaks[worst], excess[worst]
+    if times <= 1:
+        return ()
+    width = peak.high - peak.low
+    lines, enough = width * n_sample / rate, LEAKING_LINES if leaking else FEWEST_LINES
+    message = (
+        f"the resonance at {peak.frequency:.4g} Hz, {width:.3g} Hz wide (half power), is swept at {times * _allowed(peak):.3g} Hz/s, "
+        f"{times:.3g} times the rate of ISO 7626-2 ({_allowed(peak):.3g} Hz/s): it does not reach its steady amplitude"
+    )
+    if lines >= enough:
+        why = "since the ringing that the record lacks is estimated" if leaking else "since the record holds all that rings"
+        return (note("sweep-rate", f"{message}; the FRF does not suffer, {why}"),)
+    needed = f"{lines:.2g} lines in its width are too few, {enough:.3g} would do: sweep slower, or record until the response is at rest"
+    return (Finding("sweep-rate", f"{message}; {needed}"),)
+
+
+def _allowed(peak: HalfPower) -> float:
+    return largest_rate(peak.frequency, peak.damping_ratio)
+
+
+def _peaks(frequency: FloatArray, matrix: ComplexArray) -> list[HalfPower]:
+    """The highest peak of every FRF that has one with its half-power points in the band."""
+    peaks = []
+    for row, column in itertools.product(range(matrix.shape[1]), range(matrix.shape[2])):
+        try:
+            peaks.append(half_power(frequency, matrix[:, row, column], (float(frequency[0]), float(frequency[-1]))))
+        except (DataError, np.linalg.LinAlgError):
+            continue
+    return [peak for peak in peaks if peak.damping_ratio > 0]

@@ -157,10 +157,10 @@ def peaks(less: dict[str, float], more: dict[str, float]) -> str:
 
 def bare_cpu(folder: Path) -> float:
     """Processor time of reading, transforming and fitting in this process, with nothing written and nothing checked but by the numbers."""
-    from labpipe.config.pipeline import load_pipeline
+    from labpipe.project.pipeline_file import load_pipeline
+    from labpipe.project.work import fits_of
     from labpipe.records.recording import Recording
     from labpipe.spectra.measurement import measure
-    from labpipe.stages.fits import fits_of
 
     pipeline = load_pipeline(folder / "pipeline.yaml")
     rig, settings = pipeline.rig, pipeline.frf
@@ -183,10 +183,10 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
     from labpipe.artefacts.dataset_file import write_parts
     from labpipe.artefacts.identification_file import NAME, write_identification
     from labpipe.artefacts.writing import output_folder
-    from labpipe.config.pipeline import load_pipeline
-    from labpipe.pipeline.many_tests import PART_TESTS, summed_up
-    from labpipe.pipeline.one_test import Job, work
-    from labpipe.records.dataset_summary import summary_of, summed
+    from labpipe.project.many_tests import PART_TESTS, summed_up
+    from labpipe.project.one_test import Job, work
+    from labpipe.project.pipeline_file import load_pipeline
+    from labpipe.records.dataset import summary_of, summed
 
     home = prepared(folder, 1)
     pipeline = load_pipeline(home / "pipeline.yaml")

@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 from scipy import fft
 
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.from_random import parts_of_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.ports import Layout, find_layout
+from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import WelchAverage
 from labpipe.spectra.windows import window_values

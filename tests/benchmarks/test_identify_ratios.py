@@ -9,24 +9,21 @@ import numpy as np
 import pytest
 
 from labpipe.arrays import ComplexArray
-from labpipe.identify import output_error
-from labpipe.identify import starts as start_values
-from labpipe.identify.base_motion import form_view
-from labpipe.identify.fitting import identify
-from labpipe.identify.instrumental import instrumental_variables
-from labpipe.identify.mdof import mdof
-from labpipe.identify.measured import Measured, measured_part
-from labpipe.identify.output_error import OutputError
-from labpipe.identify.regression import least_squares
-from labpipe.identify.settings import FitSettings
-from labpipe.identify.setup import Setup
-from labpipe.identify.starts import starts
-from labpipe.identify.weights import fit_weights
-from labpipe.optimise.levenberg import linearised
-from labpipe.records.factored_covariance import FactoredCovariance
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from tests.unit.identify.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS, with_noise
-from tests.unit.identify.literal import literal_iv
+from labpipe.estimation import likelihood as start_values
+from labpipe.estimation import output_error
+from labpipe.estimation.descent import linearised
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.likelihood import starts
+from labpipe.estimation.linear_models import form_view, mdof
+from labpipe.estimation.measured import Measured, measured_part
+from labpipe.estimation.model import Setup
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import instrumental_variables, least_squares
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.weights import fit_weights
+from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port, uncorrelated
+from tests.estimation.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS, with_noise
+from tests.estimation.literal import literal_iv
 
 MODEL = mdof(Setup(DOFS, FORCES, FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True)))
 

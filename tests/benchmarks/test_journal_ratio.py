@@ -13,16 +13,16 @@ import pytest
 from scipy.linalg import lapack
 from scipy.optimize import least_squares
 
-from labpipe.bearings import journal_equilibrium as equilibria
-from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
-from labpipe.bearings.journal_mesh import FilmMesh
-from labpipe.bearings.journal_table import JournalTable, journal_table
-from labpipe.identify.fitting import identify as fitted
-from labpipe.records.settings import Uncertain
-from labpipe.rotors.parts import Rotor, ShaftElement, Sleeve, Support
-from labpipe.rotors.reduction import reduced_rotor
-from labpipe.rotors.worn import VaryingSupport, WornRig, worn_response
-from tests.unit.wear.worn_cases import fit_settings, measured, worn_rig
+from labpipe.estimation.fitting import identify as fitted
+from labpipe.methods.journal_bearing import bearing as equilibria
+from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.journal_bearing.table import JournalTable, journal_table
+from labpipe.methods.rotor.response import reduced_rotor
+from labpipe.methods.rotor.shaft import Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.wear.tables import VaryingSupport, WornRig, worn_response
+from labpipe.records.uncertain import Uncertain
+from tests.methods.wear.worn_cases import fit_settings, measured, worn_rig
 
 SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)

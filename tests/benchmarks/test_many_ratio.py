@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from labpipe.artefacts.writing import output_folder
-from labpipe.config.pipeline import load_pipeline
-from labpipe.pipeline.executors import Execute, in_processes, serially
-from labpipe.pipeline.run import Manner, run
+from labpipe.project.executors import Execute, in_processes, serially
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.run import Manner, run
 
 RECORDINGS = 60
 GOAL = 1.7

@@ -7,13 +7,11 @@ import io
 
 import numpy as np
 
-from labpipe.modal.growth import refine_with_terms
-from labpipe.modal.likelihood import Refined
-from labpipe.modal.lscf import normal_equations
-from labpipe.modal.residual_terms import Lines
-from labpipe.modal.stabilisation import stabilisation
+from labpipe.methods.modal.likelihood import Lines, Refined
+from labpipe.methods.modal.number import refine_with_terms
+from labpipe.methods.modal.poles import normal_equations, stabilisation
 from tests.benchmarks.test_identify_ratios import cpu_time
-from tests.unit.modal.structures import DAMPING, FREQUENCIES, nine_modes
+from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 
 def own(omega: np.ndarray, matrix: np.ndarray) -> Refined:

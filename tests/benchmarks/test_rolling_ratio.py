@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from labpipe.bearings.rolling import RollingBearing, bearing_loads, bearing_stiffness
-from labpipe.bearings.rolling_equilibrium import equilibrium
+from labpipe.methods.rolling_bearing.equilibrium import equilibrium
+from labpipe.methods.rolling_bearing.loads import RollingBearing, bearing_loads, bearing_stiffness
 
 BEARING = RollingBearing(9, 1.10e10, 30.1488e-3, groove_distance=5.953e-4)
 N_TOGETHER, N_LOOP = 10_000, 200

@@ -9,15 +9,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from labpipe.bearings.journal_curve import journal_curve
-from labpipe.rotors.pinned import unbalance_forces
-from labpipe.rotors.threshold import Stability
-from labpipe.run_ups.amplitudes import fit_amplitudes
-from labpipe.run_ups.joint import fit_jointly
-from labpipe.run_ups.metamodels import Grid, fit_metamodel
-from labpipe.run_ups.points import fit_points
-from labpipe.run_ups.process import fit_with_process
-from tests.unit.run_ups.run_up_cases import RIG, trained
+from labpipe.methods.journal_bearing.curve import journal_curve
+from labpipe.methods.rotor.pinned import Stability, unbalance_forces
+from labpipe.methods.run_ups.amplitudes import fit_amplitudes
+from labpipe.methods.run_ups.joint import fit_jointly
+from labpipe.methods.run_ups.metamodel_kinds import Grid
+from labpipe.methods.run_ups.metamodels import fit_metamodel
+from labpipe.methods.run_ups.points import fit_points
+from labpipe.methods.run_ups.process import fit_with_process
+from tests.methods.run_ups.run_up_cases import RIG, trained
 
 
 def wall_seconds(action: Callable[[], object], repeats: int) -> float:

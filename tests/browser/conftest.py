@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from labpipe.document.render import html_report
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings, Sliding
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 

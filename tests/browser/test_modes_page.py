@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 
 from labpipe.document.render import html_document
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
-from labpipe.modal.settings import ModalSettings
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.report import modal_blocks
+from labpipe.methods.modal.settings import ModalSettings
+from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
 from labpipe.report.document import Document, Section
-from labpipe.report.modal_figures import modal_blocks
-from tests.unit.modal.structures import beam, beam_geometry
+from tests.methods.modal.structures import beam, beam_geometry
 
 STRUCTURE = "document.querySelector('figure.shapes .shape')"
 MOVED = f"{STRUCTURE}.querySelector('.moved').getAttribute('d')"
@@ -32,7 +33,7 @@ def fit() -> Fit:
 @pytest.fixture
 def page(browser: Any, fit: Fit, tmp_path: Path) -> Iterator[Any]:
     path = tmp_path / "modes.html"
-    path.write_bytes(html_document(Document("Modes", "", (Section("Fit", tuple(modal_blocks(fit))),), to_sign=False)))
+    path.write_bytes(html_document(Document("Modes", "", (Section("Fit", tuple(modal_blocks(fit, fit.detail(Modes)))),), to_sign=False)))
     opened = browser.open(path)
     yield opened
     assert opened.said("Runtime.exceptionThrown") == []
@@ -58,15 +59,15 @@ def test_the_structure_sways_stops_and_turns(page: Any) -> None:
 
 
 def test_another_mode_is_chosen_by_its_button(page: Any, fit: Fit) -> None:
-    assert fit.modes is not None
+    assert fit.detail(Modes) is not None
     buttons = "[...document.querySelectorAll('figure.shapes .mode')]"
-    assert page.run(f"{buttons}.length") == fit.modes.frequency.size
+    assert page.run(f"{buttons}.length") == fit.detail(Modes).frequency.size
     page.run(f"{buttons}[1].click()")
     assert page.run(f"{buttons}.map((one) => one.getAttribute('aria-pressed'))")[:2] == ["false", "true"]
 
 
 def test_a_click_on_a_pole_gives_the_line_for_the_pipeline(page: Any, fit: Fit) -> None:
-    assert fit.modes is not None
+    assert fit.detail(Modes) is not None
     page.run(f"{DIAGRAM}.scrollIntoView({{block: 'center'}})")
     page.settle()
     low, high = page.run("JSON.parse(document.querySelector('#figure-1 script').textContent).panels[1].x.limits")
@@ -76,7 +77,7 @@ def test_a_click_on_a_pole_gives_the_line_for_the_pipeline(page: Any, fit: Fit) 
         f" own.top + Number(box.getAttribute('y')), Number(box.getAttribute('height'))])([{DIAGRAM}.getBoundingClientRect(), {frame}])"
     )
     chosen = "document.querySelector('#figure-1 .choice').textContent"
-    for frequency in fit.modes.frequency[:2]:
+    for frequency in fit.detail(Modes).frequency[:2]:
         at = left + width * (frequency - low) / (high - low), top + 0.1 * height
         for kind in ("mousePressed", "mouseReleased"):
             page.mouse(kind, *at, button="left", clickCount=1)
@@ -84,7 +85,7 @@ def test_a_click_on_a_pole_gives_the_line_for_the_pipeline(page: Any, fit: Fit) 
     line = page.run(chosen)
     assert line.startswith("poles: [") and line.endswith(" Hz]")
     values = [float(text.removesuffix(" Hz")) for text in line[len("poles: [") : -1].split(", ")]
-    assert values == pytest.approx(fit.modes.frequency[:2], rel=2e-3)
+    assert values == pytest.approx(fit.detail(Modes).frequency[:2], rel=2e-3)
     for kind in ("mousePressed", "mouseReleased"):
         page.mouse(kind, *at, button="left", clickCount=1)
     page.settle()

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from labpipe.artefacts.header import commit
 from labpipe.cli.main import COMMANDS
-from labpipe.commit import commit
 
 PEDESTAL = "pipelines/pedestal.yaml"
 
@@ -162,7 +162,7 @@ def test_calibrate_gives_slopes_that_a_rig_file_can_name(tmp_path: Path, labpipe
     (tmp_path / "probe.csv").write_text("displacement [um],output [V]\n" + rows)
     (tmp_path / "c.yaml").write_text('title: Probe\ncalibrate:\n  probe_y: {table: probe.csv, x: "displacement [um]", y: "output [V]"}\n')
     assert labpipe("calibrate", "-c", tmp_path / "c.yaml", "-o", tmp_path / "cal").code == 0
-    from labpipe.config.rig import load_rig
+    from labpipe.project.rig_file import load_rig
 
     (tmp_path / "rig.yaml").write_text(
         "name: R\nsample_rate: 1 kHz\nchannels:\n"

@@ -35,7 +35,7 @@ def test_a_missing_package_is_named_and_is_a_fault(labpipe, monkeypatch: pytest.
 
     without("pyarrow")
     # The command itself is imported before anything is taken away.
-    from labpipe.cli.doctor import doctor
+    from labpipe.cli.help import doctor
 
     assert doctor.callback is not None and doctor.callback() == 2
     without("distributed")
@@ -58,7 +58,7 @@ def test_labpipe_without_an_installation_says_so(labpipe, monkeypatch: pytest.Mo
 
 
 def test_every_module_of_the_dependencies_can_be_imported_by_its_name(root: Path) -> None:
-    from labpipe.cli.doctor import MODULES
+    from labpipe.cli.help import MODULES
 
     for text in tomllib.loads((root / "pyproject.toml").read_text())["project"]["dependencies"]:
         name = re.match(r"[\w.-]+", text)[0]

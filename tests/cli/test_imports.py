@@ -30,3 +30,17 @@ def test_a_report_of_charts_is_drawn_without_matplotlib(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert "matplotlib" not in imported("run", "pipelines/pedestal.yaml", "-o", out)
     assert 'type="application/json"' in (out / "report.html").read_text("utf-8")
+
+
+def test_a_run_loads_no_method_that_its_pipeline_does_not_name(tmp_path: Path) -> None:
+    """A fit of a single mass is the core's own work; a ring-down is that of one method."""
+    script = "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); print('|'.join(sys.modules))"
+
+    def methods(name: str) -> set[str]:
+        command = [sys.executable, "-c", script, "run", f"pipelines/{name}.yaml", "-o", str(tmp_path / name)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, timeout=120)
+        loaded = ended.stdout.splitlines()[-1].split("|")
+        return {name.split(".")[2] for name in loaded if name.startswith("labpipe.methods.")}
+
+    assert methods("pedestal") == set()
+    assert methods("ring-down") == {"ring_down"}

@@ -49,7 +49,7 @@ def test_the_tutorial_runs_as_printed(tmp_path: Path, labpipe, monkeypatch) -> N
 
 
 def test_the_tutorial_s_rig_file_is_the_scaffold_s(tmp_path: Path, labpipe) -> None:
-    from labpipe.config.rig import load_rig
+    from labpipe.project.rig_file import load_rig
 
     labpipe("init", tmp_path / "p")
     (tmp_path / "shown.yaml").write_text(blocks("yaml")[0])

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.config.bearing import open_bearing
+from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
+from labpipe.project.bearing_file import open_bearing
 
 
 @pytest.fixture

@@ -21,8 +21,8 @@ import maths  # noqa: E402
 
 
 def docstring_rules() -> ModuleType:
-    """The rules of tests/unit/test_docstrings.py: which members hold arrays, what counts as a shape and as a unit."""
-    spec = importlib.util.spec_from_file_location("docstring_rules", ROOT / "tests/unit/test_docstrings.py")
+    """The rules of tests/test_docstrings.py: which members hold arrays, what counts as a shape and as a unit."""
+    spec = importlib.util.spec_from_file_location("docstring_rules", ROOT / "tests/test_docstrings.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
@@ -92,8 +92,8 @@ def test_an_entry_shows_the_signature_with_marks_and_defaults() -> None:
         "class C(Base):\n    x: float = setting('value', 'mass', unit='kg', default=1.0)\n    _y: int = 0\n\n"
         "    @property\n    def p(self) -> int:\n        ...\n\n    @classmethod\n    def m(cls, *, k: int) -> C:\n        ...\n"
     )
-    module = api.module_of("labpipe/optimise/example.py", source)
-    signatures = {one.path.removeprefix("labpipe.optimise.example."): one.signature for name in module.names for one in name.all}
+    module = api.module_of("labpipe/estimation/example.py", source)
+    signatures = {one.path.removeprefix("labpipe.estimation.example."): one.signature for name in module.names for one in name.all}
     assert signatures == {
         "COUNT": "COUNT = 3",
         "f": "f(a, /, b: int = 2, *rest: str, c=None, **more) -> int",

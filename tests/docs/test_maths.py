@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 import api
 import maths
 
-H1 = "labpipe.spectra.estimators.h1"
-KNOWN = maths.Equations({"frf-h1": "theory/frf.md"}, {H1: "reference/python/spectra.md", "labpipe.spectra.estimators.h2": "reference/a.md"})
+H1 = "labpipe.spectra.random.h1"
+KNOWN = maths.Equations({"frf-h1": "theory/frf.md"}, {H1: "reference/python/spectra.md", "labpipe.spectra.random.h2": "reference/a.md"})
 
 
 def page(text: str, name: str = "theory/frf.md") -> str:
@@ -70,9 +70,9 @@ def test_a_formula_at_the_beginning_of_a_line_stays_in_its_paragraph() -> None:
 
 
 def test_an_equation_has_an_anchor_a_number_and_the_names_that_compute_it() -> None:
-    made = page(f"{{{{ equation frf-h1 | {H1}, labpipe.spectra.estimators.h2 }}}}\n$$ H_1 $$\n")
+    made = page(f"{{{{ equation frf-h1 | {H1}, labpipe.spectra.random.h2 }}}}\n$$ H_1 $$\n")
     assert '<div class="equation" id="frf-h1"><math' in made and '<a class="number" href="#frf-h1">(frf-h1)</a></div>' in made
-    assert f"computed by [`{H1}`](../reference/python/spectra.md#{H1}), [`labpipe.spectra.estimators.h2`](../reference/a.md#" in made
+    assert f"computed by [`{H1}`](../reference/python/spectra.md#{H1}), [`labpipe.spectra.random.h2`](../reference/a.md#" in made
 
 
 @pytest.mark.parametrize(

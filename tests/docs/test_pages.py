@@ -22,16 +22,16 @@ sys.path.insert(0, str(DOCS))
 PAGES = sorted((DOCS / "pages").rglob("*.md"))
 # Commands for a shell, and where they are run.
 SHELL = {
-    "python -m tests.fuzz.run --seconds 600": "tests/fuzz, with a fixed number of trials",
+    "python -m tests.hostile.run --seconds 600": "tests/hostile, with a fixed number of trials",
     "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
     "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
     "python -m tests.benchmarks.fleet --recordings 2000 --results 20000 --cluster 1000 4000 16000": "takes half an hour",
     "python -m tests.validation": "tests/validation",
     "python -m tests.validation.record_measured --data FOLDER": "tests/validation, where the raw files are",
-    "moto_server -H 127.0.0.1 -p 5055": "tests/cli/test_object_storage.py, on a free port",
-    "dask scheduler": "tests/cli/test_many_tests.py, on loopback",
-    "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/cli/test_many_tests.py, on loopback",
+    "moto_server -H 127.0.0.1 -p 5055": "tests/project/test_object_storage.py, on a free port",
+    "dask scheduler": "tests/project/test_many_tests.py, on loopback",
+    "dask worker tcp://10.0.0.1:8786 --nthreads 1": "tests/project/test_many_tests.py, on loopback",
     "pip install ./docs/plugin": "the plug-in's entry points are written here as pip writes them",
     "python3 -m venv .venv": "the README's first command, by .ci/run",
     ".venv/bin/pip install .": "the README's first command, by .ci/run",
@@ -91,6 +91,7 @@ def test_most_pages_hold_commands() -> None:
         "models",
         "comparisons",
         "recordings",
+        "design",
         "glossary",
         "gallery",
         "speed",
@@ -110,9 +111,9 @@ def test_shell_commands_are_known(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
     """Keys of a pipeline; a block with channels is a whole rig file, one with a plan a whole plan file, which are read."""
-    from labpipe.config.pipeline import section_names
-    from labpipe.config.plan import load_plan
-    from labpipe.config.rig import load_rig
+    from labpipe.methods.planning.plan_file import load_plan
+    from labpipe.project.pipeline_file import section_names
+    from labpipe.project.rig_file import load_rig
 
     for block in blocks(page.read_text(encoding="utf-8"), "yaml"):
         if "channels" in yaml.safe_load(block):
@@ -156,14 +157,14 @@ def test_the_reference_names_every_key_and_command() -> None:
 
 
 def test_the_reference_names_every_section_with_its_keys_and_those_of_models() -> None:
-    from labpipe.identify.settings import MODELS, model_kind
+    from labpipe.estimation.settings import MODELS, model_kind
     from labpipe.sections import sections
 
     page = module("reference").reference_pages()["pipeline"]
     for name, section in sections():
         own = page.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
         assert section.words in own
-        assert all(f"| `{key}` |" in own for key in keys(section.load("settings"))), name
+        assert all(f"| `{key}` |" in own for key in keys(section.settings)), name
     for kind in map(model_kind, MODELS):
         assert kind.settings is None or f"`{kind.section}:` of a fit" in page
 
@@ -177,7 +178,7 @@ def keys(owner: type) -> set[str]:
 
 
 def test_the_reference_has_words_for_every_form_of_a_setting() -> None:
-    from labpipe.records.setting_values import CONVERTERS
+    from labpipe.records.settings import CONVERTERS
 
     reference = module("reference")
     # A choice lists its choices.

@@ -12,21 +12,21 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError, DataError
-from labpipe.identify.fitting import identify
-from labpipe.identify.likelihood import maximum_likelihood
-from labpipe.identify.measured import measured_part
-from labpipe.identify.settings import MODELS, FitSettings
-from labpipe.identify.setup import Setup
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.likelihood import maximum_likelihood
+from labpipe.estimation.measured import measured_part
+from labpipe.estimation.model import Setup
+from labpipe.estimation.settings import MODELS, FitSettings
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.settings import RunUpSettings
+from labpipe.project.rules import Rule
+from labpipe.project.scripting import rotor
+from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness
-from labpipe.records.parameter import Parameter
 from labpipe.records.recording import Recording
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.run_up import RunUp
-from labpipe.rigs.run_up_rotor import RunUpRotor
-from labpipe.run_ups.settings import RunUpSettings
-from labpipe.scripting.by_name import rotor
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import yaml
 
 from labpipe import __version__
-from labpipe.artefacts import dataset_file, fits_file, header, identification_file
+from labpipe.artefacts import dataset_file, header, identification_file
+from labpipe.artefacts import identification_file as fits_file
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -48,9 +49,9 @@ def test_contributors_are_told_what_ci_runs() -> None:
 
 
 def test_the_glossary_names_findings_and_comparisons_that_there_are() -> None:
-    from labpipe.campaign.settings import KINDS
+    from labpipe.uncertainty.settings import COMPARISONS
 
     page = text_of("docs/pages/glossary.md")
     codes = set(yaml.safe_load(text_of("docs/warnings.yaml")))
     assert set(re.findall(r"finding `([\w-]+)`", page)) <= codes
-    assert set(re.findall(r"comparison `([\w-]+)`", page)) <= set(KINDS)
+    assert set(re.findall(r"comparison `([\w-]+)`", page)) <= set(COMPARISONS)

@@ -9,37 +9,36 @@ from scipy import integrate, special, stats
 from scipy.optimize import fsolve
 
 from labpipe.arrays import FloatArray
-from labpipe.bearings.hertz import BallGeometry, ellipse_ratio, in_series, point_contact
-from labpipe.bearings.hertz import Material as HertzMaterial
-from labpipe.bearings.journal import JournalBearing
-from labpipe.bearings.journal_short import short_bearing_coefficients, short_bearing_equilibrium, short_bearing_load
-from labpipe.bearings.journal_wear import mean_worn_depth, wear_edges, worn_depth
-from labpipe.bearings.magnetic_circuit import MU_0, Magnet, magnet_factors, magnet_force
-from labpipe.bearings.magnetic_stability import pade
-from labpipe.bearings.sampled_loop import tustin
-from labpipe.campaign.amounts import from_log
-from labpipe.campaign.bandwise import holm
-from labpipe.campaign.common_sources import joint_errors
-from labpipe.campaign.components import components
-from labpipe.campaign.control import control_limits, from_the_rest
-from labpipe.campaign.weighted import weighted_fit
 from labpipe.distributions import coverage_factor
-from labpipe.magnet.robust import scatter_radius
-from labpipe.modal.shapes import phase_collinearity
-from labpipe.modal.stabilisation import similarity
-from labpipe.planner.criteria import certificate, variances
-from labpipe.rotors.elements import plane_inertia, plane_stiffness, shape_functions
-from labpipe.rotors.parts import ShaftElement
-from labpipe.signals.excitation import schroeder_phases
-from labpipe.signals.least_peak import schroeder_phases_of
-from labpipe.signals.sweep import Sweep
-from labpipe.simulate.decay_rig import KIND, DecayRig, motion
-from labpipe.spectra.coherence import multiple_coherence, ordinary_coherence, partial_coherence
-from labpipe.spectra.estimators import h1, h2, hv
-from labpipe.spectra.peaks import half_power
-from labpipe.spectra.sweep_rate import largest_rate
-from labpipe.spectra.uncertainty import covariance_of_h1, covariance_of_random
+from labpipe.methods.journal_bearing.bearing import (
+    JournalBearing,
+    short_bearing_coefficients,
+    short_bearing_equilibrium,
+    short_bearing_load,
+)
+from labpipe.methods.journal_bearing.film import mean_worn_depth, wear_edges, worn_depth
+from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factors, magnet_force
+from labpipe.methods.magnetic_bearing.fit import scatter_radius
+from labpipe.methods.magnetic_bearing.sampled_loop import tustin
+from labpipe.methods.magnetic_bearing.stability import pade
+from labpipe.methods.modal.poles import similarity
+from labpipe.methods.modal.shapes import phase_collinearity
+from labpipe.methods.planning.campaigns import schroeder_phases_of
+from labpipe.methods.planning.designs import certificate, variances
+from labpipe.methods.ring_down.virtual_rig import KIND, DecayRig, motion
+from labpipe.methods.rolling_bearing.settings import BallGeometry, ellipse_ratio, in_series, point_contact
+from labpipe.methods.rolling_bearing.settings import Material as HertzMaterial
+from labpipe.methods.rotor.shaft import ShaftElement, plane_inertia, plane_stiffness, shape_functions
+from labpipe.raw_files.excitation import Sweep, schroeder_phases
+from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random
+from labpipe.spectra.damping import half_power
+from labpipe.spectra.quality import multiple_coherence, ordinary_coherence, partial_coherence
+from labpipe.spectra.random import h1, h2, hv
+from labpipe.spectra.sweeps import largest_rate
 from labpipe.spectra.windows import effective_averages, hann, line_correlation, noise_bandwidth, overlap_correlation
+from labpipe.uncertainty.amounts import from_log, joint_errors
+from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.weighted import components, control_limits, from_the_rest, weighted_fit
 
 FILM = JournalBearing(diameter=0.1, length=0.03, clearance=1e-4, viscosity=0.03)
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.config.calibration import CalibrationSettings
-from labpipe.formats.table import open_table
-from labpipe.identify.calibration import Line, fit_line, line_fit
+from labpipe.methods.calibration.line import Line, fit_line, line_fit
+from labpipe.methods.calibration.section import CalibrationSettings
 from labpipe.quantities import parse_unit
-from labpipe.records.parameter import Parameter
+from labpipe.raw_files.table import open_table
+from labpipe.records.finding import Parameter
 from tests.draws.usual import Errors
 
 

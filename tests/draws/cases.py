@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from labpipe.artefacts.writing import output_folder
-from labpipe.config.pipeline import Pipeline
-from labpipe.identify.fitting import identify, sliding_bands
-from labpipe.identify.settings import FitSettings
-from labpipe.pipeline.run import Manner, measure_tests
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.free_decay import FreeDecays
+from labpipe.estimation.fitting import identify, sliding_bands
+from labpipe.estimation.settings import FitSettings
+from labpipe.project.measured import MeasuredTest
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.run import Manner, measure_tests
+from labpipe.records.fit_details import DynamicStiffness
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.stages.measured import MeasuredTest
+from labpipe.records.spectra import ChannelSpectra, FreeDecays
 from tests.draws.responses import response_worlds
 from tests.draws.usual import Errors, with_given_off, with_usual_doubts, with_usual_mass
 
@@ -80,8 +80,8 @@ def _of_measured_terms(test: MeasuredTest, fit: Fit) -> bool:
 
 def _free(settings: FitSettings, fit: Fit) -> FitSettings:
     """The fit without what only describes it; where forms are compared, the one that was chosen."""
-    if settings.compare and fit.dynamic_stiffness is not None:
-        settings = replace(settings, model_settings=replace(settings.model_settings, form=fit.dynamic_stiffness.form))
+    if settings.compare and fit.detail(DynamicStiffness) is not None:
+        settings = replace(settings, model_settings=replace(settings.model_settings, form=fit.detail(DynamicStiffness).form))
     return replace(settings, compare=False, monte_carlo=0, bootstrap=0)
 
 

@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.bearings.bending_curve import bent_transfer_matrix
-from labpipe.bearings.rolling import DOFS
-from labpipe.campaign.compare import Evidence, compare
-from labpipe.campaign.observations import condition_of
-from labpipe.campaign.settings import CompareSettings, TheorySettings
-from labpipe.config.pipeline import Pipeline
+from labpipe.methods.rolling_bearing.loads import DOFS
+from labpipe.methods.rolling_bearing.ratio import theory_of
+from labpipe.methods.rolling_bearing.shaft import bent_transfer_matrix
+from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.comparison import Comparison
-from labpipe.records.doubt import Doubt
+from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.parameter import Parameter
+from labpipe.records.uncertain import Doubt
 from labpipe.spectra.convert import receptance_factor
-from labpipe.stages.compare import theory_of
+from labpipe.uncertainty.compare import Evidence, compare
+from labpipe.uncertainty.observations import condition_of
+from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.draws.cases import Case, cases_of_fit, measured_tests
 from tests.draws.usual import Errors
 

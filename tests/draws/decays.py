@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.config.virtual_rig import load_virtual_rig
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
-from labpipe.records.free_decay import FreeDecays
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.ring_down.virtual_rig import DecayRig, decay_runs
+from labpipe.project.virtual_rig_file import load_virtual_rig
 from labpipe.records.identification import Fit
-from labpipe.simulate.decay_rig import DecayRig, decay_runs
+from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.settings import FrfSettings
 from tests.draws.usual import Errors, factor_of

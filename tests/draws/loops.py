@@ -11,27 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.bearings.magnetic_kind import MagneticFile
-from labpipe.bearings.magnetic_loop import dynamic_stiffness
-from labpipe.bearings.magnetic_stability import sensitivity
-from labpipe.bearings.open_loop import open_loop
-from labpipe.campaign.certificate import certificate
-from labpipe.campaign.loop_file import with_unknowns
-from labpipe.campaign.loop_fit import loop_fit
-from labpipe.campaign.loop_view import View
-from labpipe.campaign.observations import condition_of
-from labpipe.campaign.per_injection import per_injection
-from labpipe.campaign.sensitivity import loop_sensitivity
-from labpipe.campaign.settings import CompareSettings
-from labpipe.config.pipeline import Pipeline
-from labpipe.identify.budget import mass_doubt
-from labpipe.identify.fitting import identify
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.doubt import Doubt
-from labpipe.records.parameter import Parameter
+from labpipe.estimation.budget import mass_doubt
+from labpipe.estimation.fitting import identify
+from labpipe.methods.magnetic_bearing.bearing import MagneticFile
+from labpipe.methods.magnetic_bearing.certificate import certificate
+from labpipe.methods.magnetic_bearing.comparisons import magnetic_theory
+from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
+from labpipe.methods.magnetic_bearing.loop_fit import loop_fit
+from labpipe.methods.magnetic_bearing.loop_matrix import per_injection
+from labpipe.methods.magnetic_bearing.loop_problem import View, with_unknowns
+from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
+from labpipe.methods.magnetic_bearing.stability import open_loop, sensitivity
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import Doubt
 from labpipe.spectra.convert import receptance_factor
-from labpipe.stages.compare import magnetic_theory
+from labpipe.uncertainty.observations import condition_of
+from labpipe.uncertainty.settings import CompareSettings
 from tests.draws.cases import measured_tests
 from tests.draws.responses import ResponseWorlds, worlds_about
 from tests.draws.usual import Errors, angle_error, with_usual_mass

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.config.pipeline import Pipeline, load_pipeline
 from labpipe.errors import LabpipeError
+from labpipe.project.pipeline_file import Pipeline, load_pipeline
+from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.parameter import Parameter
 from tests.draws.calibrations import line_worlds
 from tests.draws.cases import Case, cases_of
 from tests.draws.comparisons import questions_of

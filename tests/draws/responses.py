@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.identify.fitting import identify
-from labpipe.identify.measured import select_ports
-from labpipe.identify.settings import FitSettings
-from labpipe.identify.setup import Setup
-from labpipe.identify.shared_noise import SharedNoise
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.leakage import SharedNoise
+from labpipe.estimation.measured import select_ports
+from labpipe.estimation.model import Setup
+from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from tests.draws.usual import Errors, angle_error, factor_of

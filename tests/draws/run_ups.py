@@ -13,20 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.config.pipeline import Pipeline
 from labpipe.errors import FitError
-from labpipe.records.doubt import Doubt
-from labpipe.records.parameter import Parameter
-from labpipe.records.run_up import DIRECTIONS, RunUp
-from labpipe.records.run_up_result import TRAINED
-from labpipe.records.uncertain import Uncertain
-from labpipe.rigs.film_family import PARAMETERS, PRIOR, FilmFamily
-from labpipe.rigs.run_up_rotor import RunUpRotor, searched_over
-from labpipe.rotors.modes import GROWTH_TOLERANCE
-from labpipe.run_ups.joint import family_about, fit_jointly
-from labpipe.run_ups.misfit import runs_by_speeds
-from labpipe.run_ups.probes import ProbeDoubts
-from labpipe.stages.run_ups_reading import read_run
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily
+from labpipe.methods.run_ups.joint import family_about, fit_jointly
+from labpipe.methods.run_ups.misfit import runs_by_speeds
+from labpipe.methods.run_ups.records import DIRECTIONS, TRAINED, RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.section import read_run
+from labpipe.methods.run_ups.settings import ProbeDoubts
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.records.finding import Parameter
+from labpipe.records.uncertain import Doubt, Uncertain
 from tests.draws.usual import Errors
 
 USUAL = ProbeDoubts(Uncertain(1.0, 0.01), Uncertain(0.0, np.radians(0.5)), Uncertain(0.0, 5e-6), Uncertain(0.0, np.radians(1.0)))

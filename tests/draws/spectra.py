@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.dynamic_stiffness.baseline import fitted_model, given_baseline
-from labpipe.dynamic_stiffness.given import Given, projection
-from labpipe.dynamic_stiffness.stator import direction, stator_of
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
-from labpipe.magnet.balance import Between, magnet_model
-from labpipe.magnet.rotor import levitation_of
-from labpipe.records.channel_spectra import ChannelSpectra
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.floating_bearing.fit import fitted_model, given_baseline
+from labpipe.methods.floating_bearing.given import Given, projection
+from labpipe.methods.floating_bearing.stator import direction, stator_of
+from labpipe.methods.magnetic_bearing.balance import Between, levitation_of, magnet_model
+from labpipe.records.fit_details import DynamicStiffness
 from labpipe.records.identification import Fit
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.bands import lines_in
 from tests.draws.usual import Errors, angle_error, factor_of
 
@@ -70,7 +70,7 @@ def spectra_worlds(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Spec
 
 def _of_stator(spectra: ChannelSpectra, settings: FitSettings, fit: Fit) -> np.ndarray:
     """B (n_line, 2, n_channel) of the balance B z = 0 of a stator."""
-    own, shown = settings.model_settings, fit.dynamic_stiffness
+    own, shown = settings.model_settings, fit.detail(DynamicStiffness)
     assert shown is not None
     stator = stator_of(spectra, settings.band, settings.input, settings.output)
     given = Given(own.stator_mass, given_baseline(own), own.motion == "absolute")

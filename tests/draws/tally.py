@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labpipe.records.parameter import Parameter
+from labpipe.records.finding import Parameter
 
 # Two-sided 95 % of a normal distribution.
 TWO_SIDED = 1.959964

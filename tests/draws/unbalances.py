@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.config.pipeline import Pipeline
-from labpipe.config.rotor import load_rotor
-from labpipe.records.doubt import Doubt
-from labpipe.records.parameter import Parameter
-from labpipe.records.unbalance import UnbalanceRuns
-from labpipe.rigs.unbalance_runs import UnbalanceSettings, unbalance_runs
+from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.unbalance import UnbalanceRuns, UnbalanceSettings, unbalance_runs
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.records.finding import Parameter
+from labpipe.records.uncertain import Doubt
 from tests.draws.usual import Errors
 
 # Of every clearance by itself, and of the oil that all bearings have in common.

@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.identify.monte_carlo import drawn_error
-from labpipe.identify.settings import FitSettings
-from labpipe.records.channel_spectra import ChannelSpectra
-from labpipe.records.doubt import ChannelDoubt, Doubt, doubt_of
-from labpipe.records.free_decay import FreeDecays
+from labpipe.estimation.draws import drawn_error
+from labpipe.estimation.settings import FitSettings
+from labpipe.project.measured import MeasuredTest
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.uncertain import Uncertain
-from labpipe.spectra.channel_doubts import calibration_factors
-from labpipe.stages.measured import MeasuredTest
+from labpipe.records.spectra import ChannelSpectra, FreeDecays
+from labpipe.records.uncertain import ChannelDoubt, Doubt, Uncertain, doubt_of
+from labpipe.spectra.channels import calibration_factors
 
 GAIN_OF_FORCE, GAIN_OF_RESPONSE, DELAY, ANGLE, MASS = 0.005, 0.01, 2e-6, np.radians(0.5), 0.005
 
@@ -103,7 +101,7 @@ def factor_of(doubts: Iterable[ChannelDoubt], omega: np.ndarray, errors: Errors)
     factor = np.ones(omega.size, np.complex128)
     for doubted in doubts:
         error = errors.of(doubted.doubt)
-        # As in `labpipe.records.doubt`: an error d of the number changes X to X (1 - d), X e^{jwd}, X e^{jd}.
+        # As in `labpipe.records.uncertain`: an error d of the number changes X to X (1 - d), X e^{jwd}, X e^{jd}.
         factor = factor * {"gain": 1 - error, "delay": np.exp(1j * omega * error), "phase": np.exp(1j * error)}.get(doubted.effect, 1.0)
     return factor
 

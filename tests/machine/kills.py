@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from tests.machine.dask_cluster import dask_cluster
-from tests.unit.pipeline.laboratory import contents, laboratory, recording
+from tests.project.laboratory import contents, laboratory, recording
 
 TESTS = 3
 PIPELINE = """title: Killed

@@ -16,9 +16,9 @@ import pytest
 from labpipe.artefacts import writing
 from labpipe.artefacts.writing import STAGING, output_folder, staging_folder
 from tests.conftest import ROOT, Command
-from tests.fuzz.seeds import READS, write_seeds
+from tests.hostile.seeds import READS, write_seeds
 from tests.machine.kills import alone, cluster, kills, prepared, scheduler_kills
-from tests.unit.pipeline.laboratory import ALONE, contents, done, laboratory, recording
+from tests.project.laboratory import ALONE, contents, done, laboratory, recording
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
 
@@ -139,7 +139,7 @@ def test_a_full_disk_is_said_and_leaves_nothing_half_written(lab: Path, small_di
 
 def test_an_input_that_changes_while_it_is_read_is_refused(lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """The digest in the header would be of another content than the numbers."""
-    from labpipe.stages import ingest
+    from labpipe.project import ingest
 
     sample_rate = ingest.TimeAxisScreen.sample_rate
 
@@ -207,7 +207,7 @@ def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) 
 READ_ALL = """
 import hashlib, os, sys, warnings
 from pathlib import Path
-from tests.fuzz.seeds import READS
+from tests.hostile.seeds import READS
 
 warnings.simplefilter("ignore")
 folder = Path(sys.argv[1])

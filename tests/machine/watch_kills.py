@@ -20,9 +20,9 @@ from pathlib import Path
 
 from labpipe.artefacts.dataset_file import read_rows
 from labpipe.artefacts.mirrored import everything, results_read
-from labpipe.places.address import is_remote, path_of
+from labpipe.artefacts.writing import is_remote, path_of
 from tests.machine.s3_server import s3_client, s3_server
-from tests.unit.pipeline.laboratory import PIPELINE, RIG, recording
+from tests.project.laboratory import PIPELINE, RIG, recording
 
 RECORDINGS = 8
 BUCKET = "benches"

@@ -52,9 +52,9 @@ HEAVY = (
 )  # fmt: skip
 # Tests beside those of a module's own package.
 ALSO = {
-    "artefacts": ("tests/cli/test_verify.py", "tests/unit/pipeline/test_freshness.py"),
-    "stages": ("tests/unit/pipeline/test_run.py", "tests/cli/test_commands.py"),
-    "signals": ("tests/unit/stages", "tests/cli/test_broken_inputs.py"),
+    "artefacts": ("tests/project/test_verify.py", "tests/project/test_freshness.py"),
+    "stages": ("tests/project/test_run.py", "tests/cli/test_commands.py"),
+    "signals": ("tests/unit/stages", "tests/hostile/test_broken_inputs.py"),
 }
 _COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.In: ast.NotIn}
 _COMPUTED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr}

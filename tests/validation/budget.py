@@ -8,15 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from labpipe.campaign.components import components
 from labpipe.distributions import student_quantile
-from labpipe.identify.calibration import fit_line
-from labpipe.identify.corrections import Estimated
-from labpipe.identify.derived import propagated
-from labpipe.identify.monte_carlo import drawn_error
-from labpipe.optimise.levenberg import minimise, sum_of_squares
-from labpipe.records.budget import Budget
-from labpipe.records.doubt import Doubt
+from labpipe.estimation.derived import Estimated, propagated
+from labpipe.estimation.descent import minimise, sum_of_squares
+from labpipe.estimation.draws import drawn_error
+from labpipe.methods.calibration.line import fit_line
+from labpipe.records.uncertain import Budget, Doubt
+from labpipe.uncertainty.weighted import components
 from tests.validation import printed_readings as readings
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps

@@ -11,8 +11,8 @@ import numpy as np
 import pyuff
 from scipy.io import wavfile
 
-from labpipe.formats.table import Table, open_table
-from labpipe.formats.uff_read import read_frf_uff
+from labpipe.raw_files.table import Table, open_table
+from labpipe.raw_files.uff_read import read_frf_uff
 from tests.validation.claims import Claim, Method, within
 from tests.validation.gaps import gaps
 from tests.validation.shipped import PACKAGE, shipped, variables

@@ -8,18 +8,17 @@ from pathlib import Path
 import numpy as np
 
 import labpipe
-from labpipe.config.virtual_rig import load_virtual_rig
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.magnetic_bearing.virtual_mechanics import VirtualMagneticRig
+from labpipe.methods.magnetic_bearing.virtual_rig import simulate
+from labpipe.project.virtual_rig_file import load_virtual_rig
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.study import StudyCase
-from labpipe.simulate.magnetic_rig import simulate
-from labpipe.simulate.magnetic_settings import VirtualMagneticRig
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
-from labpipe.study.settings import StudySettings
-from labpipe.study.study import run_study
+from labpipe.uncertainty.study import StudySettings, run_study
 from tests.validation.claims import Claim, Method, within
 from tests.validation.gaps import gaps
 

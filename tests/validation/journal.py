@@ -6,10 +6,16 @@ from functools import cache, partial
 
 import numpy as np
 
-from labpipe.bearings.journal import JournalBearing, JournalEquilibrium, journal_equilibrium
-from labpipe.bearings.journal_curve import JournalCurve, journal_curve
-from labpipe.bearings.journal_mesh import FilmMesh
-from labpipe.bearings.journal_short import short_bearing_coefficients, short_bearing_equilibrium, short_bearing_load
+from labpipe.methods.journal_bearing.bearing import (
+    JournalBearing,
+    JournalEquilibrium,
+    journal_equilibrium,
+    short_bearing_coefficients,
+    short_bearing_equilibrium,
+    short_bearing_load,
+)
+from labpipe.methods.journal_bearing.curve import JournalCurve, journal_curve
+from labpipe.methods.journal_bearing.film import FilmMesh
 from tests.validation import peer_inputs as given
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps

@@ -13,12 +13,10 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import control
 import numpy as np
 
-from labpipe.bearings.magnetic_circuit import MU_0, Magnet, magnet_factors
-from labpipe.bearings.magnetic_loop import ControlLoop, dynamic_stiffness
-from labpipe.bearings.magnetic_stability import PADE_ORDER, Levitated, closed_loop_poles, sensitivity_peak
-from labpipe.bearings.margins import margins
-from labpipe.bearings.open_loop import open_loop
-from labpipe.config.bearing import open_bearing
+from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factors
+from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, margins
+from labpipe.methods.magnetic_bearing.stability import PADE_ORDER, Levitated, closed_loop_poles, open_loop, sensitivity_peak
+from labpipe.project.bearing_file import open_bearing
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache, partial
 
 import labpipe
-from labpipe.identify.fitting import identify
-from labpipe.identify.settings import FitSettings
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Recording
 from labpipe.spectra.free_decays import free_decays

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from labpipe.planner.designs import optimum
+from labpipe.methods.planning.designs import optimum
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
 

@@ -8,11 +8,10 @@ from functools import cache, partial
 import numpy as np
 from scipy import integrate
 
-from labpipe.bearings.bending import BendingShaft
-from labpipe.bearings.hertz import BallGeometry, Material, point_contact
-from labpipe.bearings.rolling import RollingBearing
-from labpipe.bearings.rolling_equilibrium import Equilibrium, equilibrium, load_vector
-from labpipe.bearings.rolling_shaft import RigidShaft, modes, sdof_stiffness
+from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
+from labpipe.methods.rolling_bearing.loads import RollingBearing
+from labpipe.methods.rolling_bearing.settings import BallGeometry, Material, point_contact
+from labpipe.methods.rolling_bearing.shaft import BendingShaft, RigidShaft, modes, sdof_stiffness
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
 

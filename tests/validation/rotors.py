@@ -9,15 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
-from labpipe.bearings.journal import JournalBearing, journal_equilibrium
-from labpipe.bearings.journal_mesh import FilmMesh
-from labpipe.bearings.journal_short import short_bearing_coefficients
-from labpipe.config.rotor import load_rotor
-from labpipe.config.run_up_rotor import load_run_up_rotor
-from labpipe.rotors.assembly import bearing_loads, free_rotor, supported_rotor
-from labpipe.rotors.modes import Modes, modes, onset_speed
-from labpipe.rotors.parts import STEEL, Disc, Material, Rotor, ShaftElement, Support
-from labpipe.rotors.response import unbalance_response
+from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium, short_bearing_coefficients
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.rotor.response import Modes, modes, onset_speed, unbalance_response
+from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.shaft import STEEL, Disc, Material, Rotor, ShaftElement, Support, bearing_loads, free_rotor, supported_rotor
+from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from tests.validation import peer_inputs as given
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps

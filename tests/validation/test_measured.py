@@ -10,8 +10,8 @@ import pytest
 import yaml
 from scipy.io import savemat
 
-from labpipe.config.pipeline import load_pipeline
-from labpipe.config.rig import load_rig
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.rig_file import load_rig
 from tests.validation.measured_page import BLOCKS, RIGS
 from tests.validation.peers import recorded
 from tests.validation.record_measured import RUNS, SETS, pipeline_of

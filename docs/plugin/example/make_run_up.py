@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 import labpipe
-from labpipe.formats.run_up_csv import write_run_up_csv
-from labpipe.records.run_up import RunUp
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 
 TRUE_FACTOR, LOAD = 1.2, 40.0
 rig = labpipe.rotor(Path(__file__).parent / "pinned-rotor.yaml")

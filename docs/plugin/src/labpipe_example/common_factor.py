@@ -10,17 +10,16 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
-from labpipe.records.parameter import Parameter
-from labpipe.records.run_up import RunUp
-from labpipe.records.run_up_result import TWO_SIDED, RunUpMethod
-from labpipe.records.settings import Uncertain
-from labpipe.rigs.film_family import as_eight
-from labpipe.rigs.run_up_rotor import RunUpRotor
-from labpipe.rotors.threshold import CoefficientsAtSpeed
-from labpipe.run_ups.methods import Solved
-from labpipe.run_ups.misfit import LoadRuns, runs_by_load
-from labpipe.run_ups.predictions import AtLoad
-from labpipe.run_ups.settings import RunUpSettings
+from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.run_ups.film_family import as_eight
+from labpipe.methods.run_ups.methods import Solved
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load
+from labpipe.methods.run_ups.predictions import AtLoad
+from labpipe.methods.run_ups.records import TWO_SIDED, RunUp, RunUpMethod
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.settings import RunUpSettings
+from labpipe.records.finding import Parameter
+from labpipe.records.uncertain import Uncertain
 
 NAME = "common-factor"
 # Steps of Gauss-Newton, and the step in standard errors that ends them.

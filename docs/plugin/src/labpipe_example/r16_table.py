@@ -16,7 +16,7 @@ CHUNK_ROWS = 1 << 16
 
 
 class R16Table:
-    """Columns by name, units and rate as the file states them, read in chunks. Satisfies labpipe.formats.table.Table."""
+    """Columns by name, units and rate as the file states them, read in chunks. Satisfies labpipe.raw_files.table.Table."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

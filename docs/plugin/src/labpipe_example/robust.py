@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.errors import FitError
-from labpipe.identify.likelihood import maximum_likelihood
-from labpipe.identify.measured import Measured
-from labpipe.identify.model import ResponseModel
-from labpipe.identify.statistics import Estimate
+from labpipe.estimation.likelihood import maximum_likelihood
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import ResponseModel
+from labpipe.estimation.statistics import Estimate
 
 # Misfit of a line, in standard deviations of its noise, from which it weighs less (Huber); and how often the weights are renewed.
 LIMIT, ROUNDS = 2.5, 5

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.errors import ConfigError
+from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, setting
-from labpipe.signals.excitation import design_multisine
 from labpipe.simulate.virtual_rigs import LoggedTable, Simulation, VirtualRigKind
 
 KIND, RUN = "virtual-sdof-rig", "multisine"

@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from labpipe.config.rules import Rule
 from labpipe.errors import ConfigError
-from labpipe.records.finding import Finding
-from labpipe.records.identification import Fit, Identification, RuleOutcome
-from labpipe.records.listed import ListedParameter
-from labpipe.records.parameter import Parameter
+from labpipe.project.rules import Rule
+from labpipe.project.work import Work
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.identification import Fit, Identification, ListedParameter, RuleOutcome
 from labpipe.records.settings import Settings, setting
 from labpipe.registry import nearest
 from labpipe.report.document import Paragraph, Section, Table
 from labpipe.sections import PipelineSection
-from labpipe.stages.work import Work
 
 CRITICALLY_DAMPED = 2.5
 # Holds a number against a rule: (rule, number, its SI unit) -> what was found, and whether the rule holds.

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.bearings.coefficients import Amount, BearingCoefficients
-from labpipe.bearings.kinds import BearingKind, frequency_hz
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, frequency_hz
 from labpipe.errors import ConfigError
 from labpipe.records.settings import Settings, setting
 

@@ -1,0 +1,305 @@
+"""``*.frf.parquet``, ``*.spectra.parquet``, ``*.decay.parquet``: what a test was measured as, with its covariance."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.json_file import entry_of, record_of
+from labpipe.artefacts.parquet import as_written, numpy_array, read_header, read_table, write_columns
+from labpipe.records.recording import Channel
+from labpipe.records.response import Blocks, FrequencyResponse, Port
+from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
+from labpipe.records.uncertain import Doubt, MatrixError
+
+# ``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in separate columns.
+
+RESPONSE_SUFFIX = ".frf.parquet"
+_COMPLEX = ("change", "open_loop")
+_BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
+
+
+def write_response(path: Path, response: FrequencyResponse, header: Header) -> None:
+    """Write the response; *header* gets its contents and findings from the response."""
+    columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
+    for o, output in enumerate(response.outputs):
+        for i, port in enumerate(response.inputs):
+            columns.update({f"{output.label}/{port.label}{suffix}": values for suffix, values in _element(response, o, i)})
+        if response.multiple_coherence is not None:
+            columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
+    if response.covariance is not None:
+        for p, q in _upper(response.covariance.shape[1]):
+            columns[f"cov:{p}:{q}:re"] = response.covariance[:, p, q].real
+            columns[f"cov:{p}:{q}:im"] = response.covariance[:, p, q].imag
+    if response.snr is not None:
+        columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
+    write_columns(path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings))
+
+
+def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
+    """The columns of one element, by the ends of their names."""
+    yield ":re", response.matrix[:, o, i].real
+    yield ":im", response.matrix[:, o, i].imag
+    for attribute, suffix in _BY_ELEMENT.items():
+        values = getattr(response, attribute)
+        if values is not None:
+            yield suffix, values[:, o, i]
+    for number, error in enumerate(response.errors):
+        yield f"{_error(number)}:re", error.change[:, o, i].real
+        yield f"{_error(number)}:im", error.change[:, o, i].imag
+    for attribute in _COMPLEX:
+        beside = getattr(response, attribute)
+        if beside is not None:
+            yield f":{attribute}_re", beside[:, o, i].real
+            yield f":{attribute}_im", beside[:, o, i].imag
+    if response.line_gains is not None:
+        for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
+            yield f"{_gain(neighbour)}:re", gains.real
+            yield f"{_gain(neighbour)}:im", gains.imag
+
+
+def _gain(neighbour: int) -> str:
+    return f":gain:{neighbour}"
+
+
+def _error(number: int) -> str:
+    return f":error:{number}"
+
+
+def _upper(n: int) -> Iterator[tuple[int, int]]:
+    return ((p, q) for p in range(n) for q in range(p, n))
+
+
+def _contents(response: FrequencyResponse) -> dict[str, Any]:
+    dof = response.covariance_dof
+    return {
+        "name": response.name,
+        "form": response.form,
+        "outputs": [dataclasses.asdict(port) for port in response.outputs],
+        "inputs": [dataclasses.asdict(port) for port in response.inputs],
+        "averages": float(response.averages),
+        "covariance_dof": None if math.isinf(dof) else float(dof),
+        # A number where it is real, as files have always had it; real and imaginary part of a complex one.
+        "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
+        "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
+        "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
+        "snr_channels": list(response.snr_channels),
+        "errors": [dataclasses.asdict(error.doubt) for error in response.errors],
+        "conditions": response.conditions,
+    }
+
+
+def read_response(path: Path) -> FrequencyResponse:
+    """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
+    header = read_header(path, "frf")
+    with as_written(path):
+        return _response_of(header, path)
+
+
+def _response_of(header: Header, path: Path) -> FrequencyResponse:
+    contents = header.contents
+    table = read_table(path)
+    columns = {name: numpy_array(table.column(name)) for name in table.column_names}
+    outputs = tuple(Port(**entry) for entry in contents["outputs"])
+    inputs = tuple(Port(**entry) for entry in contents["inputs"])
+    pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]
+    real, imaginary = _matrix(columns, pairs, ":re"), _matrix(columns, pairs, ":im")
+    dof = contents["covariance_dof"]
+    snr_channels = tuple(contents["snr_channels"])
+    by_element = {name: _matrix(columns, pairs, suffix) for name, suffix in _BY_ELEMENT.items() if pairs[0][0] + suffix in columns}
+    has_multiple = f"{outputs[0].label}:multiple_coh" in columns
+    return FrequencyResponse(
+        frequency=columns["frequency_hz"],
+        matrix=real + 1j * imaginary,
+        outputs=outputs,
+        inputs=inputs,
+        form=contents["form"],
+        covariance=_covariance(columns, len(outputs) * len(inputs)),
+        **by_element,
+        change=_complex(columns, pairs, "change"),
+        open_loop=_complex(columns, pairs, "open_loop"),
+        multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
+        snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
+        snr_channels=snr_channels,
+        averages=contents["averages"],
+        covariance_dof=math.inf if dof is None else dof,
+        line_correlation=tuple(complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())),
+        line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
+        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
+        errors=_errors(columns, pairs, contents.get("errors", [])),
+        name=contents["name"],
+        findings=header.findings,
+        conditions=contents["conditions"],
+    )
+
+
+def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str) -> FloatArray:
+    return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
+
+
+def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: int) -> ComplexArray | None:
+    if not n_gain:
+        return None
+    parts = [[_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)] for part in ("re", "im")]
+    gains: ComplexArray = np.stack(parts[0], 1) + 1j * np.stack(parts[1], 1)
+    return gains
+
+
+def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) -> ComplexArray | None:
+    if f"{pairs[0][0]}:{name}_re" not in columns:
+        return None
+    return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
+
+
+def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], doubts: list[dict[str, Any]]) -> tuple[MatrixError, ...]:
+    changes = [[_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")] for number in range(len(doubts))]
+    return tuple(MatrixError(Doubt(**entry), real + 1j * imaginary) for entry, (real, imaginary) in zip(doubts, changes, strict=True))
+
+
+def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:
+    """The Hermitian covariance from its stored upper triangle."""
+    if "cov:0:0:re" not in columns:
+        return None
+    covariance = np.empty((columns["frequency_hz"].size, n, n), np.complex128)
+    for p, q in _upper(n):
+        covariance[:, p, q] = columns[f"cov:{p}:{q}:re"] + 1j * columns[f"cov:{p}:{q}:im"]
+        covariance[:, q, p] = covariance[:, p, q].conj()
+    return covariance
+
+
+# ``*.spectra.parquet``: the spectra of all channels of one test, a row per line, with their covariance.
+
+SPECTRA_SUFFIX = ".spectra.parquet"
+
+
+def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
+    """Write the spectra: per run (numbered from 1) and channel real and imaginary part [SI], and the covariance of every run."""
+    columns: dict[str, FloatArray] = {"frequency_hz": spectra.frequency}
+    for run in range(len(spectra.runs)):
+        for number, channel in enumerate(spectra.channels):
+            columns |= _parts(f"{run + 1}/{channel.name}", spectra.vectors[:, run, number])
+        for p, q in _upper(len(spectra.channels)):
+            columns |= _parts(f"cov:{run + 1}:{p}:{q}", spectra.covariance[:, run, p, q])
+    write_columns(path, columns, dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings))
+
+
+def _parts(name: str, values: ComplexArray) -> dict[str, FloatArray]:
+    return {f"{name}:re": values.real, f"{name}:im": values.imag}
+
+
+def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
+    dof = spectra.covariance_dof
+    return {
+        "name": spectra.name,
+        "channels": [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in spectra.channels],
+        "runs": list(spectra.runs),
+        "covariance_dof": None if math.isinf(dof) else float(dof),
+        "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
+        "factors": [{**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors],
+        "conditions": spectra.conditions,
+    }
+
+
+def read_spectra(path: Path) -> ChannelSpectra:
+    """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
+    header = read_header(path, "spectra")
+    with as_written(path):
+        return _spectra_of(header, path)
+
+
+def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
+    contents = header.contents
+    table = read_table(path)
+    channels = tuple(Channel(**{key: value for key, value in entry.items() if key != "unit"}) for entry in contents["channels"])
+    runs = tuple(contents["runs"])
+    frequency = numpy_array(table.column("frequency_hz"))
+    n = len(channels)
+    vectors = np.empty((frequency.size, len(runs), n), np.complex128)
+    covariance = np.empty((frequency.size, len(runs), n, n), np.complex128)
+    for run in range(len(runs)):
+        for number, channel in enumerate(channels):
+            vectors[:, run, number] = _values(table, f"{run + 1}/{channel.name}")
+        for p, q in _upper(n):
+            covariance[:, run, p, q] = _values(table, f"cov:{run + 1}:{p}:{q}")
+            covariance[:, run, q, p] = covariance[:, run, p, q].conj()
+    dof = contents["covariance_dof"]
+    return ChannelSpectra(
+        frequency=frequency,
+        vectors=vectors,
+        covariance=covariance,
+        channels=channels,
+        runs=runs,
+        covariance_dof=math.inf if dof is None else dof,
+        line_correlation=tuple(complex(*value) for value in contents["line_correlation"]),
+        factors=tuple(
+            UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)}) for entry in contents["factors"]
+        ),
+        name=contents["name"],
+        findings=header.findings,
+        conditions=contents["conditions"],
+    )
+
+
+def _values(table: pa.Table, name: str) -> ComplexArray:
+    values = np.empty(table.num_rows, np.complex128)
+    # A sum re + 1j im would lose the sign of a zero.
+    values.real, values.imag = numpy_array(table.column(f"{name}:re")), numpy_array(table.column(f"{name}:im"))
+    return values
+
+
+# ``*.decay.parquet``: the free decays of one test, one below the other.
+
+DECAY_SUFFIX = ".decay.parquet"
+
+
+def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
+    """Write the decays: a column of numbers of decays, one of times [s] in the recording, one of every output [SI]."""
+    numbers = np.repeat(np.arange(len(decays.decays)), [decay.samples.shape[0] for decay in decays.decays])
+    times = [decay.start + np.arange(decay.samples.shape[0]) / decays.sample_rate for decay in decays.decays]
+    samples = np.concatenate([decay.samples for decay in decays.decays])
+    columns = {"decay": numbers, "time_s": np.concatenate(times)}
+    columns.update({f"output:{port.label}": samples[:, number] for number, port in enumerate(decays.outputs)})
+    contents = {
+        "name": decays.name,
+        "sample_rate": decays.sample_rate,
+        "outputs": [dataclasses.asdict(port) for port in decays.outputs],
+        "units": list(decays.units),
+        "recordings": [decay.recording for decay in decays.decays],
+        "starts": [decay.start for decay in decays.decays],
+        "conditions": decays.conditions,
+    }
+    write_columns(path, columns, dataclasses.replace(header, contents=contents, findings=decays.findings))
+
+
+def read_decays(path: Path) -> FreeDecays:
+    """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
+    header = read_header(path, "decay")
+    with as_written(path):
+        return _decay_of(header, path)
+
+
+def _decay_of(header: Header, path: Path) -> FreeDecays:
+    contents = header.contents
+    table = read_table(path)
+    outputs = tuple(Port(**entry) for entry in contents["outputs"])
+    samples = np.column_stack([numpy_array(table.column(f"output:{port.label}")) for port in outputs])
+    numbers = numpy_array(table.column("decay"))
+    named = zip(contents["recordings"], contents["starts"], strict=True)
+    decays = tuple(FreeDecay(recording, start, samples[numbers == number]) for number, (recording, start) in enumerate(named))
+    return FreeDecays(
+        contents["sample_rate"],
+        outputs,
+        tuple(contents["units"]),
+        decays,
+        name=contents["name"],
+        findings=header.findings,
+        conditions=contents["conditions"],
+    )

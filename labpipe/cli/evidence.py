@@ -1,0 +1,215 @@
+"""labpipe archive and verify: a result as evidence."""
+
+from __future__ import annotations
+
+import datetime
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import click
+
+from labpipe import __version__
+from labpipe.artefacts.header import code_digest
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.mirrored import everything, results_read
+from labpipe.artefacts.writing import is_remote, output_folder, shown
+from labpipe.cli import options
+from labpipe.cli.many import manner
+from labpipe.cli.output import echo, message_line
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.project.archive import RESULTS, Unpacked, check_output, contents, is_archive, unpacked, write_archive
+from labpipe.project.pipeline_file import Pipeline, load_pipeline
+from labpipe.project.run import run
+from labpipe.project.verification import Verified, differences, pipeline_folder, verified
+
+# labpipe archive RESULTS -o FILE
+
+
+@click.command()
+@click.argument("results", type=options.PATH)
+@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="File to write: .zip, or .eln for notebooks.")
+@click.option(
+    "-c",
+    "--config",
+    "pipeline_path",
+    type=options.PATH,
+    metavar="PIPELINE",
+    help="The pipeline that made the results; by default a file of its name in or above them.",
+)
+@click.option("--digests-only", is_flag=True, help="Of recordings, raw and calibrated, keep the digests and not the recordings.")
+@click.option("--date", "date", metavar="DATE", help="Day of publication, e.g. 2026-11-03; by default that of the result (UTC).")
+@options.quiet
+def archive(results: Path, output: Path, pipeline_path: Path | None, digests_only: bool, date: str | None, quiet: bool) -> None:
+    """Pack RESULTS with all they were made from into one file, an RO-Crate 1.1: pipeline, rig, recordings, result, report, digests.
+
+    The same results give the same bytes. `labpipe verify FILE` checks every digest in it, runs the pipeline again and compares.
+
+    \b
+    labpipe run pipeline.yaml -o out/
+    labpipe archive out/ -o evidence.zip
+    labpipe verify evidence.zip
+    """
+    check_output(output)
+    day = _day(date)
+    folder = results.parent if results.name == NAME else results
+    if not (folder / NAME).is_file():
+        raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
+    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
+    packed = contents(folder, pipeline, digests_only=digests_only)
+    write_archive(packed, output, day or _written(folder / NAME))
+    if quiet:
+        return
+    kept = [member for member in packed.members if member.kept]
+    others = len(packed.members) - len(kept)
+    echo(f"written: {output}, {len(kept)} files" + (f"; of {others} more the digests" if others else ""))
+    for path in packed.left_out:
+        echo(f"left out: {path}, which is not of this result")
+
+
+def _pipeline_of(folder: Path) -> Path:
+    """The pipeline that made a result, where a file of its name is near; ConfigError elsewhere."""
+    name = read_identification(folder / NAME).pipeline
+    home = pipeline_folder(folder)
+    if home is None:
+        raise ConfigError(f"no pipeline '{name}' is in or above the results", where=str(folder), hint="name it with -c PIPELINE")
+    return home / name
+
+
+def _day(text: str | None) -> str:
+    """The day as ISO 8601 has it, empty for none; ConfigError for another text."""
+    if text is None:
+        return ""
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ConfigError(f"--date: '{text}' is no day", hint="write it as 2026-11-03") from None
+
+
+def _written(path: Path) -> str:
+    """The day [UTC] on which a file was written."""
+    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
+
+
+# labpipe verify FOLDER, or an archive
+
+
+@click.command()
+@click.argument("folder", type=options.PLACE)
+@click.option(
+    "-c",
+    "--config",
+    "pipeline_path",
+    type=options.PATH,
+    metavar="PIPELINE",
+    help="The pipeline that made the results: its raw files are compared as well.",
+)
+@click.option("--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte.")
+@options.jobs
+@options.overrides
+@options.quiet
+@options.verbose
+def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+    """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was made from.
+
+    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is held against its digest as well, and with
+    recordings in it the pipeline is run again and its artefacts compared byte for byte. Exit code 0 when all holds, 1 when something does
+    not, 2 when nothing could be verified. Results of earlier versions carry no digest, which is said and is no fault.
+
+    \b
+    labpipe verify out/
+    labpipe verify out/ -c pipeline.yaml --again
+    labpipe verify evidence.zip
+    """
+    if is_archive(folder) and is_remote(folder):
+        raise DataError("is an archive elsewhere, and is read from this machine only", where=shown(folder), hint="copy it here")
+    if is_archive(folder):
+        return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+    if again and pipeline_path is None:
+        raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
+    with results_read(folder, everything) as here:
+        return _verify_folder(here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+
+
+@dataclass(frozen=True)
+class Manners:
+    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is named."""
+
+    again: bool
+    jobs: int
+    overrides: tuple[str, ...]
+    quiet: bool
+    verbose: bool
+
+
+def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
+    """Verify a folder of results, which messages call by its *name*; the exit code."""
+    artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
+    for artefact in artefacts:
+        _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
+    faults = sum(bool(artefact.faults) for artefact in artefacts)
+    if how.again and pipeline_path is not None:
+        others = _done_again(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
+        for line in others:
+            echo(f"FAILED {line}".replace(str(here), name))
+        faults += len(others)
+    if not how.quiet:
+        undigested = sum("carries no digest" in artefact.remarks for artefact in artefacts)
+        inputs = sum(artefact.inputs for artefact in artefacts)
+        missing = sum(len(artefact.remarks) for artefact in artefacts) - undigested
+        echo(
+            f"{len(artefacts)} artefacts: {faults} do not hold; {undigested} without a digest; "
+            f"of the files that they name {inputs} are the same, {missing} are not there"
+        )
+    return 1 if faults else 0
+
+
+def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int:
+    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes again; the exit code."""
+    with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
+        archive = unpacked(path, Path(scratch))
+        for name, fault in archive.faults:
+            echo(message_line(f"FAILED {path}: {name}: {fault}"))
+        if not how.quiet:
+            echo(f"{archive.files} files: {len(archive.faults)} do not hold")
+        if archive.faults:
+            return 1
+        try:
+            hindrance = "" if how.again else _hindrance(archive)
+            named = pipeline_path or archive.pipeline
+            code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance))
+        except LabpipeError as error:
+            # What the metadata list is there and holds, and is no result with its pipeline for all that.
+            for line in str(error).replace(f"{scratch}/", f"{path}: ").splitlines():
+                echo(message_line(f"FAILED {line}"))
+            return 1
+        if not how.quiet:
+            echo(f"not run again: {hindrance}" if hindrance else "run again: " + ("other bytes" if code else "the same bytes"))
+        return code
+
+
+def _hindrance(archive: Unpacked) -> str:
+    """Why the pipeline of an archive is not run again unless that is asked for; empty where it is."""
+    if archive.left_out:
+        return f"of {archive.left_out} files the archive holds the digests only"
+    made = read_identification(archive.results / NAME)
+    return (
+        ""
+        if made.code == code_digest()
+        else f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
+    )
+
+
+def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
+    """What differs when the pipeline is run again, aside."""
+    with tempfile.TemporaryDirectory() as scratch:
+        with output_folder(Path(scratch) / "out") as output:
+            run(pipeline, output, manner(True, False, jobs, None))
+        return differences(folder, Path(scratch) / "out")
+
+
+def _echo(artefact: Verified, name: str, verbose: bool) -> None:
+    for fault in artefact.faults:
+        echo(f"FAILED {name}: {fault}")
+    for remark in artefact.remarks if verbose else [remark for remark in artefact.remarks if remark == "carries no digest"]:
+        echo(f"note   {name}: {remark}")

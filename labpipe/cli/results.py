@@ -1,0 +1,240 @@
+"""labpipe list, trend, compare: results below a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.mirrored import results_read
+from labpipe.artefacts.writing import shown as shown_path
+from labpipe.cli import options
+from labpipe.cli.output import echo, echo_table, value_cells
+from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
+from labpipe.errors import DataError, cut
+from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow
+from labpipe.project.catalogue_search import LEVEL as DIFFERENCE_LEVEL
+from labpipe.project.catalogue_search import (
+    Difference,
+    Series,
+    dataset_parameters,
+    differences,
+    found_results,
+    found_values,
+    trends,
+    undated,
+)
+from labpipe.project.report import format_of, write_campaign
+from labpipe.quantities import readable_unit, to_display
+from labpipe.raw_files.rows_csv import write_rows
+from labpipe.records.identification import ListedParameter, of_fit
+
+# labpipe list [FOLDER]
+
+
+@click.command(name="list")
+@click.argument("folder", type=options.PLACE, default=Path("."))
+@click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' matches any characters.")
+@options.catalogue_filters
+@click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
+def list_results(folder: Path, parameter: str, table: Path | None, **filters: object) -> None:
+    """List the results below FOLDER, or their parameter values.
+
+    FOLDER may be s3://bucket/prefix. Every identification.json counts. Conditions are written as `--where "preload >= 400 N"`; all of
+    them must hold. The date is the test's condition `date`, or else that of the file.
+    """
+    criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
+    find = found_values if _selects_values(criteria) else found_results
+    with results_read(folder) as here:
+        rows: Sequence[ValueRow | ResultRow] = find(here, criteria)
+    if table is not None:
+        write_rows(table, [row_entry(row) for row in rows])
+    if not rows:
+        echo("nothing found")
+    elif isinstance(rows[0], ValueRow):
+        echo_values([row for row in rows if isinstance(row, ValueRow)])
+    else:
+        echo_results([row for row in rows if isinstance(row, ResultRow)])
+
+
+def _selects_values(criteria: Filter) -> bool:
+    return bool(criteria.parameter or criteria.fit or criteria.test)
+
+
+def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
+    """A row with one column per condition, as written in the pipeline."""
+    entry = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    conditions = entry.pop("conditions", {})
+    entry.pop("amounts", None)
+    return {**entry, **{f"condition:{name}": text for name, text in conditions.items()}}
+
+
+def echo_results(rows: Sequence[ResultRow]) -> None:
+    """One line for each result."""
+    header = ("date", "result", "rig", "tests", "verdict", "warnings")
+    lines = [(row.date, row.path.removesuffix("/identification.json"), row.rig, str(row.tests), row.verdict, _remark(row)) for row in rows]
+    echo_table(header, lines, right=(3,))
+
+
+def _remark(row: ResultRow) -> str:
+    return row.fault or row.warnings
+
+
+def echo_values(rows: Sequence[ValueRow]) -> None:
+    """One line for each value, with the conditions of its test."""
+    names = list(dict.fromkeys(name for row in rows for name in row.conditions))
+    header = ("result", "test", "fit", "band", "parameter", "value", "std. error", "unit", *names, "warnings")
+    lines = []
+    units = _units(rows)
+    for row in rows:
+        fit = f"{row.fit} of {row.term}" if row.term else row.fit
+        band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
+        cells = value_cells(row.value, row.std_error, row.unit, units[row.parameter, row.unit])
+        conditions = [row.conditions.get(name, "") for name in names]
+        lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
+    echo_table(header, lines, right=(5, 6))
+
+
+def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
+    """One unit for all values of a parameter."""
+    sizes: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        sizes.setdefault((row.parameter, row.unit), []).append(row.value)
+    return {key: readable_unit(key[1], values) for key, values in sizes.items()}
+
+
+# labpipe trend [FOLDER] -p PARAMETER --over CONDITION
+
+LEVEL = 0.05
+
+
+@click.command()
+@click.argument("folder", type=options.PLACE, default=Path("."))
+@click.option("-p", "--parameter", required=True, help="The parameter; '*' matches any characters.")
+@click.option("--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`.")
+@options.catalogue_filters
+@click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
+@click.option(
+    "-o", "--output", type=options.PATH, metavar="FILE", help="Also write the campaign report of these results (.html, .pdf, .md)."
+)
+def trend(folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object) -> None:
+    """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control limits.
+
+    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range /
+    1.128 in the order of the dates.
+    """
+    if output is not None:
+        format_of(output)
+    with results_read(folder) as here:
+        rows = found_values(here, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
+        results = {} if output is None else {path: read_identification(here / path) for path in sorted({row.path for row in rows})}
+    all_series = trends(rows, over)
+    for row in undated(rows) if over == DATE else ():
+        echo(f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03", err=True)
+    selected = [row for series in all_series for row in series.rows]
+    if not selected:
+        raise DataError("no result matches these filters", where=shown_path(folder))
+    for series in all_series:
+        _echo_series(series)
+    if table is not None:
+        write_rows(table, [row_entry(row) for row in selected])
+    if output is not None:
+        chosen = {row.path for row in selected}
+        write_campaign([(path.removesuffix("/identification.json"), result) for path, result in results.items() if path in chosen], output)
+        echo(f"written: {output}", err=True)
+
+
+def _echo_series(series: Series) -> None:
+    echo(f"{series.parameter} of {series.fit} over {series.over}")
+    # Over conditions other than time, values are expected to differ.
+    outside = set(map(id, series.outside)) if series.over == DATE else set()
+    rows = []
+    shown = _unit(series)
+    for x, row in zip(series.condition, series.rows, strict=True):
+        mark = "out of control" if id(row) in outside else row.warnings
+        rows.append(
+            (f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit, shown), row.label, row.date, mark)
+        )
+    echo_table((f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2))
+    echo(f"  {_slope(series)}")
+    if series.over == DATE:
+        echo(f"  {_control(series)}")
+
+
+def _unit(series: Series) -> str:
+    """The unit of all values."""
+    return readable_unit(series.unit, (row.value for row in series.rows))
+
+
+def _slope(series: Series) -> str:
+    """The slope in words, in display units."""
+    line = series.line
+    if line is None:
+        return "no trend can be computed: at least three values with standard errors at different conditions are required"
+    unit = _unit(series)
+    slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
+    reach, p_value = line.quantile * error, line.p_of(1)
+    per = series.condition_unit.split(" ")[0]
+    verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
+    scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
+    return f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
+
+
+def _control(series: Series) -> str:
+    limits = series.limits
+    if limits is None:
+        return "fewer than three values give no control limits"
+    unit = _unit(series)
+    low, high = (to_display(value, unit) for value in (limits.low, limits.high))
+    beyond = ", ".join(row.label for row in series.outside) or "none"
+    return f"control limits {' '.join(filter(None, (number(low), 'to', number(high), unit_label(unit))))}: beyond {beyond}"
+
+
+# labpipe compare A B
+
+
+@click.command()
+@click.argument("first", type=options.PLACE)
+@click.argument("second", type=options.PLACE)
+@click.option("-p", "--parameter", multiple=True, help="Show only this parameter (repeatable); the correction counts all of them.")
+@click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
+def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
+    """Compare the result SECOND with FIRST (folders or identification.json), parameter by parameter.
+
+    Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard errors alone, corrected for
+    the number of parameters (Holm).
+    """
+    pairs = differences(_parameters(first), _parameters(second))
+    selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
+    if table is not None:
+        write_rows(table, [dataclasses.asdict(pair) for pair in selected])
+    if selected:
+        header = ("fit", "test", "parameter", "first", "second", "difference", "std. error", "unit", "p", "")
+        echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
+    tested = [pair for pair in pairs if pair.p_value is not None]
+    n_different = sum(pair.differs for pair in tested)
+    echo(f"{n_different} of {len(tested)} parameters differ (level {100 * DIFFERENCE_LEVEL:g} %, corrected for their number)")
+
+
+def _parameters(path: Path) -> list[ListedParameter]:
+    """The parameters of all fits of a result, or of the dataset that it sums up."""
+    with results_read(path) as here:
+        file = here / NAME if here.is_dir() else here
+        identification = read_identification(file)
+        if identification.dataset is not None:
+            return dataset_parameters(file.parent)
+        return [listed for fit in identification.fits for listed in of_fit(fit)]
+
+
+def _cells(pair: Difference) -> tuple[str, ...]:
+    """A row in one unit, all numbers to the place that the error of the difference supports; differences have no offset (degC)."""
+    unit = shown_unit(pair.unit, pair.first, pair.second)
+    error = None if pair.std_error is None else difference_in(pair.std_error, unit)
+    change = difference_in(pair.second - pair.first, unit)
+    difference, doubt, first, second = written(change, error, *(to_display(value, unit) for value in (pair.first, pair.second)))
+    p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
+    numbers = first, second, difference, doubt, unit_label(unit)
+    return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

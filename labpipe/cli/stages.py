@@ -1,0 +1,250 @@
+"""labpipe ingest, frf, identify, calibrate, study: the stages one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.cli import options
+from labpipe.cli.many import Progress, echo_failed, manner, silent
+from labpipe.cli.output import echo
+from labpipe.cli.terminal import echo_identification
+from labpipe.errors import ConfigError, DataError
+from labpipe.project.frf import DESCRIPTION, ready_refs
+from labpipe.project.identify import identify_stage
+from labpipe.project.ingest import ingest_all
+from labpipe.project.measured import MeasuredTest, load_measured, load_ready_measured, measured_file_name
+from labpipe.project.pipeline_file import Pipeline, load_pipeline
+from labpipe.project.report import outdate_reports, write_reports
+from labpipe.project.result_tables import write_study_csv
+from labpipe.project.rig_file import load_rig
+from labpipe.project.run import Manner, identify_many, measure_tests
+from labpipe.project.tests import SourceFile, Test
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import Identification
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.spectra import ChannelSpectra, FreeDecays
+
+# labpipe ingest SOURCE... -r RIG -o DIR
+
+
+@click.command()
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=options.PATH)
+@click.option("-r", "--rig", "rig_path", required=True, type=options.PATH, help="Rig file (YAML).")
+@options.out_folder
+@options.overrides
+@options.quiet
+@options.verbose
+def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+    """Calibrate raw files to SI units: SOURCE... -> DIR/*.recording.parquet."""
+    rig = load_rig(rig_path, overrides)
+    options.teller(quiet, verbose)(f"ingest    {len(sources)} file(s)")
+    with options.results_folder(output) as folder:
+        recordings = ingest_all(sources, rig, folder, Path.cwd())
+    for recording in recordings:
+        if not quiet:
+            seconds = recording.n_sample / recording.sample_rate
+            echo(f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s")
+        for finding in recording.findings:
+            echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+# labpipe frf -c PIPELINE -o DIR [RECORDING...]
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, metavar="[RECORDING...]", type=options.PATH)
+@options.pipeline_file
+@options.out_folder
+@options.jobs
+@options.cluster
+@options.overrides
+@options.quiet
+@options.verbose
+def frf(
+    recordings: tuple[Path, ...],
+    pipeline_path: Path,
+    output: Path,
+    jobs: int,
+    cluster: str | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> int:
+    """Turn recordings into frequency responses: DIR/<test>.frf.parquet; or cut out
+    free decays (excitation: decay): DIR/<test>.decay.parquet; or take all channels
+    side by side (result: spectra): DIR/<test>.spectra.parquet.
+
+    RECORDING... (raw or calibrated) replace those of the pipeline and together give one FRF matrix.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    if recordings:
+        pipeline = with_recordings(pipeline, recordings)
+    with options.results_folder(output) as folder:
+        measured = measure_tests(pipeline, folder, manner(quiet, verbose, jobs, cluster))
+    for test in measured.tests:
+        echo_measured(test, quiet)
+    echo_failed(measured.failed)
+    return 2 if measured.failed else 0
+
+
+def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipeline:
+    """The pipeline with a single test of these recordings."""
+    rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
+    if rig is None:
+        raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
+    test = Test("", tuple(SourceFile(path, rig) for path in recordings))
+    return replace(pipeline, tests=(test,), sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"})
+
+
+def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
+    """One line on a response, on free decays or on spectra, and its findings."""
+    if not quiet:
+        echo(_line(measured))
+    for finding in of_level(WARNING, measured.findings) if quiet else measured.findings:
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+def _line(measured: MeasuredTest) -> str:
+    if isinstance(measured, FreeDecays):
+        return _decays_line(measured)
+    return _spectra_line(measured) if isinstance(measured, ChannelSpectra) else _response_line(measured)
+
+
+def _spectra_line(spectra: ChannelSpectra) -> str:
+    names = ", ".join(channel.name for channel in spectra.channels)
+    band = f"{spectra.frequency[0]:g}-{spectra.frequency[-1]:g} Hz"
+    runs = f"{len(spectra.runs)} run{'s' if len(spectra.runs) > 1 else ''}"
+    return f"{spectra.name or 'spectra'}: spectra of {names}; {runs}, {spectra.frequency.size} lines, {band}"
+
+
+def _response_line(response: FrequencyResponse) -> str:
+    size = f"{len(response.outputs)} x {len(response.inputs)} {response.form}"
+    band = f"{response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
+    return f"{response.name or 'frf'}: {size}, {response.n_frequency} lines, {band}"
+
+
+def _decays_line(decays: FreeDecays) -> str:
+    outputs = ", ".join(port.label for port in decays.outputs)
+    return f"{decays.name or 'decay'}: {len(decays.decays)} free decay(s) of {outputs} at {decays.sample_rate:g} Hz"
+
+
+# labpipe identify -c PIPELINE -o DIR [FRF...]
+
+
+@click.command()
+@click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
+@options.pipeline_file
+@options.out_folder
+@options.overrides
+@options.quiet
+@options.verbose
+def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+    """Identify parameters from frequency responses, or from free decays: DIR/identification.json.
+
+    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline. Of very many tests the results are
+    kept as a dataset, as `labpipe run` does.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    options.teller(quiet, verbose)(f"identify  {pipeline.title}")
+    with options.results_folder(output) as folder:
+        many = None if frfs else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
+        identification = many if many is not None else _identified(pipeline, frfs, folder)
+    echo_identification(identification, quiet)
+    echo_failed(identification.failed)
+    return 2 if identification.failed else 0 if identification.accepted else 1
+
+
+def _identified(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
+    """The result of all tests at once."""
+    if frfs:
+        tests, inputs = [load_measured(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
+    else:
+        tests, inputs = _of_pipeline(pipeline, folder)
+    files = [reference for reference in inputs if reference.path != DESCRIPTION]
+    sources = [*files, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
+    return identify_stage(pipeline, tests, sources, folder, inputs=inputs)
+
+
+def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:
+    """What the folder holds of the pipeline's tests, or frfs: names, with name and conditions of the test; what they depend on."""
+    tests: list[MeasuredTest] = []
+    references: list[SourceRef] = []
+    for test in pipeline.tests:
+        for ready in test.frfs:
+            tests.append(load_ready_measured(ready, test.name, test.conditions))
+            references.extend(ready_refs(ready))
+        measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
+        if test.recordings and not measured_path.exists():
+            raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+        if test.recordings:
+            tests.append(load_measured(measured_path))
+            references.append(source_ref(measured_path, measured_path.parent))
+    return tests, references
+
+
+# labpipe calibrate -c FILE [-o DIR]
+
+
+@click.command()
+@options.pipeline_file
+@options.out_folder
+@options.overrides
+@options.quiet
+@options.verbose
+def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+    """Fit the straight lines of a file's calibrate: section: DIR/identification.json.
+
+    A rig file can then name a fitted slope as a sensitivity: `sensitivity: results/identification.json#probe_y`.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    calibrations = pipeline.sections.get("calibrate", ())
+    if not calibrations:
+        raise ConfigError("calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns")
+    options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
+    names = {calibration.name for calibration in calibrations}
+    rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
+    lines = replace(pipeline, tests=(), sections={"calibrate": calibrations}, rules=rules)
+    sources = [source_ref(calibration.path, pipeline.folder) for calibration in calibrations]
+    with output_folder(output) as folder:
+        identification = identify_stage(lines, (), sources, folder)
+    echo_identification(identification, quiet)
+    return 0 if identification.accepted else 1
+
+
+# labpipe study PIPELINE -o DIR
+
+STUDY = "study"
+
+
+@click.command()
+@click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
+@options.out_folder
+@click.option("-j", "--jobs", type=click.IntRange(min=0), default=0, help="Processes; default: one per processor.")
+@options.overrides
+@options.quiet
+@options.verbose
+def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+    """Repeat the fits of PIPELINE on its virtual rig: bias, scatter against the Cramer-Rao bound, coverage, success.
+
+    Writes identification.json, study.csv and the report. The same seed gives the same results on any number of processes.
+    """
+    pipeline = load_pipeline(pipeline_path, overrides)
+    if STUDY not in pipeline.sections:
+        raise ConfigError("study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels")
+    rules = tuple(rule for rule in pipeline.rules if rule.fit == STUDY)
+    # The fits are repeated, not made.
+    alone = replace(pipeline, tests=(), rules=rules, sections={"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]})
+    with output_folder(output) as folder:
+        identification = identify_stage(alone, (), (), folder, options.teller(quiet, verbose), jobs)
+        write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
+        outdate_reports(folder, pipeline.report.formats)
+    write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
+    echo_identification(identification, quiet)
+    if not quiet:
+        echo(f"written: {output}/identification.json, study.csv" + "".join(f", report.{name}" for name in pipeline.report.formats))
+    return 0 if identification.accepted else 1

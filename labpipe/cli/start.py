@@ -1,0 +1,272 @@
+"""labpipe init, inspect, excite, simulate: what comes before a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+from math import log2
+from pathlib import Path
+from typing import TypeVar
+
+import click
+
+from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.cli import options
+from labpipe.cli.output import echo
+from labpipe.errors import ConfigError
+from labpipe.project.inspect import inspect as content_of
+from labpipe.project.inspect import write_card
+from labpipe.project.report import format_of
+from labpipe.project.rig_file import load_rig
+from labpipe.project.scaffold import MARK, copy_example, examples, scaffold
+from labpipe.project.simulate import simulate_files
+from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.quantities import UnitError, parse_value
+from labpipe.raw_files.excitation import DIRECTIONS, LAWS, PHASES, Sweep, design_multisine
+from labpipe.raw_files.signal_file import write_signal
+from labpipe.records.recording import Overview
+from labpipe.records.response import FORMS, FrequencyResponse, Port
+from labpipe.records.settings import Setting, to_band
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
+
+# labpipe init DIR [RECORDING...]
+
+SCAFFOLD = ("rig.yaml", "pipeline.yaml")
+SCAFFOLD_RIG = "virtual-magnetic-rig"
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=options.PATH, required=False)
+@click.argument("recordings", metavar="[RECORDING...]", nargs=-1, type=options.PATH)
+@click.option("--example", metavar="NAME", help="An example rig with its recordings and pipelines; `--example list` lists them.")
+def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None) -> None:
+    """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is.
+
+    With RECORDING... (or FRFs) the two files are filled in from the recording: channels, units, rate, kind of excitation, band.
+    Entries that only a person can decide are marked, and labpipe names each of them until it is decided.
+    """
+    if example is not None and recordings:
+        raise ConfigError("--example has its own recordings", hint="leave out one of the two")
+    if example == "list":
+        for name, pipelines in examples().items():
+            echo(f"{name}: {', '.join(path.stem for path in pipelines)}")
+        return
+    if folder is None:
+        raise click.UsageError("Missing argument 'DIR'.", click.get_current_context())
+    existing = [name for name in (*SCAFFOLD, "pipelines") if (folder / name).exists()]
+    if existing:
+        raise ConfigError(f"already holds {', '.join(existing)}", where=str(folder), hint="name a new folder")
+    with output_folder(folder) as output:
+        if example is not None:
+            _example(example, folder, output)
+        elif recordings:
+            _from_recordings(recordings, folder, output)
+        else:
+            _sample(folder, output)
+
+
+def _example(name: str, folder: Path, output: OutputFolder) -> None:
+    pipelines = copy_example(name, output)
+    echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
+    _next(folder / "pipelines" / pipelines[0], folder)
+
+
+def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> None:
+    project = scaffold(recordings, folder)
+    for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True):
+        if text:
+            output.write_path(name).write_text(text, encoding="utf-8")
+    names = [name for name, text in zip(SCAFFOLD, (project.rig, project.pipeline), strict=True) if text]
+    echo(f"written to {folder}: {', '.join(names)}")
+    if project.decisions:
+        echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
+    _next(folder / "pipeline.yaml", folder)
+
+
+def _sample(folder: Path, output: OutputFolder) -> None:
+    for name in SCAFFOLD:
+        output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
+    simulate_files(VIRTUAL_RIGS.load(SCAFFOLD_RIG).settings(SCAFFOLD_RIG), 1, ["pedestal"], output)
+    echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
+    _next(folder / "pipeline.yaml", folder)
+
+
+def _next(pipeline: Path, folder: Path) -> None:
+    echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")
+
+
+# labpipe inspect FILE [-o CARD]
+
+
+@click.command()
+@click.argument("file", type=options.PATH)
+@click.option("-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with.")
+@click.option("-o", "--output", type=options.PATH, metavar="CARD", help="Also write a card with small plots (.html, .pdf, .md).")
+def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
+    """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping, levels.
+
+    \b
+    labpipe inspect run.tdms -r rig.yaml -o card.html
+    """
+    if output is not None:
+        format_of(output)
+    content = content_of(file, None if rig_path is None else load_rig(rig_path))
+    if output is not None:
+        write_card(content, file.name, output)
+    if isinstance(content, FrequencyResponse):
+        _echo_response(content, file.name)
+    elif isinstance(content, ChannelSpectra):
+        _echo_spectra(content, file.name)
+    else:
+        _echo_recording(content)
+    if output is not None:
+        echo(f"written: {output}", err=True)
+
+
+def _echo_response(response: FrequencyResponse, file: str) -> None:
+    frequency = response.frequency
+    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
+    echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
+    for title, ports in (("responses", response.outputs), ("bases" if response.form == "transmissibility" else "forces", response.inputs)):
+        echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
+    qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
+
+
+def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
+    frequency = spectra.frequency
+    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
+    echo(f"{file}: spectra of all channels, {lines}, runs {', '.join(spectra.runs)}")
+    width = max(len(channel.name) for channel in spectra.channels)
+    echo(f"  {'channel':<{max(width, 7)}}  {'rms of a line':>14}{'noise':>12}  unit")
+    for number, channel in enumerate(spectra.channels):
+        size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
+        noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
+        echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} {channel.dof}")
+    for finding in spectra.findings:
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
+
+
+def _port(port: Port) -> str:
+    return port.label if port.dof == port.label else f"{port.label} ({port.dof})"
+
+
+def _echo_recording(overview: Overview) -> None:
+    if overview.kind == "raw file":
+        echo(f"{overview.file}: {overview.n_sample} rows, {len(overview.channels)} columns, {overview.rate}")
+        labels = [channel.label for channel in overview.channels]
+    else:
+        echo(f"{overview.kind} {overview.file}: {overview.n_sample} samples, {overview.rate}")
+        labels = [f"{channel.name} [{channel.unit}] {channel.about}" for channel in overview.channels]
+    width = max(len(label) for label in labels)
+    echo(f"  {'channel':<{width}}{'min':>13}{'max':>13}{'mean':>13}{'rms (ac)':>13}")
+    for label, channel in zip(labels, overview.channels, strict=True):
+        levels = (channel.minimum, channel.maximum, channel.mean, channel.rms)
+        echo(f"  {label:<{width}}" + "".join(f"{level:>13.5g}" for level in levels))
+    for finding in overview.findings:
+        echo(f"  {finding.level} {finding.code}: {finding.message}")
+    if not overview.findings:
+        echo("  no gaps, no clipping")
+    for contradiction in overview.contradictions or ():
+        echo(f"  warning rig: {contradiction}")
+
+
+# labpipe excite -o FILE ...
+
+Value = TypeVar("Value")
+
+
+@click.command()
+@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="Signal file: .csv, .parquet or .wav.")
+@click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
+@click.option("--spacing", default="0.5 Hz", show_default=True, help="Spacing of the lines; one period lasts 1 / spacing.")
+@click.option("--rate", default="20 kHz", show_default=True, help="Sampling rate.")
+@click.option("--periods", type=click.IntRange(min=1), default=6, show_default=True, help="Periods or sweeps written.")
+@click.option("--level", default="1 V", show_default=True, help="Root mean square of the signal.")
+@click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="Method for the phases.")
+@click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
+@click.option(
+    "--leave-out", type=click.IntRange(min=0), default=0, metavar="N", help="Leave out one line of every N: these show odd distortion."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases and of the lines left out.")
+@click.option("--sweep", type=click.Choice(LAWS), default=None, help="A swept sine over the band in place of a multisine.")
+@click.option("--direction", type=click.Choice(DIRECTIONS), default="up", show_default=True, help="Of the sweeps.")
+@click.option("--length", default="60 s", show_default=True, help="Length of one sweep.")
+@click.option("--pause", default="5 s", show_default=True, help="Pause after each sweep, in which the rig comes to rest.")
+@options.quiet
+def excite(
+    output: Path,
+    band: str,
+    spacing: str,
+    rate: str,
+    periods: int,
+    level: str,
+    phases: str,
+    odd: bool,
+    leave_out: int,
+    seed: int,
+    sweep: str | None,
+    direction: str,
+    length: str,
+    pause: str,
+    quiet: bool,
+) -> None:
+    """Design a test signal, a multisine or sweeps, and print the crest factor (peak over rms) or the rate."""
+    limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
+    line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
+    sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
+    rms = _option("--level", lambda: parse_value(level, "V"))
+    if sweep is not None:
+        times = _option("--length", lambda: parse_value(length, "s")), _option("--pause", lambda: parse_value(pause, "s"))
+        swept = Sweep(limits, times[0], rms, sweep, direction, times[1])
+        write_signal(output, swept.samples(sample_rate, periods), sample_rate)
+        if not quiet:
+            echo(f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; pauses of {times[1]:g} s")
+        return
+    signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed)
+    write_signal(output, signal.samples(sample_rate, periods), sample_rate)
+    if quiet:
+        return
+    lines = f"{signal.lines.size} lines, {signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
+    echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
+
+
+def _rate(swept: Sweep) -> str:
+    low, high = swept.band
+    return (
+        f"{(high - low) / swept.duration:.3g} Hz/s"
+        if swept.law == "linear"
+        else f"{60 * log2(high / low) / swept.duration:.3g} octaves/min"
+    )
+
+
+def _option(name: str, read: Callable[[], Value]) -> Value:
+    """The value of an option; ConfigError that names the option."""
+    try:
+        return read()
+    except UnitError as error:
+        raise ConfigError(error.what, where=name, hint=error.hint) from None
+
+
+# labpipe simulate RIG -o DIR [--seed N]
+
+
+@click.command()
+@click.argument("rig_path", metavar="RIG", type=options.PATH)
+@options.out_folder
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the noise; the same seed, the same bytes.")
+@click.option("--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all.")
+@options.overrides
+@options.quiet
+@options.verbose
+def simulate(
+    rig_path: Path, output: Path, seed: int, runs: tuple[str, ...], overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> None:
+    """Simulate recordings of a virtual RIG with known truth (truth.json)."""
+    rig = load_virtual_rig(rig_path, overrides)
+    options.teller(quiet, verbose)(f"simulate  {rig.name}, seed {seed}")
+    with output_folder(output) as folder:
+        names = simulate_files(rig, seed, runs or None, folder)
+    if not quiet:
+        echo(f"written to {output}: {', '.join(names)}")

@@ -1,1 +1,0 @@
-"""Floating bearing: the dynamic stiffness of a seal or bearing from forces on its stator, every channel taken as noisy."""

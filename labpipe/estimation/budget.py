@@ -1,0 +1,425 @@
+"""The uncertainty budget of a fit of a linear model: systematic errors of sensors, mass and directions, and repeats.
+
+The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions do to its parameters.
+
+An estimate is the root of a score s(p, q) = 0 in its parameters p; q are numbers that were given. By implicit differentiation
+dp/dq = -(ds/dp)^-1 ds/dq, one more step of the estimator from its result on data changed by dq, with the weights as they were: no fit is
+repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of ds/dp.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import amount_text
+from labpipe.distributions import coverage_factor
+from labpipe.errors import ConfigError
+from labpipe.estimation.derived import BandModel, reported_parameters, with_systematic
+from labpipe.estimation.estimators import Step
+from labpipe.estimation.leakage import expected
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
+from labpipe.estimation.settings import FitSettings, Support
+from labpipe.estimation.statistics import Estimate
+from labpipe.estimation.weights import Weights, equal_weights, has_noise, whitener
+from labpipe.records.finding import Contribution, Parameter
+from labpipe.records.identification import Fit
+from labpipe.records.response import Port
+from labpipe.records.settings import ESTIMATE
+from labpipe.records.uncertain import COURSES, Budget, Doubt, MatrixError, RepeatSource, Uncertain, doubt_of
+
+# Systematic errors of a measured matrix: of the gain, delay and phase of its ports, and of the sums of
+# channels among them.
+
+# Errors are tried at this share of their standard uncertainty on either side, so that slopes are those at the estimate.
+SHARE = 1e-3
+# Sine of the angle between directions below which they do not tell the plane.
+PARALLEL = 0.02
+
+
+def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[MatrixError, ...]:
+    """dH (n_line, n_output, n_input) [m/N] by one standard uncertainty of every source; numbers of one source err together.
+
+    An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n of COURSES. With *directions*
+    an error d of an angle changes row or column by -d times that at right angles, where ports of known direction tell it; else
+    directions are left to the models that know them. Equation (unc-port).
+    """
+    doubts: dict[str, Doubt] = {}
+    changes: dict[str, ComplexArray] = {}
+
+    def add(doubt: Doubt, change: ComplexArray) -> None:
+        doubts.setdefault(doubt.source, doubt)
+        changes[doubt.source] = changes.get(doubt.source, np.zeros_like(change)) + change
+
+    whole = measured.plus_offset(measured.matrix)
+    for ports, sign in ((measured.outputs, 1.0), (measured.inputs, -1.0)):
+        for number, port in enumerate(ports):
+            for doubted in port.doubts:
+                if doubted.effect in COURSES:
+                    slope, power = COURSES[doubted.effect]
+                    change = np.zeros_like(whole)
+                    at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
+                    change[at] = (sign * doubted.doubt.std_error * slope * measured.omega**power)[:, None] * whole[at]
+                    add(doubted.doubt, change)
+                elif directions and (across := across_ports(ports)) is not None:
+                    add(doubted.doubt, doubted.doubt.std_error * turned(measured.matrix, number, across, of_forces=sign < 0))
+    for error in measured.errors:
+        add(error.doubt, error.change)
+    return tuple(MatrixError(doubts[source], change) for source, change in changes.items())
+
+
+def across_ports(ports: Sequence[Port]) -> FloatArray | None:
+    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None where they do not tell.
+
+    Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at a + 90 deg.
+    Equation (unc-across).
+    """
+    with_angle = [number for number, port in enumerate(ports) if port.angle is not None]
+    angles = np.array([ports[number].angle for number in with_angle], float)
+    plane = np.column_stack([np.cos(angles), np.sin(angles)])
+    if len(with_angle) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
+        return None
+    across = np.zeros((len(ports), len(ports)))
+    across[np.ix_(with_angle, with_angle)] = np.column_stack([-np.sin(angles), np.cos(angles)]) @ np.linalg.pinv(plane)
+    return across
+
+
+def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
+    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one port was written too large.
+
+    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation (unc-direction).
+    """
+    change = np.zeros_like(matrix)
+    if of_forces:
+        change[:, :, number] = -matrix @ across[number]
+    else:
+        change[:, number] = -(across[number] @ matrix)
+    return change
+
+
+def changes_by(errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]) -> list[tuple[Doubt, FloatArray]]:
+    """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix [m/N], one for each error."""
+    return [(error.doubt, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE)) for error in errors]
+
+
+# The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions
+# do to its parameters.
+
+# Standard errors from a minimum below which an estimate is the minimum.
+AT_MINIMUM = 1e-3
+# From a setup with changed numbers to its model.
+ModelOf = Callable[[Setup], BandModel]
+# A source, and the change (n_parameter,) of reported parameters by one standard uncertainty of it.
+Source = tuple[Doubt, FloatArray]
+# From a setup, its model and data to the reported parameters of a whole fit.
+Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fit as it was made: ports and settings, measured data, model and estimate; *model_of* makes the model anew from other numbers."""
+
+    setup: Setup
+    measured: Measured
+    model: BandModel
+    estimate: Estimate
+    model_of: ModelOf
+
+
+def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
+    """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge. Equation (unc-implicit)."""
+    sources = sources_of(case.setup, case.measured)
+    if not sources or not case.estimate.converged:
+        return None
+    step = _step_of(case)
+    changes = []
+    for doubt, change in sources:
+        ends = [_values(case, step, *change(case, sign * SHARE * doubt.std_error)) for sign in (1.0, -1.0)]
+        changes.append((ends[0] - ends[1]) / (2 * SHARE))
+    kept = [number for number, row in enumerate(changes) if np.any(row != 0)]
+    if not kept:
+        return None
+    random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in parameters])
+    dof = float(np.min(case.estimate.student_dof))
+    return Budget(
+        tuple(parameter.name for parameter in parameters), random, dof, tuple(sources[n][0] for n in kept), np.array(changes)[kept]
+    )
+
+
+def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
+    """A fit whose k and c are the given mass times what is fitted, with what the doubt of that mass adds; as it is without one."""
+    return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
+
+
+def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
+    """The given mass as a source of stiffness and damping that are in proportion to it; none without a doubt of it."""
+    number = dict(settings.doubts).get("mass")
+    if number is None or settings.mass == ESTIMATE or not number.value:
+        return []
+    relative = number.std_error / number.value
+    changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in parameters])
+    return [(_of_mass(number), changes)]
+
+
+def mass_doubt(settings: FitSettings) -> Doubt | None:
+    """The doubt of a given mass; None where it has none, or is estimated."""
+    number = dict(settings.doubts).get("mass")
+    return None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
+
+
+def _of_mass(number: Uncertain) -> Doubt:
+    return doubt_of(number, f"mass {number.value:g} kg", "kg")
+
+
+def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
+    """The fit with what further systematic *sources* add to the doubt of its parameters; as it is where none changes an interval."""
+    before = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
+    counted = [(doubt, changes) for doubt, changes in sources if np.any(changes[np.isfinite(before)])]
+    if not counted:
+        return fit
+    names = tuple(parameter.name for parameter in fit.parameters)
+    added = Budget(names, before, float(fit.dof), tuple(doubt for doubt, _ in counted), np.array([row for _, row in counted]))
+    budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
+    widened = with_systematic(fit.parameters, added, budget.dof)
+    stated = zip(widened, budget.systematic, strict=True)
+    parameters = tuple(entry if entry.systematic is None else replace(entry, systematic=float(size)) for entry, size in stated)
+    return replace(fit, parameters=parameters, budget=budget)
+
+
+def with_contributions(fit: Fit, coverage: float) -> Fit:
+    """The fit with combined and expanded uncertainty of every parameter that given numbers make doubtful, and with its sources.
+
+    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of freedom.
+    """
+    return fit if fit.budget is None else replace(fit, parameters=contributed(fit.parameters, fit.budget, coverage))
+
+
+def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
+    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all of them.
+
+    *coverage* [1]: as for `with_contributions`. A parameter without a systematic part stays as it is.
+    """
+    stated = []
+    for parameter in parameters:
+        if parameter.systematic is None:
+            stated.append(parameter)
+            continue
+        column = budget.names.index(parameter.name)
+        combined, dof = float(budget.combined[column]), float(budget.dof[column])
+        factor = coverage_factor(coverage, dof)
+        shares = budget.shares(parameter.name).items()
+        contributions = tuple(Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares)
+        stated.append(replace(parameter, combined=combined, expanded=factor * combined, coverage_factor=factor, budget=contributions))
+    return tuple(stated)
+
+
+# From a case and an error of a source to the setup and the data with that error.
+Change = Callable[[Case, float], tuple[Setup, Measured]]
+
+
+def sources_of(setup: Setup, measured: Measured) -> list[tuple[Doubt, Change]]:
+    """Every source with what an error of it does; numbers of one source change together."""
+    changes: dict[str, list[tuple[Doubt, Change]]] = {}
+    for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
+        for number, port in enumerate(ports):
+            for doubted in port.doubts:
+                entry = (doubted.doubt, _change_of(doubted.effect, number, sign))
+                changes.setdefault(doubted.doubt.source, []).append(entry)
+    for matrix_error in measured.errors:
+        changes.setdefault(matrix_error.doubt.source, []).append((matrix_error.doubt, _change_by(matrix_error)))
+    mass = mass_doubt(setup.settings)
+    if mass is not None:
+        changes.setdefault(mass.source, []).append((mass, _heavier))
+    for name, doubt in support_doubts(setup.settings.subtract):
+        changes.setdefault(doubt.source, []).append((doubt, _other_support(name)))
+    return [(entries[0][0], _together(entries)) for entries in changes.values()]
+
+
+def _together(entries: Sequence[tuple[Doubt, Change]]) -> Change:
+    """All changes of one source by the same number of standard uncertainties."""
+    first = entries[0][0].std_error
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        changed = case
+        for doubt, part in entries:
+            setup, measured = part(changed, error * doubt.std_error / first)
+            changed = replace(changed, setup=setup, measured=measured)
+        return changed.setup, changed.measured
+
+    return change
+
+
+def _change_of(effect: str, number: int, sign: float) -> Change:
+    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction; *sign* -1 for a force, which divides."""
+    if effect == "direction":
+        return _change_of_direction(number, sign)
+    slope, power = COURSES[effect]
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        factor = np.exp(sign * error * slope * case.measured.omega**power)
+        matrix = case.measured.plus_offset(case.measured.matrix).copy()
+        if sign > 0:
+            matrix[:, number, :] *= factor[:, None]
+        else:
+            matrix[:, :, number] *= factor[:, None]
+        offset = case.measured.offset
+        return case.setup, replace(case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None])
+
+    return change
+
+
+def _change_of_direction(number: int, sign: float) -> Change:
+    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of the motion across it.
+
+    A sensor without another of known direction beside it is turned in the model, as if the motion were alike in all directions.
+    """
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        across = across_ports(case.measured.outputs) if sign > 0 else None
+        if across is None or not np.any(across[number]):
+            return _turned(case.setup, number, sign, error), case.measured
+        matrix = case.measured.matrix
+        return case.setup, replace(case.measured, matrix=matrix + error * turned(matrix, number, across, of_forces=False))
+
+    return change
+
+
+def _change_by(matrix_error: MatrixError) -> Change:
+    """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
+
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        share = error / matrix_error.doubt.std_error
+        return case.setup, replace(case.measured, matrix=case.measured.matrix + share * matrix_error.change)
+
+    return change
+
+
+def _turned(setup: Setup, number: int, sign: float, error: float) -> Setup:
+    """The setup with an output (*sign* 1) or a force in another direction; a port without a direction stays."""
+
+    def other(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+        port = ports[number]
+        angle = None if port.angle is None else port.angle + error
+        return (*ports[:number], replace(port, angle=angle), *ports[number + 1 :])
+
+    if sign > 0:
+        return replace(setup, outputs=other(setup.outputs))
+    return replace(setup, inputs=other(setup.inputs))
+
+
+def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
+    settings = case.setup.settings
+    assert isinstance(settings.mass, (int, float))
+    return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
+
+
+def support_doubts(support: Support | None) -> Iterator[tuple[str, Doubt]]:
+    """Doubts of stiffness and damping, by these names, of a support that is subtracted; in all tests on it they are the same errors."""
+    for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
+        number: Uncertain | None = None if support is None else getattr(support, name)
+        if number is not None and number.std_error > 0:
+            yield name, doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit)
+
+
+def _other_support(name: str) -> Change:
+    def change(case: Case, error: float) -> tuple[Setup, Measured]:
+        support = case.setup.settings.subtract
+        assert support is not None
+        number: Uncertain = getattr(support, name)
+        moved = replace(support, **{name: replace(number, value=number.value + error)})
+        return replace(case.setup, settings=replace(case.setup.settings, subtract=moved)), case.measured
+
+    return change
+
+
+def _values(case: Case, step: Step, setup: Setup, measured: Measured) -> FloatArray:
+    """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed data."""
+    model = case.model if setup is case.setup else case.model_of(setup)
+    estimate = replace(case.estimate, values=step(model, measured))
+    return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
+
+
+def _step_of(case: Case) -> Step:
+    """The estimator's step; without one that of ml, where the estimate is that of ml, else the estimate anew."""
+    settings = case.setup.settings
+    estimator = settings.estimates
+    if estimator.step is not None:
+        return estimator.step(case)
+    if estimator.phase and _is_likeliest(case):
+        return likelihood_step(case)
+    return lambda model, measured: estimator.fit(measured, model, settings.weight).values
+
+
+def _is_likeliest(case: Case) -> bool:
+    """Whether the estimate is the minimum of the output error weighted by the noise."""
+    _, jacobian, residual = _linearised(case)
+    away = solve_scaled(jacobian, residual)[0]
+    return bool(np.all(np.abs(away) <= AT_MINIMUM * np.sqrt(np.diag(case.estimate.covariance))))
+
+
+def instrumental_step(case: Case) -> Step:
+    """One more step of the instrumental variables from their estimate, on changed data and with a changed model."""
+    by_instruments = instrument_step(case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values)
+    return lambda model, measured: by_instruments(_linear(model), measured)
+
+
+def least_squares_step(case: Case) -> Step:
+    """Least squares, which needs no estimate to step from."""
+    weight = case.setup.settings.weight
+    return lambda model, measured: equation_solution(regression(measured, _linear(model), weight), _linear(model))[0]
+
+
+def _linear(model: BandModel) -> DynamicModel:
+    assert isinstance(model, DynamicModel)
+    return model
+
+
+def likelihood_step(case: Case) -> Step:
+    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the estimate."""
+    weights, jacobian, residual = _linearised(case)
+    _, inverse = solve_scaled(jacobian, residual)
+
+    def step(model: BandModel, changed: Measured) -> FloatArray:
+        moved = OutputError(changed, expected(changed, model), weights).residual(case.estimate.values)
+        return np.asarray(case.estimate.values - inverse @ (jacobian.T @ (moved - residual)))
+
+    return step
+
+
+def _linearised(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
+    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,) at the estimate."""
+    measured, values = case.measured, case.estimate.values
+    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    problem = OutputError(measured, expected(measured, case.model), weights)
+    return weights, problem.jacobian(values), problem.residual(values)
+
+
+# Scatter between repeats of a test as sources of its uncertainty: drift between days, remounting.
+
+
+def with_repeat_sources(fit: Fit, sources: Sequence[RepeatSource], test: str, conditions: Mapping[str, Any], coverage: float) -> Fit:
+    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties.
+
+    One source changes one parameter, since repeats of one coefficient do not tell how others go with it. ConfigError for a test without
+    the condition that its errors go by.
+    """
+    names = [parameter.name for parameter in fit.parameters]
+    counted = [_source(source, fit, test, conditions) for source in sources if source.parameter in names]
+    return with_contributions(with_sources(fit, counted), coverage) if counted else fit
+
+
+def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, Any]) -> Source:
+    if source.per and source.per not in conditions:
+        what = f"{source.name} goes by the condition '{source.per}', which {f'test {test}' if test else 'the test'} does not have"
+        raise ConfigError(what, hint=f"conditions: {{{source.per}: ...}}, or leave `per` out")
+    same = f"{source.per} {conditions[source.per]}" if source.per else test or "this test"
+    changes = np.array([source.relative * parameter.value if parameter.name == source.parameter else 0.0 for parameter in fit.parameters])
+    size = abs(float(np.sum(changes)))
+    return Doubt(f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof), changes

@@ -1,0 +1,301 @@
+"""Causes of a mismatch that the data show: a wrong given mass, drift within the record.
+
+The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the fit.
+
+Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion and the goodness of fit
+hardly changes. The height of the curve under a known force still tells the mass.
+
+Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
+
+To first order a changed parameter changes H by dH/dp, a changed gain by its own row or column of H. The change of H is projected on
+these shapes, whitened with the noise of H, whose own level between all lines is the measure of chance: so it does not matter how well
+the covariance is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.display import amount_text, change_text, difference_in, shown_unit
+from labpipe.distributions import f_tail
+from labpipe.errors import FitError
+from labpipe.estimation.derived import Estimated, corrected
+from labpipe.estimation.descent import minimise
+from labpipe.estimation.leakage import expected
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_matrices
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import inverse_of
+from labpipe.estimation.residual import line_scatter
+from labpipe.estimation.weights import fit_weights, has_noise, weight_doubt, whitened, whitener
+from labpipe.records.finding import Finding
+
+# The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good
+# the fit.
+
+CONTRADICTED_P = 0.01
+# Share of the chi-square beyond the noise that a free mass explains where the mass is what is wrong.
+EXPLAINED = 0.5
+MOST_STEPS = 40
+# A given mass is taken as known to this share: forces and responses are hardly calibrated better, and a window's resolution at a sharp
+# resonance, which no covariance holds, moves a free mass by tenths of a per cent.
+TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class _Freed:
+    """A model with its mass to be estimated: *names* of the masses, last among its parameters, and their *given* values [kg]."""
+
+    model: DynamicModel
+    names: tuple[str, ...]
+    given: FloatArray
+
+
+@dataclass(frozen=True)
+class _FreeFit:
+    """Output-error fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
+
+    values: FloatArray
+    covariance: FloatArray
+    dof: float
+
+
+def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, setup: Setup) -> list[Finding]:
+    """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the fit with it.
+
+    Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least squares would be biased by
+    noise. No finding where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then. Nor in
+    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass. Equation (est-mass).
+    """
+    freed = _freed(model, setup)
+    if freed is None or setup.settings.sliding is not None:
+        return []
+    fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]))
+    if fit is None:
+        return []
+    p_value = _p_value(fit, freed.given)
+    return [Finding("mass", _message(freed, fit, values, p_value, setup))] if p_value < CONTRADICTED_P else []
+
+
+def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
+    """The model with a term per mass: a single one for a mass that is one number, else one per dof; None without given mass or force."""
+    given, force = model.constant.mass, model.constant.force
+    diagonal = np.diag(given)
+    if not np.any(diagonal > 0) or not np.any(force):
+        return None
+    empty = no_matrices(*force.shape)
+    if isinstance(setup.settings.mass, float | int):
+        parts = {"m": given / diagonal[0]}
+    else:
+        dofs = [port.dof or port.label for port in setup.outputs]
+        units = np.eye(diagonal.size)
+        parts = {f"m_{dof}_{dof}": np.outer(units[n], units[n]) for n, dof in enumerate(dofs) if diagonal[n] > 0}
+    amounts = np.array([float(np.max(given * part)) for part in parts.values()])
+    rest = given - np.tensordot(amounts, np.array(list(parts.values())), 1)
+    terms = tuple(Term(name, "kg", replace(empty, mass=part)) for name, part in parts.items())
+    free = replace(model, terms=(*model.terms, *terms), constant=replace(model.constant, mass=rest))
+    return _Freed(free, tuple(parts), amounts)
+
+
+def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _FreeFit | None:
+    """The fit from *start* (n_parameter,); None where the data cannot tell the mass.
+
+    Its covariance comes from the measured noise where that explains the residual. Else it comes from the residual's own scatter along the
+    lines, and of a measured excess the free mass must explain most: otherwise something else is wrong with the model.
+    """
+    weighted = has_noise(measured)
+    try:
+        problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+        minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
+        if not minimum.converged:
+            return None
+        linear = problem.linearised(minimum.values)
+        inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
+        if weighted:
+            doubt = weight_doubt(measured, dof)
+            after, of_noise = linear.chi2, dof * doubt.excess
+            if doubt.p_value(after / of_noise, dof) >= CONTRADICTED_P:
+                return _FreeFit(minimum.values, doubt.inflation * inverse, dof)
+            if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
+                return None
+        scatter = line_scatter(problem.jacobian(minimum.values), problem.residual(minimum.values), measured.omega.size)
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    return _FreeFit(minimum.values, scatter.covariance, float(np.min(scatter.dof)))
+
+
+def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> float:
+    """The least |whiten (off - x)|^2 [1] of shifts x (n_mass,) [kg] within +- *limits* [kg]."""
+    if off.size == 1:
+        return float((whiten[0, 0] * max(abs(off[0]) - limits[0], 0.0)) ** 2)
+    from scipy import optimize  # takes a third of a second
+
+    return 2 * float(optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
+
+
+def _p_value(fit: _FreeFit, given: FloatArray) -> float:
+    """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE: Hotelling's T^2 of all together."""
+    n = given.size
+    covariance, off, limits = fit.covariance[-n:, -n:], fit.values[-n:] - given, TOLERANCE * given
+    if not np.any(covariance):
+        # FRFs that the model meets to the last digit.
+        return 1.0 if np.all(np.abs(off) <= limits) else 0.0
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    square, rest = _least_square(whiten, off, limits), fit.dof - n + 1
+    return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
+
+
+def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup) -> str:
+    n, model = len(freed.names), freed.model
+    free = corrected(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
+    before = corrected(Estimated(model.names[:-n], model.units[:-n], values, np.zeros((values.size, values.size))), setup.settings)
+    masses = ", ".join(
+        f"{name} = {_amount(given, 'kg')} was given, free it comes out as {_amount(free.value(name), 'kg', free.std_error(name))}"
+        for name, given in zip(freed.names, freed.given, strict=True)
+    )
+    stiffness = [name for name, unit in zip(before.names, before.units, strict=True) if unit == "N/m"]
+    changed = max(stiffness, key=lambda name: abs(free.value(name) - before.value(name)), default=None)
+    becomes = ""
+    if changed is not None:
+        error = free.std_error(changed)
+        becomes = f" {changed} is then {_amount(free.value(changed), 'N/m', error)} instead of {_amount(before.value(changed), 'N/m')}."
+    return (
+        f"the data contradict the given mass by more than {100 * TOLERANCE:g} % (p = {p_value:.2g}): {masses}.{becomes} Either the mass "
+        "or the calibration is wrong, or stiffness changes with frequency in the band. Weigh what moves, calibrate, fit with "
+        "`mass: estimate`, or narrow the band"
+    )
+
+
+def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
+    """Value, with its standard error where there is one, in the unit in which people read it."""
+    return amount_text(value, std_error, si_unit, "+-")
+
+
+# Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
+
+# A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
+DRIFT_P = 1e-3
+# Singular values of shapes of length 1 below which they are one shape: a common gain of all outputs is that of all forces.
+SAME_SHAPE = 1e-8
+KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A change of H by 100 % of something, whitened (n_equation,) [1], and its name."""
+
+    name: str
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class _Chance:
+    """Variance of a projection on a smooth shape by noise alone [1], and the degrees of freedom that this rests on."""
+
+    variance: float
+    dof: float
+
+    def p_value(self, square: float, n: int) -> float:
+        """Chance of a projection on *n* dimensions with so large a *square*."""
+        return f_tail(square / (n * self.variance), n, self.dof)
+
+
+def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n_band: int = 1) -> list[Finding]:
+    """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter units] of the fit.
+
+    Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all parameters together; p-values
+    are for the best of all, in *n_band* bands of one record (Bonferroni). None where the halves or the noise are not known.
+    Equation (est-drift).
+    """
+    if measured.change is None or not has_noise(measured):
+        return []
+    try:
+        whiten = whitener(measured)
+        jacobian = whitened(whiten, model.jacobian(values, measured.omega))
+        fitted = measured.plus_offset(model.receptance(values, measured.omega))
+    except FitError:
+        return []
+    change = whitened(whiten, measured.change)
+    shapes = [*_kinds(jacobian, model, values), *_gains(measured, whiten, fitted)]
+    chance = _chance(change, np.vstack([jacobian, *(shape.values for shape in shapes)]), measured)
+    if chance is None:
+        return []
+    tests = [(chance.p_value(_along(change, shape.values) ** 2, 1), shape) for shape in shapes]
+    best, shape = min(tests, key=lambda entry: entry[0])
+    basis = _basis(jacobian)
+    together = chance.p_value(float(np.sum((basis @ change) ** 2)), basis.shape[0])
+    p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
+    if p_value >= DRIFT_P:
+        return []
+    said = _of_shape(shape, change, chance) if best <= together else _of_parameters(jacobian, model, values, change, chance)
+    message = (
+        f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is twice that from the "
+        "beginning to the end. The parameters are those of no moment of the record, and their standard errors do not hold. Wait until "
+        "temperature and amplifiers have settled, or record in shorter pieces"
+    )
+    return [Finding("drift", message)]
+
+
+def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
+    """All stiffness, all damping coefficients by one factor."""
+    shapes = []
+    for unit, name in KINDS.items():
+        chosen = [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
+        if chosen:
+            shapes.append(_Shape(name, values[chosen] @ jacobian[chosen]))
+    return shapes
+
+
+def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
+    """The gain of every channel; of a single force and a single response only the one of both."""
+    outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
+    if len(outputs) == len(inputs) == 1:
+        return [_Shape(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
+    rows, columns = np.eye(len(outputs))[:, None, :, None], np.eye(len(inputs))[:, None, None, :]
+    masks = [*zip(outputs, rows, strict=True), *zip(inputs, columns, strict=True)]
+    return [_Shape(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
+
+
+def _basis(shapes: FloatArray) -> FloatArray:
+    """Orthonormal rows (rank, n_equation) that span *shapes* (n_shape, n_equation)."""
+    lengths = np.linalg.norm(shapes, axis=1)
+    _, singular, rows = np.linalg.svd(shapes[lengths > 0] / lengths[lengths > 0, None], full_matrices=False)
+    return np.asarray(rows[singular > SAME_SHAPE * singular[0]])
+
+
+def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:
+    """From what no shape explains; lines that share noise make smooth projections larger and leave fewer degrees of freedom."""
+    basis = _basis(shapes)
+    rest = change - (basis @ change) @ basis
+    dof = change.size - basis.shape[0]
+    square = float(rest @ rest)
+    if dof < 1 or square == 0:
+        return None
+    return _Chance(measured.shared_noise * square / dof, dof / measured.shared_power)
+
+
+def _along(change: FloatArray, shape: FloatArray) -> float:
+    """Length of the change along a shape [1]."""
+    length = float(np.linalg.norm(shape))
+    return float(change @ shape) / length if length > 0 else 0.0
+
+
+def _of_shape(shape: _Shape, change: FloatArray, chance: _Chance) -> str:
+    length = float(np.linalg.norm(shape.values))
+    amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
+    return f"it looks like {shape.name} changed by {change_text(100 * amount, 100 * error, '%')}"
+
+
+def _of_parameters(jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance) -> str:
+    """The parameter that changed most, in standard errors."""
+    inverse = np.linalg.pinv(jacobian @ jacobian.T)
+    changes = inverse @ (jacobian @ change)
+    errors = np.sqrt(chance.variance * np.maximum(np.diag(inverse), np.finfo(float).tiny))
+    n = int(np.argmax(np.abs(changes) / errors))
+    share = f" ({100 * changes[n] / values[n]:+.2g} %)" if values[n] else ""
+    unit = shown_unit(model.units[n], changes[n], errors[n])
+    by = change_text(difference_in(changes[n], unit), difference_in(errors[n], unit), unit)
+    return f"its parameters changed, most of all {model.names[n]} by {by}{share}"

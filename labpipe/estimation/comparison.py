@@ -1,0 +1,363 @@
+"""Comparison of model structures: the model of a fit against simpler and richer ones on the same lines."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.descent import Linearisation, linearised, minimise, sum_of_squares
+from labpipe.estimation.likelihood import maximum_likelihood
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import DynamicModel, ProportionalModel, Setup, constrained
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import Estimate
+from labpipe.estimation.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Candidate
+from labpipe.records.settings import ESTIMATE
+
+# Rational functions with a common denominator, fitted to an FRF: the most general response of a given
+# number of modes.
+
+PASSES = 8
+# The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
+# in AIC count from 10, and a surplus mode creeps long through noise before it converges.
+NEAR = 0.02
+# Bound of the descent: surplus modes may have no minimum to reach.
+MOST_STEPS = 150
+
+
+@dataclass(frozen=True)
+class RationalFit:
+    """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree 2 n - 2.
+
+    Receptances of n modes have this form. Polynomials are sums over the basis phi_0 ... phi_2n, orthogonal on the lines, phi_k of degree
+    k in s = j w; A has 1 at phi_2n. *whitener* (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
+    Equation (est-rational).
+    """
+
+    measured: Measured
+    whitener: ComplexArray
+    modes: int
+
+    @cached_property
+    def unit(self) -> float:
+        """The largest |H| [m/N]."""
+        return float(np.max(np.abs(self.measured.matrix)))
+
+    @cached_property
+    def elements(self) -> ComplexArray:
+        """Elements of H, (n_line, n_element), relative to the largest [1]."""
+        return self.measured.matrix.reshape(self.measured.omega.size, -1) / self.unit
+
+    @cached_property
+    def basis(self) -> ComplexArray:
+        """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary, as powers of j w are.
+
+        Powers themselves are so alike that the normal equations of a few modes would lose all digits.
+        """
+        w = self.measured.omega / np.max(self.measured.omega)
+        even = np.linalg.qr(np.vander(w**2, self.modes + 1, increasing=True))[0]
+        odd = np.linalg.qr(w[:, None] * np.vander(w**2, self.modes, increasing=True))[0]
+        basis = np.empty((w.size, 2 * self.modes + 1), np.complex128)
+        basis[:, 0::2], basis[:, 1::2] = even, 1j * odd
+        return basis * np.sqrt(w.size)
+
+    @property
+    def n_parameter(self) -> int:
+        return 2 * self.modes + (2 * self.modes - 1) * self.elements.shape[1]
+
+    @property
+    def size(self) -> float:
+        return float(np.linalg.norm(self._whitened(self.elements)))
+
+    def lowest_chi2(self) -> float | None:
+        """Chi-square [1] at the minimum; None without convergence in MOST_STEPS."""
+        minimum = minimise(self, self.start(), near=NEAR, most_steps=MOST_STEPS, linearise=self.linearised)
+        return self.chi2(minimum.values) if minimum.converged else None
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Whitened residual (n_equation,) [1] at *parameters* (n_parameter,)."""
+        return self._whitened(self.elements - self._fitted(parameters)[1])
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
+        denominator, fitted = self._fitted(parameters)
+        return -self._whitened(self._columns(fitted, 1 / denominator)).T
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without finite response."""
+        return sum_of_squares(self.residual, parameters)
+
+    def linearised(self, parameters: FloatArray) -> Linearisation:
+        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations, without the tall Jacobian.
+
+        By QR where rounding leaves them not positive definite.
+        """
+        denominator, fitted = self._fitted(parameters)
+        residual = self.elements - fitted
+        normal, right_side = self._normal_equations(fitted, 1 / denominator, residual)
+        scale = np.sqrt(np.diag(normal))
+        try:
+            triangle = np.linalg.cholesky(normal / (scale[:, None] * scale)).T
+        except np.linalg.LinAlgError:
+            return linearised(self, parameters)
+        projected = -np.linalg.solve(triangle.T, right_side / scale)
+        return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
+
+    def start(self) -> FloatArray:
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass (Sanathanan and Koerner 1963).
+
+        Of all passes the one with the lowest chi-square.
+        """
+        weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
+        best: FloatArray = np.zeros(self.n_parameter)
+        lowest = float("inf")
+        for _ in range(PASSES):
+            highest = self.elements * (self.basis[:, -1] * weight)[:, None]
+            normal, right_side = self._normal_equations(self.elements, weight, highest)
+            scale = np.sqrt(np.diag(normal))
+            values = np.linalg.lstsq(normal / (scale[:, None] * scale), right_side / scale, rcond=None)[0] / scale
+            denominator = self._denominator(values)
+            if np.any(denominator == 0):
+                break
+            weight = 1 / denominator
+            if (chi2 := self.chi2(values)) < lowest:
+                best, lowest = values, chi2
+        return best
+
+    def _denominator(self, parameters: FloatArray) -> ComplexArray:
+        n = 2 * self.modes
+        return self.basis[:, :n] @ parameters[:n] + self.basis[:, n]
+
+    def _fitted(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """A (n_line,) and B / A (n_line, n_element)."""
+        n = 2 * self.modes
+        denominator = self._denominator(parameters)
+        return denominator, self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T / denominator[:, None]
+
+    def _columns(self, elements: ComplexArray, weight: ComplexArray) -> ComplexArray:
+        """Columns of B_e - H_e (a_0 phi_0 + a_1 phi_1 + ...) times the weight, (n_parameter, n_line, n_element)."""
+        powers, n = (self.basis * weight[:, None]).T, 2 * self.modes
+        columns = np.zeros((self.n_parameter, *elements.shape), np.complex128)
+        columns[:n] = -elements * powers[:n, :, None]
+        for e in range(elements.shape[1]):
+            columns[n + e * (n - 1) : n + (e + 1) * (n - 1), :, e] = powers[: n - 1]
+        return columns
+
+    @cached_property
+    def _precision(self) -> ComplexArray:
+        """C^-1 of the relative elements per line, (n_line, n_element, n_element) [1]."""
+        return 2 * self.unit**2 * np.matmul(self.whitener.conj().swapaxes(1, 2), self.whitener)
+
+    @cached_property
+    def _products(self) -> ComplexArray:
+        """conj(phi_a) phi_b, (2 n, 2 n, n_line)."""
+        basis = self.basis[:, :-1].T
+        return basis.conj()[:, None] * basis[None]
+
+    def _normal_equations(self, elements: ComplexArray, weight: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """J^T J (n_parameter, n_parameter) and J^T r (n_parameter,) [1] of J = `_columns` and r = *right_side*, both whitened.
+
+        Every column is a basis function times a vector over the elements: the sums over lines are products of few small tables.
+        """
+        n, n_element = 2 * self.modes, elements.shape[1]
+        precision = self._precision * (np.abs(weight) ** 2)[:, None, None]
+        by_element = np.einsum("le,lef->lf", elements.conj(), precision)
+        normal = np.empty((self.n_parameter, self.n_parameter))
+        normal[:n, :n] = self._sums(n, n, np.einsum("lf,lf->l", by_element, elements)[:, None])[:, :, 0]
+        crossed = -self._sums(n, n - 1, by_element).transpose(0, 2, 1).reshape(n, -1)
+        normal[:n, n:], normal[n:, :n] = crossed, crossed.T
+        numerators = self._sums(n - 1, n - 1, precision.reshape(-1, n_element**2)).reshape(n - 1, n - 1, n_element, n_element)
+        normal[n:, n:] = numerators.transpose(2, 0, 3, 1).reshape(normal[n:, n:].shape)
+        weighted = np.einsum("lef,lf->le", self._precision, right_side) * weight.conj()[:, None]
+        basis = self.basis[:, :n].conj()
+        along = np.einsum("le,le->l", elements.conj(), weighted)
+        return normal, np.concatenate([-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()])
+
+    def _sums(self, rows: int, columns: int, values: ComplexArray) -> FloatArray:
+        """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b < *columns*: (rows, columns, n)."""
+        products = self._products[:rows, :columns].reshape(rows * columns, -1)
+        return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
+
+    def _whitened(self, values: ComplexArray) -> FloatArray:
+        """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
+        return whitened(self.whitener, self.unit * values[..., None])
+
+
+# Comparison of model structures: the model of a fit against simpler and richer ones on the same lines.
+
+# Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
+NO_SUPPORT = 10.0
+# Bound of each descent of a variant: a structure that contradicts the data may have no minimum to reach.
+MOST_COMPARED_STEPS = 40
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """A model to compare: its name, its settings, and the names of the richer variants that contain it."""
+
+    name: str
+    settings: FitSettings
+    inside: tuple[str, ...] = ()
+
+
+def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = None) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of those that did not converge.
+
+    None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is fitted again. Every descent is
+    bounded. Without `compare` only the alternative to proportional damping: independent damping coefficients.
+    p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
+    (likelihood ratio, chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
+    """
+    if not has_noise(measured):
+        return (), ()
+    whole = setup.settings.compare
+    variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
+    models = {variant.name: _model(replace(setup, settings=variant.settings)) for variant in variants}
+    results: dict[str, Candidate | None] = {}
+    for name, model in models.items():
+        if model is not None:
+            estimate = ml_estimate if ml_estimate and name.startswith(THIS) else _estimate(measured, model)
+            results[name] = _candidate(name, measured, estimate) if estimate and estimate.converged else None
+    if whole:
+        results.update(_orders(measured, len(setup.outputs)))
+    fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
+    inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
+    tested = [_tested(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(name for name in results if name not in fitted)
+
+
+def comparison_notes(left_out: tuple[str, ...]) -> tuple[str, ...]:
+    """A note that names the variants without a minimum."""
+    return (f"Compared models left out, their descents found no minimum: {'; '.join(left_out)}.",) if left_out else ()
+
+
+def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
+    """A warning where another model than the fit's (its name begins with THIS) is much better supported."""
+    this_model = next((candidate for candidate in ranking if candidate.name.startswith(THIS)), None)
+    if this_model is None or this_model.aic - ranking[0].aic < NO_SUPPORT:
+        return ()
+    best = ranking[0]
+    message = (
+        f"another model is better supported by the data: '{best.name}' with {best.parameters} parameters has AIC {best.aic:.4g}, this one "
+        f"with {this_model.parameters} parameters {this_model.aic:.4g}"
+    )
+    return (Finding("other-model", message),)
+
+
+THIS = "this model"
+
+
+def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
+    """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the model."""
+    weights = whitener(measured)
+    fits = [RationalFit(measured, weights, modes) for modes in range(max(n_output - 1, 1), n_output + 2)]
+    names = [f"{fit.modes} mode{'s' if fit.modes > 1 else ''}, any structure" for fit in fits]
+    return {name: _order(name, fit) for name, fit in zip(names, fits, strict=True) if measured.n_equation > fit.n_parameter}
+
+
+def _order(name: str, fit: RationalFit) -> Candidate | None:
+    raw, dof = fit.lowest_chi2(), fit.measured.n_equation - fit.n_parameter
+    if raw is None:
+        return None
+    chi2 = raw / weight_doubt(fit.measured, dof).inflation
+    return Candidate(name, fit.n_parameter, chi2, dof, chi2 + 2 * fit.n_parameter)
+
+
+def _variants(settings: FitSettings) -> list[_Variant]:
+    """Plausible alternatives: with and without cross terms, mass, symmetry, proportional damping."""
+    plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
+    return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
+
+
+def _damping_variants(settings: FitSettings) -> list[_Variant]:
+    plain = replace(settings, weight="none", sliding=None)
+    viscous = replace(plain, damping="viscous")
+    return [_Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)), _Variant(_described(viscous), viscous)]
+
+
+def _richer(settings: FitSettings) -> list[_Variant]:
+    kind, changes = settings.kind, list[dict[str, Any]]()
+    if kind.richer:
+        changes.append({"model": kind.richer})
+    if settings.symmetric:
+        changes.append({"symmetric": False})
+    if settings.damping == "proportional":
+        changes.append({"damping": "viscous"})
+    if kind.frees_mass and settings.mass != ESTIMATE:
+        changes.append({"mass": ESTIMATE, "scale_mass": False})
+    return [_Variant(_described(other), other) for other in _changed(settings, changes)]
+
+
+def _simpler(settings: FitSettings) -> list[_Variant]:
+    this = f"{THIS}: {_described(settings)}"
+    kind, changes = settings.kind, list[dict[str, Any]]()
+    if kind.simpler:
+        changes.append({"model": kind.simpler})
+    if "symmetric" in kind.keys and not settings.symmetric:
+        changes.append({"symmetric": True})
+    if "damping" in kind.keys and settings.damping == "viscous":
+        changes.append({"damping": "proportional"})
+    if "lumped_mass" in kind.keys and settings.mass == ESTIMATE and not settings.lumped_mass:
+        changes.append({"lumped_mass": True})
+    return [_Variant(_described(other), other, (this,)) for other in _changed(settings, changes)]
+
+
+def _changed(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
+    """The settings with each of the changes, where another model or key takes all of the others."""
+    for change in changes:
+        with contextlib.suppress(ConfigError):
+            yield replace(settings, **change)
+
+
+def _described(settings: FitSettings) -> str:
+    parts = [settings.model]
+    if "symmetric" in settings.kind.keys:
+        parts.append("symmetric" if settings.symmetric else "general")
+    if settings.damping == "proportional":
+        parts.append("proportional damping")
+    if settings.mass == ESTIMATE:
+        parts.append("lumped mass estimated" if settings.lumped_mass else "mass estimated")
+    return ", ".join(parts)
+
+
+def _model(setup: Setup) -> DynamicModel | ProportionalModel | None:
+    """The model of a variant; None where it does not suit these ports."""
+    try:
+        return constrained(setup.settings.kind.model(setup), setup.settings)
+    except ConfigError:
+        return None
+
+
+def _estimate(measured: Measured, model: DynamicModel | ProportionalModel) -> Estimate | None:
+    try:
+        return maximum_likelihood(measured, model, most_steps=MOST_COMPARED_STEPS)
+    except FitError:
+        return None
+
+
+def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
+    """Name, parameters, chi-square and AIC of an estimate by ml."""
+    assert estimate.squares is not None
+    doubt = weight_doubt(measured, estimate.dof)
+    # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
+    chi2 = estimate.squares / doubt.inflation
+    n_parameter = estimate.values.size
+    return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
+
+
+def _tested(candidate: Candidate, richer: list[Candidate]) -> Candidate:
+    if not richer:
+        return candidate
+    richest = max(richer, key=lambda other: other.parameters)
+    gained, added = candidate.chi2 - richest.chi2, richest.parameters - candidate.parameters
+    return replace(candidate, p_value=chi2_tail(gained, added)) if added > 0 else candidate

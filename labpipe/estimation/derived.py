@@ -1,0 +1,375 @@
+"""What is derived from estimates: corrections, modes, resonance, directions, reported parameters and a dense curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import coverage_factor
+from labpipe.errors import ConfigError
+from labpipe.estimation.linear_models import PER_MASS
+from labpipe.estimation.model import DynamicModel, Matrices, ProportionalModel, Setup
+from labpipe.estimation.settings import FitSettings, Support
+from labpipe.estimation.statistics import Estimate, derived, estimated, inflation_factors, widened
+from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.records.finding import Parameter
+from labpipe.records.settings import COEFFICIENT_UNITS
+from labpipe.records.uncertain import Budget, Uncertain
+
+# Corrections of estimates: the support subtracted, the load shared between equal bearings.
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units* [SI]."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+    def std_error(self, name: str) -> float:
+        return float(np.sqrt(self.covariance[self.index(name), self.index(name)]))
+
+    def value(self, name: str) -> float:
+        return float(self.values[self.index(name)])
+
+
+def is_direct(name: str) -> bool:
+    """True for a coefficient in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
+    letter, _, place = name.partition("_")
+    if letter not in ("k", "c", "m"):
+        return False
+    half = (len(place) - 1) // 2 if "_" in place else len(place) // 2
+    return not place or place[:half] == place[-half:]
+
+
+def corrected(total: Estimated, settings: FitSettings) -> Estimated:
+    """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
+
+    The covariance is that of the estimates; the doubt of the support is a source of its own, common to all direct coefficients and to all
+    tests. ConfigError for a share below 1. Equation (est-corrected).
+    """
+    if settings.share < 1:
+        raise ConfigError("share must be at least 1")
+    values = total.values.copy()
+    support = settings.subtract or Support()
+    for kind, amount in (("k", support.stiffness), ("c", support.damping)):
+        direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
+        values = values - np.where(direct, amount.value, 0.0)
+    divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
+    return Estimated(total.names, total.units, values / divisor, total.covariance / np.outer(divisor, divisor))
+
+
+def is_corrected(settings: FitSettings) -> bool:
+    """True if the reported coefficients differ from the measured totals."""
+    support = settings.subtract or Support()
+    return settings.share > 1 or any(amount != Uncertain(0.0) for amount in (support.stiffness, support.damping))
+
+
+# Modes of an identified model: natural frequencies, damping ratios, mode shapes, participation; many models
+# at once.
+
+# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the largest is random.
+LEADING = 0.8
+# Name -> (unit, value of every case).
+Quantities = dict[str, tuple[str, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Oscillating modes in ascending order of frequency, of (n_case,) systems.
+
+    frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi; damping (n_case, n_mode) = -Re lambda / |lambda|; shapes
+    (n_case, n_dof, n_mode) real, the first large entry 1; participation (n_case, n_mode, n_input) [1/kg]:
+    H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped system.
+    """
+
+    frequency: FloatArray
+    damping: FloatArray
+    shapes: FloatArray
+    participation: FloatArray
+
+
+def modes(matrices: Matrices) -> Modes | None:
+    """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
+
+    None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
+    """
+    k, c, m = matrices.stiffness, matrices.damping, matrices.mass
+    n_case, n = k.shape[0], k.shape[1]
+    if np.any(np.linalg.cond(m) > 1 / np.finfo(float).eps):
+        return None
+    by_mass = np.linalg.solve(m, np.concatenate([k, c], axis=2))
+    identity = np.broadcast_to(np.eye(n), k.shape)
+    state = np.block([[np.zeros_like(k), identity], [-by_mass[:, :, :n], -by_mass[:, :, n:]]])
+    values = np.linalg.eigvals(state)
+    undamped, right = np.linalg.eig(by_mass[:, :, :n])
+    if np.any(np.sum(values.imag > 0, axis=1) != n) or np.any(undamped.real <= 0) or np.any(undamped.imag != 0):
+        return None
+    upper = values[values.imag > 0].reshape(n_case, n)
+    upper = np.take_along_axis(upper, np.argsort(np.abs(upper), axis=1), axis=1)
+    shapes = np.take_along_axis(right.real, np.argsort(undamped.real, axis=1)[:, None], axis=2)
+    size = np.abs(shapes)
+    leading = np.argmax(size >= LEADING * np.max(size, axis=1, keepdims=True), axis=1)
+    shapes = shapes / np.take_along_axis(shapes, leading[:, None], axis=1)
+    # Rows of (M Phi)^-1 are the left vectors with y^T M x = 1.
+    participation = np.linalg.solve(m @ shapes, matrices.force)
+    return Modes(np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), shapes, participation)
+
+
+def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Quantities:
+    """f_n_r, zeta_r, shape_r_dof and participation_r_force of every mode r; empty without modes."""
+    mode_set = modes(matrices)
+    if mode_set is None:
+        return {}
+    quantities: Quantities = {}
+    for r in range(mode_set.frequency.shape[1]):
+        quantities[f"f_n_{r + 1}"] = ("Hz", mode_set.frequency[:, r])
+        quantities[f"zeta_{r + 1}"] = ("1", mode_set.damping[:, r])
+    for r in range(mode_set.frequency.shape[1]):
+        quantities.update({f"shape_{r + 1}_{dof}": ("1", mode_set.shapes[:, row, r]) for row, dof in enumerate(outputs)})
+        quantities.update({f"participation_{r + 1}_{force}": ("1/kg", mode_set.participation[:, r, i]) for i, force in enumerate(inputs)})
+    return quantities
+
+
+# Quantities derived from the estimates: resonance, modes, direction of the force, fixed or tied
+# coefficients.
+
+# What one band is fitted with.
+BandModel = DynamicModel | ProportionalModel | TransferMode
+
+# Steps of numerical slopes: in standard errors, and as a share of the value where there is no noise.
+STEP, SMALLEST_STEP = 1e-3, 1e-7
+
+
+def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
+    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
+    totals where support or share changed the coefficients, and fixed coefficients. Equation (est-resonance).
+    """
+    settings = setup.settings
+    parameters: list[Parameter] = []
+    if settings.kind.one_mode:
+        parameters.extend(_resonance(total, setup, dof))
+    if isinstance(model, ProportionalModel):
+        parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
+    if settings.kind.matrix_modes:
+        ports = tuple(port.dof or port.label for port in setup.outputs), tuple(port.label for port in setup.inputs)
+        parameters.extend(_propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof))
+    if "b_x" in total.names and "b_y" in total.names:
+        parameters.append(_forcing_angle(total, dof))
+    if is_corrected(settings):
+        for name, unit in zip(total.names, total.units, strict=True):
+            if unit in ("N/m", "N.s/m"):
+                parameters.append(derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof))
+    parameters.extend(Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed)
+    return parameters
+
+
+def _damping_coefficients(model: ProportionalModel, values: FloatArray) -> Quantities:
+    """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
+    damping = model.whole(values).damping
+    coefficients: Quantities = {}
+    for term in model.terms:
+        places = np.argwhere(term.matrices.stiffness != 0)
+        if places.size:
+            coefficients[f"c{term.name[1:]}"] = ("N.s/m", damping[:, places[0][0], places[0][1]])
+    return coefficients
+
+
+def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int) -> list[Parameter]:
+    """Functions of the estimates with their standard errors to first order, derivatives by centred differences.
+
+    Values without standard errors where the functions do not exist on both sides of the estimate.
+    """
+    steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
+    quantities_at_steps = quantities(np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)]))
+    if not quantities_at_steps or np.any(steps == 0):
+        centre = quantities(total.values[None])
+        return [Parameter(name, float(value[0]), unit, derived=True) for name, (unit, value) in centre.items()]
+    n = steps.size
+    parameters = []
+    for name, (unit, values) in quantities_at_steps.items():
+        slope = (values[1 : n + 1] - values[n + 1 :]) / (2 * steps)
+        error = float(np.sqrt(max(slope @ total.covariance @ slope, 0.0)))
+        parameters.append(derived(name, unit, float(values[0]), error, dof))
+    return parameters
+
+
+def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
+    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 m w_n) of the measured system, of a transfer FRF also its modal constant 1/m [1/kg].
+
+    k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the same. None of it where k and
+    m have different signs or are eliminated.
+    """
+    stiffness, damping = (next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc")
+    if not stiffness:
+        return []
+    k = total.value(stiffness)
+    m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(setup.settings.mass)  # type: ignore[arg-type]
+    resonance = []
+    if "m" in total.names and m != 0 and transfer_of(setup):
+        resonance.append(derived("modal_constant", "1/kg", 1 / m, propagated(total, {"m": -1 / m**2}), dof))
+    if k * m <= 0:
+        return resonance
+    w_n = np.sqrt(k / m)
+    f_n = w_n / (2 * np.pi)
+    slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
+    resonance.insert(0, derived("f_n", "Hz", float(f_n), propagated(total, slopes), dof))
+    if damping:
+        zeta = total.value(damping) / (2 * m * w_n)
+        slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
+        resonance.insert(1, derived("zeta", "1", float(zeta), propagated(total, slopes), dof))
+    return resonance
+
+
+def _forcing_angle(total: Estimated, dof: int) -> Parameter:
+    """atan2(b_y, b_x) [rad]."""
+    x, y = total.value("b_x"), total.value("b_y")
+    square = x**2 + y**2
+    return derived("forcing_angle", "rad", float(np.arctan2(y, x)), propagated(total, {"b_x": -y / square, "b_y": x / square}), dof)
+
+
+def propagated(total: Estimated, slopes: dict[str, float]) -> float:
+    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by name. Equation (est-delta)."""
+    gradient = np.array([slopes.get(name, 0.0) for name in total.names])
+    return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))
+
+
+# Reported parameters of an estimate, with standard errors where they exist.
+
+# Probability of the intervals of parameters.
+INTERVAL = 0.95
+# Sides of an interval that differ by less than this share are alike.
+EVEN = 1e-3
+
+
+def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
+    """Estimated and derived parameters with the doubt that noise leaves them.
+
+    Without convergence the values of the last step, without standard errors.
+    """
+    total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
+    dof = int(estimate.student_dof.min())
+    parameters = (*_coefficients(estimate, corrected(total, setup.settings), model), *derived_parameters(total, model, setup, dof))
+    return parameters if estimate.converged else without_intervals(parameters)
+
+
+def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
+    """The estimated parameters, followed by those tied to them."""
+    vifs = inflation_factors(estimate.scaled_design)
+    coefficients = [
+        estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
+        for name, unit, vif, dof in zip(reported.names, reported.units, vifs, estimate.student_dof, strict=True)
+    ]
+    # alpha and beta of proportional damping come after the terms.
+    pairs = zip(coefficients, model.terms, strict=False)
+    return coefficients + [replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases]
+
+
+def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The values alone."""
+    return tuple(replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None) for parameter in parameters)
+
+
+def widened_parameters(parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*, all in the same order.
+
+    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
+    """
+    factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in zip(plain, wide, strict=True)]
+    return tuple(
+        widened(parameter, max(factor, 1.0)) if factor > 0 else parameter for parameter, factor in zip(parameters, factors, strict=True)
+    )
+
+
+def with_systematic(parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None) -> tuple[Parameter, ...]:
+    """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the effective degrees of freedom.
+
+    An interval that is lopsided by itself is widened on each side by the square sum of that side and the systematic part's.
+    dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
+    """
+    return tuple(
+        _expanded(parameter, float(systematic), float(of_parameter))
+        for parameter, systematic, of_parameter in zip(parameters, budget.systematic, budget.dof if dof is None else dof, strict=True)
+    )
+
+
+def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
+    noise = parameter.full_error
+    if noise is None or systematic == 0:
+        return parameter
+    combined = math.hypot(noise, systematic)
+    reach = combined * coverage_factor(INTERVAL, dof)
+    value, interval = parameter.value, parameter.ci95
+    if interval is not None:
+        sides = value - interval[0], interval[1] - value
+        even = math.isclose(*sides, rel_tol=EVEN)
+        low, high = (reach, reach) if even else (math.hypot(side, reach * systematic / combined) for side in sides)
+        interval = value - low, value + high
+    return replace(
+        parameter,
+        std_error_inflated=combined,
+        systematic=systematic,
+        ci95=interval,
+        t_ratio=None if parameter.t_ratio is None else value / combined,
+        significant=None if parameter.significant is None or interval is None else not interval[0] <= 0 <= interval[1],
+    )
+
+
+# A model between the measured lines: so many frequencies that straight lines from one to the next show its
+# resonances as they are.
+
+# Parts of the step between two lines, least number of frequencies in a band, and the largest.
+PARTS, FEWEST, MOST = 2, 200, 2000
+# Largest distance of the model from a straight line between two neighbours, as part of its size.
+FLATNESS = 0.005
+ROUNDS = 12
+
+Model = Callable[[FloatArray], ComplexArray]
+
+
+def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model there (n, n_output, n_input).
+
+    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by more than FLATNESS from
+    one to the next, as at a light resonance, the step is halved again, up to MOST frequencies.
+    """
+    frequency = between(lines)
+    values = model(frequency)
+    for _ in range(ROUNDS):
+        middle = (frequency[:-1] + frequency[1:]) / 2
+        if not middle.size or frequency.size >= MOST:
+            break
+        at_middle = model(middle)
+        bend = _bend(values, at_middle)
+        # The most bent steps first, as many as there is room for.
+        ranked = np.argsort(-bend, kind="stable")[: MOST - frequency.size]
+        chosen = np.sort(ranked[bend[ranked] > FLATNESS])
+        if not chosen.size:
+            break
+        frequency = np.insert(frequency, chosen + 1, middle[chosen])
+        values = np.insert(values, chosen + 1, at_middle[chosen], axis=0)
+    return frequency, values
+
+
+def between(lines: FloatArray) -> FloatArray:
+    """The lines (n_line,) [Hz] with equal parts of every step between them, (n,) [Hz]."""
+    steps = max(lines.size - 1, 1)
+    parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
+    places = np.arange((lines.size - 1) * parts + 1) / parts
+    return np.interp(places, np.arange(lines.size), lines)
+
+
+def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
+    """(n - 1,) largest distance of any element from the straight line across each step, as part of its size there."""
+    across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
+    size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
+    return np.asarray((across / size).max(axis=(1, 2)))

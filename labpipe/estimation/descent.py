@@ -1,0 +1,170 @@
+"""Levenberg-Marquardt for a sum of squares with analytic derivatives, and the triangular factor of tall matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import FitError
+
+# The triangular factor of tall matrices, from the products of their columns where that is as good as
+# Householder's way.
+
+# Condition number up to which the products of columns tell the factor to about half of all digits.
+WELL_CONDITIONED = 1e4
+
+
+def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """(lengths S of the columns [any unit], R (n, n) [1] of columns S^-1 = Q R, True if R comes from their products).
+
+    *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost a fraction of Householder's
+    QR and are as accurate while the condition number is far below 1 / sqrt(rounding); QR is used beyond that.
+    """
+    triangle = triangle_of_products(columns.T @ columns)
+    if triangle is not None:
+        return *triangle, True
+    lengths = np.linalg.norm(columns, axis=0)
+    scale = np.where(lengths > 0, lengths, 1.0)
+    return scale, np.asarray(np.linalg.qr(columns / scale, mode="r")), False
+
+
+def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each other; None where R is too inexact.
+
+    Products of zero keep the length 1.
+    """
+    scale = np.sqrt(np.diag(products))
+    scale = np.where(scale > 0, scale, 1.0)
+    try:
+        triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
+    except np.linalg.LinAlgError:
+        return None
+    singular = np.linalg.svd(triangle, compute_uv=False)
+    return (scale, triangle) if singular[0] < WELL_CONDITIONED * singular[-1] else None
+
+
+# Levenberg-Marquardt for a sum of squares with analytic derivatives.
+
+MAX_ITERATIONS = 100
+MAX_DAMPING_STEPS = 20
+# Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and close to the rounding
+# of chi-square (its square).
+GRADIENT_TOLERANCE = 1e-6
+# Distance to the minimum in standard errors (residual per equation) that counts as converged where no step lowers chi-square.
+NEGLIGIBLE = 1e-3
+# Convergence for noise-free FRFs, as a share of the FRF.
+ROUNDING = 1e-12
+
+
+class SquareSum(Protocol):
+    """A residual (n_equation,) [-] and its Jacobian (n_equation, n_parameter); chi2 is infinite where the model has no response."""
+
+    @property
+    def size(self) -> float:
+        """Euclidean norm of the fitted values, in the residual's units."""
+        ...
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """Weighted residual (n_equation,) [-] at *parameters* (n_parameter,)."""
+        ...
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """Derivatives (n_equation, n_parameter) [1/parameter unit] of the residual."""
+        ...
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """Sum of squares [-] of the residual at *parameters* (n_parameter,)."""
+        ...
+
+
+def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> float:
+    """Sum of squares [-] of a residual (n_equation,); infinite where the model has no finite response."""
+    try:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = residual(parameters)
+    except FitError:
+        return float("inf")
+    return float(values @ values) if np.all(np.isfinite(values)) else float("inf")
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """End point *values* (n_parameter,) [parameter units] of the descent, True for a minimum, and the number of steps."""
+
+    values: FloatArray
+    converged: bool
+    steps: int
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What the steps of one iteration need of J = Q R S and r, S the lengths of the columns of J.
+
+    *triangle* R (n_parameter, n_parameter) [-], *projected* Q^T r (n_parameter,) [-], *scale* S (n_parameter,) [1/parameter unit],
+    *chi2* r^T r [-] of *n_equation* residuals.
+    """
+
+    triangle: FloatArray
+    projected: FloatArray
+    scale: FloatArray
+    chi2: float
+    n_equation: int
+
+
+def linearised(problem: SquareSum, parameters: FloatArray) -> Linearisation:
+    """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
+    residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
+    # A parameter that has run off to where nothing depends on it has the length 1: damping keeps the step finite.
+    scale, triangle, by_products = scaled_triangle(jacobian)
+    if by_products:
+        projected = np.linalg.solve(triangle.T, (jacobian.T @ residual) / scale)
+    else:
+        n = scale.size
+        joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
+        triangle, projected = joint[:n, :n], joint[:n, -1]
+    return Linearisation(triangle, projected, scale, float(residual @ residual), residual.size)
+
+
+def minimise(
+    problem: SquareSum,
+    start: FloatArray,
+    near: float = 0.0,
+    most_steps: int = MAX_ITERATIONS,
+    linearise: Callable[[FloatArray], Linearisation] | None = None,
+) -> Minimum:
+    """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
+
+    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
+    *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way. Equation (est-levenberg).
+    """
+    values, damping = start, 1e-3
+    rounding = ROUNDING * problem.size
+    for steps in range(most_steps):
+        linear = linearise(values) if linearise else linearised(problem, values)
+        # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
+        gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
+        standard_error = size / np.sqrt(linear.n_equation)
+        if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * standard_error):
+            return Minimum(values, True, steps)
+        step, damping = _damped_step(problem, values, linear, damping)
+        if step is None:
+            return Minimum(values, gain <= NEGLIGIBLE * standard_error, steps)
+        values = values + step
+    return Minimum(values, False, most_steps)
+
+
+def _damped_step(problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float) -> tuple[FloatArray | None, float]:
+    """A step that lowers chi-square, and the damping for the next one; None when no step lowers it."""
+    n = values.size
+    right_side = np.concatenate([-linear.projected, np.zeros(n)])
+    for _ in range(MAX_DAMPING_STEPS):
+        joint = np.vstack([linear.triangle, np.sqrt(damping) * np.eye(n)])
+        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / linear.scale
+        if problem.chi2(values + step) < linear.chi2:
+            return step, max(damping / 10, 1e-15)
+        damping *= 10
+    return None, damping

@@ -1,0 +1,174 @@
+"""Intervals by drawing: the fit repeated on random noise, and on drawn errors of every number that was given.
+
+Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was given.
+
+JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is not enough.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.budget import Case, sources_of
+from labpipe.estimation.budget import Refit as BudgetRefit
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.weights import has_noise, whitener
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.uncertain import Budget, Doubt
+
+# Bootstrap: the fit repeated on the fitted FRF plus random noise of the measured covariance.
+
+FEWEST_REPEATS = 50
+# Largest share of failed refits: above it the intervals would be biased towards the successful ones.
+MOST_FAILED = 0.05
+
+Refit = Callable[[Measured], tuple[Parameter, ...]]
+
+
+def bootstrapped(
+    parameters: tuple[Parameter, ...], measured: Measured, fitted: ComplexArray, refit: Refit, repeats: int, name: str
+) -> tuple[tuple[Parameter, ...], str]:
+    """Parameters with standard errors and 95 % intervals from the scatter of *repeats* refits, and a note.
+
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is reproducible. FitError for an
+    unknown noise, too few repeats, or failed refits.
+    """
+    if repeats < FEWEST_REPEATS:
+        raise FitError(f"bootstrap: {repeats} repeats give no 95 % interval", hint=f"at least {FEWEST_REPEATS}, 200 is usual")
+    if not has_noise(measured):
+        raise FitError("bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out")
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    refits = [values for _ in range(repeats) if (values := _refitted(refit, redrawn(measured, fitted, rng)))]
+    if len(refits) < (1 - MOST_FAILED) * repeats:
+        raise FitError(f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band")
+    note = f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's covariance (bootstrap)."
+    scatter = {parameter.name: [values[parameter.name] for values in refits if parameter.name in values] for parameter in parameters}
+    scattered = [_with_scatter(parameter, scatter[parameter.name]) for parameter in parameters]
+    return tuple(scattered), note
+
+
+def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation (est-bootstrap)."""
+    assert measured.covariance is not None
+    n = measured.covariance.shape[1]
+    values, vectors = np.linalg.eigh(measured.covariance)
+    if measured.noise is not None:
+        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n)[:, :, None])[:, :, 0]
+        return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
+    # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
+    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
+    noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
+    return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
+
+
+def _refitted(refit: Refit, measured: Measured) -> dict[str, float]:
+    """Parameter values by name; empty where the refit fails."""
+    try:
+        return {parameter.name: parameter.value for parameter in refit(measured)}
+    except FitError:
+        return {}
+
+
+def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
+    if parameter.std_error is None or len(values) < FEWEST_REPEATS * (1 - MOST_FAILED):
+        return parameter
+    low, high = np.percentile(values, [2.5, 97.5])
+    error = float(np.std(values, ddof=1))
+    t_ratio = None if parameter.t_ratio is None else parameter.value / error
+    significant = None if parameter.significant is None else bool(low > 0 or high < 0)
+    return replace(parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant)
+
+
+# Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was
+# given.
+
+FEWEST_DRAWS = 200
+# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance leaves of so many draws.
+ENOUGH = 0.05
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to be said of it."""
+
+    parameters: tuple[Parameter, ...]
+    budget: Budget
+    findings: tuple[Finding, ...]
+    note: str
+
+
+def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitted: ComplexArray, refit: BudgetRefit, draws: int) -> Drawn:
+    """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error of its distribution.
+
+    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits. Equation (unc-first-order).
+    """
+    if draws < FEWEST_DRAWS:
+        raise FitError(f"monte_carlo: {draws} draws give no reliable interval", hint=f"at least {FEWEST_DRAWS}, 2000 is usual")
+    if not has_noise(case.measured):
+        raise FitError("monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out")
+    rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
+    values = [drawn for _ in range(draws) if (drawn := _drawn(case, fitted, refit, rng)) is not None]
+    if len(values) < (1 - MOST_FAILED) * draws:
+        raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
+    columns = np.array(values)
+    scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
+    complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
+    findings = _findings(complete, len(values))
+    note = f"Intervals are those of {len(values)} draws of the noise and of all numbers with a doubt (Monte Carlo, JCGM 101:2008)."
+    return Drawn(tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)), complete, findings, note)
+
+
+def _drawn(case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator) -> FloatArray | None:
+    """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
+    changed = replace(case, measured=redrawn(case.measured, fitted, rng))
+    for doubt, change in sources_of(case.setup, case.measured):
+        setup, measured = change(changed, drawn_error(doubt, rng))
+        changed = replace(changed, setup=setup, measured=measured)
+    try:
+        parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
+    except FitError:
+        return None
+    return np.array([parameter.value for parameter in parameters])
+
+
+def drawn_error(doubt: Doubt, rng: np.random.Generator) -> float:
+    """An error [unit of the doubt] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal.
+
+    Equation (unc-draw).
+    """
+    if doubt.shape == "rectangular":
+        return doubt.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
+    if doubt.shape == "triangular":
+        return doubt.std_error * float(np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0))
+    if doubt.dof:
+        return doubt.std_error * float(rng.standard_t(doubt.dof))
+    return doubt.std_error * float(rng.standard_normal())
+
+
+def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
+    if parameter.ci95 is None:
+        return parameter
+    significant = None if parameter.significant is None else not low <= 0 <= high
+    return replace(parameter, ci95=(float(low), float(high)), significant=significant)
+
+
+def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
+    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of a scatter)."""
+    assert budget.drawn is not None
+    # What never scatters (the largest entry of a mode's shape, which is 1) is known.
+    ratio = np.divide(budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0)
+    far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
+    if not np.any(far):
+        return ()
+    named = ", ".join(f"{budget.names[n]} ({ratio[n]:.2f})" for n in np.flatnonzero(far))
+    message = (
+        f"first order is not enough: the scatter of the draws over the combined standard uncertainty is not 1 for {named}; the intervals "
+        "are those of the draws"
+    )
+    return (Finding("first-order", message),)

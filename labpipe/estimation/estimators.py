@@ -1,0 +1,94 @@
+"""Estimators of models linear in their parameters, as entries of the table: each with its properties, which code asks for by name.
+
+Every estimator is looked at when a pipeline is read, so what fits is imported by the first fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from labpipe.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from labpipe.estimation.budget import Case
+    from labpipe.estimation.derived import BandModel
+    from labpipe.estimation.measured import Measured
+    from labpipe.estimation.statistics import Estimate
+
+# From a model and data with other numbers to parameters (n_parameter,) [parameter units].
+Step = Callable[["BandModel", "Measured"], FloatArray]
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """fit: from a measured FRF, a model and the key `weight` to an Estimate; and what is true of the estimator.
+
+    refuses: keys of a fit that it has no use for. linear: it needs a model linear in its parameters; else one with `receptance` and
+    `jacobian` will do. one_frf: it needs a model of one FRF. likelihood: its estimate is the minimum of the output error, weighted by
+    the noise. models_leakage: it compares random data with what leakage makes of the model. unbiased: a right model leaves nothing but
+    noise. phase: it uses the phase. step: one more step from the estimate of a case, on which the budget rests; None: that of ml where the
+    estimate is that of ml, else the fit is repeated.
+
+    The defaults are those of an output error of its own weights.
+    """
+
+    fit: Callable[[Any, Any, str], Estimate]
+    refuses: tuple[str, ...] = ("weight",)
+    linear: bool = False
+    one_frf: bool = False
+    likelihood: bool = False
+    models_leakage: bool = True
+    unbiased: bool = True
+    phase: bool = True
+    step: Callable[[Case], Step] | None = None
+
+
+def _least_squares(measured: Measured, model: Any, weight: str) -> Estimate:
+    from labpipe.estimation.regression import least_squares
+
+    return least_squares(measured, model, weight)
+
+
+def _instrumental(measured: Measured, model: Any, weight: str) -> Estimate:
+    from labpipe.estimation.regression import instrumental_variables
+
+    return instrumental_variables(measured, model, weight)
+
+
+def _maximum_likelihood(measured: Measured, model: Any, weight: str) -> Estimate:
+    from labpipe.estimation.likelihood import maximum_likelihood
+
+    return maximum_likelihood(measured, model, weight)
+
+
+def _amplitudes(measured: Measured, model: Any, weight: str) -> Estimate:
+    from labpipe.estimation.amplitude import amplitude_fit
+
+    return amplitude_fit(measured, model, weight)
+
+
+def _least_squares_step(case: Case) -> Step:
+    from labpipe.estimation.budget import least_squares_step
+
+    return least_squares_step(case)
+
+
+def _instrumental_step(case: Case) -> Step:
+    from labpipe.estimation.budget import instrumental_step
+
+    return instrumental_step(case)
+
+
+def _likelihood_step(case: Case) -> Step:
+    from labpipe.estimation.budget import likelihood_step
+
+    return likelihood_step(case)
+
+
+LS = Estimator(_least_squares, refuses=("damping",), linear=True, models_leakage=False, unbiased=False, step=_least_squares_step)
+IV = Estimator(_instrumental, refuses=("damping",), linear=True, models_leakage=False, unbiased=False, step=_instrumental_step)
+ML = Estimator(_maximum_likelihood, likelihood=True, step=_likelihood_step)
+# Without a phase, and of few equations: the fit is repeated.
+AMPLITUDE = Estimator(_amplitudes, refuses=("damping",), linear=True, one_frf=True, models_leakage=False, phase=False)

@@ -1,0 +1,351 @@
+"""identify: a frequency response and the settings of a fit -> one Fit per band or peak."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, FitError, LabpipeError
+from labpipe.estimation.budget import Case, budget_of, sources_of, with_contributions, with_given_mass
+from labpipe.estimation.causes import drift_findings, mass_findings
+from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
+from labpipe.estimation.derived import (
+    BandModel,
+    drawn_densely,
+    is_corrected,
+    reported_parameters,
+    widened_parameters,
+    with_systematic,
+    without_intervals,
+)
+from labpipe.estimation.diagnostics import (
+    covariance_findings,
+    estimate_findings,
+    goodness_findings,
+    is_of_closed_loop,
+    judged_findings,
+    leakage_findings,
+    mode_findings,
+    motion_notes,
+    parameter_findings,
+    quality_findings,
+    with_feedback,
+)
+from labpipe.estimation.draws import bootstrapped, propagated
+from labpipe.estimation.leakage import expected
+from labpipe.estimation.linear_models import form_view
+from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.mismatch import Judgement, judge
+from labpipe.estimation.model import DynamicModel, Setup, constrained
+from labpipe.estimation.settings import FitSettings, check_kind
+from labpipe.estimation.statistics import Estimate, condition_number, correlation, student_limit
+from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.identification import Fit, FittedCurve
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.settings import ESTIMATE
+from labpipe.records.spectra import ChannelSpectra, FreeDecays
+from labpipe.records.uncertain import Budget
+from labpipe.spectra.bands import EDGE, lines_in
+from labpipe.spectra.convert import FormView
+from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
+
+Band = tuple[float, float]
+
+
+def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+    """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
+
+    *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held against a free one; without it the
+    intervals are those of the estimator alone, which a study counts, at a fraction of the time.
+    Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
+    """
+    check_kind(settings, _kind_of(measured))
+    if isinstance(measured, FrequencyResponse):
+        form_view(measured.form, settings)
+    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
+        fits = fit_linear(measured, settings, judging=judging)
+    else:
+        fits = settings.kind.fit(measured, settings)
+    if isinstance(measured, FrequencyResponse):
+        fits = tuple(with_feedback(fit, measured.findings) for fit in fits)
+    if settings.kind.times_mass:
+        fits = tuple(with_given_mass(fit, settings) for fit in fits)
+    return tuple(with_contributions(fit, settings.coverage) for fit in fits)
+
+
+def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
+    if isinstance(measured, FrequencyResponse):
+        return RESPONSES
+    return DECAYS if isinstance(measured, FreeDecays) else SPECTRA
+
+
+def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+    """Fits of a model linear in its parameters: one per band or chosen peak; *judging* as for `identify`."""
+    if settings.peaks:
+        return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands, judging))
+    rows, columns = select_ports(response, settings.input, settings.output)
+    outputs = tuple(response.outputs[row] for row in rows)
+    inputs = tuple(response.inputs[column] for column in columns)
+    setup = Setup(outputs, inputs, settings, is_of_closed_loop(response.findings))
+    view, model = form_view(response.form, settings), _model(setup)
+    fits, bands = [], _bands(response, settings)
+    for band, lines in bands:
+        measured = measured_part(response, rows, columns, lines, view)
+        try:
+            fit = _fit_band(setup, model, measured, band, len(bands), judging)
+        except FitError as error:
+            raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
+        drift = drift_findings(measured, fit.model, fit.values, len(bands))
+        quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
+        curve = _curve(view, measured, fit)
+        # The bands of a sliding fit are drawn as coefficients over frequency, not as curves.
+        curve = _between_lines(view, curve, fit) if len(bands) == 1 else curve
+        fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
+    return tuple(fits)
+
+
+def _diagonal_term(response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool) -> list[Fit]:
+    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
+    try:
+        fits = identify(response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)), judging=judging)
+    except LabpipeError as error:
+        error.what = f"term {dof}: {error.what}"
+        raise
+    return [replace(fit, term=dof) for fit in fits]
+
+
+def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
+    """Bands of *width* every *step* [Hz] that lie in the whole band: 1-250 Hz by 15/3 Hz gives 79."""
+    if width <= 0 or step <= 0:
+        raise ConfigError("width and step of sliding bands must be positive")
+    count = int(np.floor((whole[1] - whole[0] - width) / step + 1e-9)) + 1
+    if count < 1:
+        raise ConfigError(f"no band of {width:g} Hz fits into {whole[0]:g}-{whole[1]:g} Hz")
+    return [(whole[0] + n * step, whole[0] + n * step + width) for n in range(count)]
+
+
+def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
+    """Every band with its lines; sliding bands hold the lines from their lower edge up to, not including, the upper one."""
+    frequency = response.frequency
+    if settings.bands:
+        return [(band, lines_in(frequency, band)) for band in settings.bands]
+    whole = settings.band or (float(frequency[0]), float(frequency[-1]))
+    if settings.sliding is None:
+        return [(whole, lines_in(frequency, whole))]
+    bands = sliding_bands(whole, settings.sliding.width, settings.sliding.step)
+    return [(band, lines_in(frequency, band) & (frequency < band[1] * (1 - EDGE))) for band in bands]
+
+
+@dataclass(frozen=True)
+class _BandFit:
+    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
+
+    fit: Fit
+    fitted: ComplexArray
+    model: BandModel
+    values: FloatArray
+
+
+def _model(setup: Setup) -> BandModel:
+    """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations."""
+    settings = setup.settings
+    plain = not (settings.fixed or settings.tied or settings.eliminate or is_corrected(settings))
+    if settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain and transfer_of(setup):
+        return TransferMode()
+    return constrained(settings.kind.model(setup), settings)
+
+
+def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
+    """The settings' model less the parameters that were eliminated, so that those of *names* are left."""
+    model = _model(setup)
+    for name in model.names:
+        if name not in names and isinstance(model, DynamicModel):
+            model = model.without(name)
+    return model
+
+
+def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> Estimate:
+    """The estimate by the settings' estimator."""
+    return settings.estimates.fit(measured, model, settings.weight)
+
+
+def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool) -> _BandFit:
+    settings = setup.settings
+    estimate = _estimated(measured, model, settings)
+    dropped: list[str] = []
+    if settings.eliminate and isinstance(model, DynamicModel):
+        model, estimate, dropped = _eliminated(measured, model, estimate, settings)
+    estimator = settings.estimates
+    shown = expected(measured, model) if estimator.models_leakage else model
+    fitted = shown.receptance(estimate.values, measured.omega)
+    leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
+    judgement = judge(measured, model, estimate, settings, n_band, leaking=bool(leakage)) if judging else Judgement()
+    parameters = reported_parameters(estimate, model, setup)
+    notes = (*estimate.notes, *dropped)
+    if settings.bootstrap:
+        refit = functools.partial(_refit, setup, model)
+        parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
+        notes = (*notes, note)
+    parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
+    case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
+    budgeted = _with_budget(case, parameters, fitted)
+    notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
+    notes = (*notes, *motion_notes(measured))
+    # Candidates show whether proportional damping is justified.
+    of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
+    ml_estimate = estimate if of_model else None
+    compared_models, left_out = (
+        candidates(measured, setup, ml_estimate) if settings.compare or settings.damping == "proportional" else ((), ())
+    )
+    notes = (*notes, *comparison_notes(left_out))
+    fit = Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator=settings.estimator,
+        band_hz=band,
+        lines=measured.omega.size,
+        equations=estimate.dof + len(model.names),
+        dof=estimate.dof,
+        gof=estimate.gof,
+        parameters=parameters,
+        condition_number=condition_number(estimate.scaled_design),
+        correlation=correlation(estimate.covariance),
+        converged=estimate.converged,
+        iterations=estimate.iterations,
+        findings=(
+            *estimate_findings(estimate, model.names, measured.omega.size, model.units),
+            *judgement.findings,
+            *judged_findings(judgement.judged),
+            *goodness_findings(estimate.gof),
+            *leakage,
+            *(_mass_findings(measured, model, estimate, setup) if judging else ()),
+            *_parameter_findings(parameters, band, setup),
+            *budgeted.findings,
+            *comparison_findings(compared_models),
+        ),
+        notes=notes,
+        candidates=compared_models,
+        budget=budgeted.budget,
+    )
+    return _BandFit(fit, fitted, model, estimate.values)
+
+
+@dataclass(frozen=True)
+class _Budgeted:
+    """Parameters with all doubts, and what is to be said of them."""
+
+    parameters: tuple[Parameter, ...]
+    budget: Budget | None = None
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray) -> _Budgeted:
+    """The parameters with what given numbers add to their doubt, by first order and, if asked for, by draws.
+
+    ConfigError for draws where no number has a doubt.
+    """
+    if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
+        hint = "bootstrap: 1000 draws the noise alone; or state a doubt, as mass: 0.92 kg +- 1 %"
+        raise ConfigError("'monte_carlo' has nothing to draw: no given number has a doubt", hint=hint, field="monte_carlo")
+    budget = budget_of(case, parameters)
+    if budget is None:
+        return _Budgeted(parameters)
+    expanded = with_systematic(parameters, budget)
+    draws = case.setup.settings.monte_carlo
+    if not draws:
+        return _Budgeted(expanded, budget)
+    drawn = propagated(case, expanded, budget, fitted, _refit, draws)
+    return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
+
+
+def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:
+    """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
+    of_mode = mode_findings(parameters, band, setup)
+    driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
+    others = parameter_findings(parameters, driving=driving, held=setup.closed_loop)
+    return [*(finding for finding in others if not (of_mode and finding.code == "unphysical")), *of_mode]
+
+
+def _with_honest_intervals(
+    parameters: tuple[Parameter, ...],
+    judgement: Judgement,
+    estimate: Estimate,
+    model: BandModel,
+    setup: Setup,
+) -> tuple[Parameter, ...]:
+    """The parameters with the intervals that the judgement of the residual leaves them."""
+    if judgement.refused:
+        return without_intervals(parameters)
+    if judgement.covariance is None:
+        return parameters
+    pair = [reported_parameters(replace(estimate, covariance=c), model, setup) for c in (estimate.covariance, judgement.covariance)]
+    return widened_parameters(parameters, *pair)
+
+
+def _mass_findings(measured: Measured, model: BandModel, estimate: Estimate, setup: Setup) -> list[Finding]:
+    """The given mass against a free one, for models linear in their parameters and responses of reliable phase to a force."""
+    if not isinstance(model, DynamicModel) or setup.settings.kind.of_base or not setup.settings.estimates.phase or not estimate.converged:
+        return []
+    return mass_findings(measured, model, estimate.values, setup)
+
+
+def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
+    """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
+    estimate = _estimated(measured, model, setup.settings)
+    if not estimate.converged:
+        raise FitError("not converged")
+    return reported_parameters(estimate, model, setup)
+
+
+def _eliminated(
+    measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
+) -> tuple[DynamicModel, Estimate, list[str]]:
+    """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are significant."""
+    notes: list[str] = []
+    while sum(term.droppable for term in model.terms) > 1:
+        std_errors = np.sqrt(np.diag(estimate.covariance))
+        droppable = [number for number, term in enumerate(model.terms) if term.droppable and std_errors[number] > 0]
+        t_ratios = {number: float(abs(estimate.values[number]) / std_errors[number]) for number in droppable}
+        weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
+        if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
+            break
+        name = model.terms[weakest].name
+        notes.append(f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero")
+        model = model.without(name)
+        estimate = _estimated(measured, model, settings)
+    return model, estimate, notes
+
+
+def _curve(view: FormView, measured: Measured, fit: _BandFit) -> FittedCurve:
+    """Measured and fitted FRF in the measured form."""
+    frequency = measured.omega / (2 * np.pi)
+    factor = view.factor(frequency)[:, None, None]
+    variance = None
+    if measured.covariance is not None:
+        diagonal = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape)
+        variance = diagonal * np.abs(factor) ** 2
+    return FittedCurve(
+        frequency,
+        measured.matrix * factor + view.offset,
+        fit.fitted * factor + view.offset,
+        variance=variance,
+        outputs=tuple(port.label for port in measured.outputs),
+        inputs=tuple(port.label for port in measured.inputs),
+        form=view.form,
+    )
+
+
+def _between_lines(view: FormView, curve: FittedCurve, fit: _BandFit) -> FittedCurve:
+    """The curve with the model between its lines too, so close that no resonance is cut off."""
+
+    def model(frequency: FloatArray) -> ComplexArray:
+        factor = view.factor(frequency)[:, None, None]
+        return fit.model.receptance(fit.values, 2 * np.pi * frequency) * factor + view.offset
+
+    frequency, values = drawn_densely(model, curve.frequency)
+    return replace(curve, dense_frequency=frequency, dense=values)

@@ -1,0 +1,389 @@
+"""Leakage of random data as part of the model, and noise that lines of an FRF share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.period_average import neighbourhood_mean
+from labpipe.spectra.windows import POINTS, LeakageKernel
+
+if TYPE_CHECKING:
+    from labpipe.estimation.measured import Measured
+    from labpipe.estimation.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
+
+# Noise that lines of an FRF share: its correlation from line to line as a matrix that is never formed, and
+# what it does to a fit.
+
+# Columns of the correlation formed together: enough to keep the overhead small, few enough for the memory.
+COLUMNS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class SharedNoise:
+    """Noise of the chosen lines, whitened element by element: e(k, a) = sum_j gains(k, j, a) z(k + j - m, a), cov(z_(k+d), z_k) = r_d.
+
+    numbers (n_line,): numbers of the chosen lines; correlation r_1, r_2, ... (n_distance,) [1]; gains (n_line, 2 m + 1, n_element) [1],
+    or None where every line has the noise of its own number alone.
+    """
+
+    numbers: IntArray
+    correlation: ComplexArray
+    gains: ComplexArray | None = None
+
+    def times(self, columns: ComplexArray) -> ComplexArray:
+        """R X: the correlation matrix (n_line n_element)^2 [1] times *columns* (n_line, n_element, n_column) [any unit]."""
+        places = self._places
+        spread = np.zeros((self._n_place, *columns.shape[1:]), np.complex128)
+        for neighbour, gain in enumerate(self._factors):
+            # Line numbers do not repeat, so that one neighbour of all lines can be added at once.
+            spread[places + neighbour] += gain.conj()[:, :, None] * columns
+        spread = self._by_distance(spread)
+        return np.asarray(sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors)))
+
+    def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
+        """Circular normal noise of this correlation, (n_line, n_element) [1]."""
+        return self.drawn_often(rng, n_element, 1)[:, :, 0]
+
+    def drawn_often(self, rng: np.random.Generator, n_element: int, n_draw: int) -> ComplexArray:
+        """*n_draw* independent draws of it, (n_line, n_element, n_draw) [1]."""
+        kernel = self._kernel(self._n_place)
+        power = np.maximum(fft.fft(kernel).real, 0.0)
+        white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
+        shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
+        drawn = sum(gain[:, :, None] * shared[self._places + neighbour] for neighbour, gain in enumerate(self._factors))
+        return np.asarray(drawn)
+
+    @property
+    def trace(self) -> float:
+        """tr(R) of one element [1]: the number of lines."""
+        return float(self.numbers.size)
+
+    @cached_property
+    def power(self) -> float:
+        """tr(R^2) of one element, averaged over the elements: the sum of all squared correlations [1]."""
+        n_line = self.numbers.size
+        n_element = 1 if self.gains is None else self.gains.shape[2]
+        total = 0.0
+        for first in range(0, n_line, COLUMNS_AT_ONCE):
+            lines = np.arange(first, min(first + COLUMNS_AT_ONCE, n_line))
+            unit = np.zeros((n_line, n_element, lines.size))
+            unit[lines, :, lines - first] = 1.0
+            total += float(np.sum(np.abs(self.times(unit.astype(np.complex128))) ** 2))
+        return total / n_element
+
+    @cached_property
+    def _factors(self) -> ComplexArray:
+        """Gains by neighbour, (n_neighbour, n_line, n_element or 1)."""
+        return np.ones((1, self.numbers.size, 1), np.complex128) if self.gains is None else self.gains.swapaxes(0, 1)
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Where the first neighbour of every line stands among all lines from the first to the last one, (n_line,)."""
+        return self.numbers - self.numbers[0]
+
+    @property
+    def _n_place(self) -> int:
+        return int(self._places[-1]) + self._factors.shape[0]
+
+    def _by_distance(self, columns: ComplexArray) -> ComplexArray:
+        """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular convolution."""
+        n = columns.shape[0]
+        kernel = self._kernel(n)
+        shape = (-1,) + (1,) * (columns.ndim - 1)
+        product: ComplexArray = fft.ifft(fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0), axis=0)[:n]
+        return product
+
+    def _kernel(self, n: int) -> ComplexArray:
+        """The correlation of *n* lines as that of a circle of lines so long that its ends do not meet."""
+        used = self.correlation[: n - 1]
+        kernel = np.zeros(fft.next_fast_len(n + used.size), np.complex128)
+        kernel[: used.size + 1] = np.concatenate([[1.0], used])
+        kernel[kernel.size - used.size :] = used[::-1].conj()
+        return kernel
+
+
+@dataclass(frozen=True)
+class LinePairs:
+    """Noise e of the lines *first* and *second* (n_pair,): E[e_k e_l^H] and E[e_k e_l^T], (n_pair, n_element, n_element) [1]."""
+
+    first: IntArray
+    second: IntArray
+    correlation: ComplexArray
+    turned: ComplexArray
+
+
+@dataclass(frozen=True)
+class LineBlocks:
+    """Noise of *n_line* lines that only near lines share: pairs of lines 0, 1, 2 ... apart."""
+
+    n_line: int
+    pairs: tuple[LinePairs, ...]
+
+    def times(self, columns: ComplexArray) -> ComplexArray:
+        """R X + T X*: the covariance of real and imaginary parts times *columns* (n_line, n_element, n_column) [any unit]."""
+        product = np.zeros_like(columns)
+        for distance, pair in enumerate(self.pairs):
+            # A line occurs once among the first ones, and once among the second ones of its distance.
+            product[pair.first] += pair.correlation @ columns[pair.second] + pair.turned @ columns[pair.second].conj()
+            if distance:
+                product[pair.second] += pair.correlation.conj().swapaxes(1, 2) @ columns[pair.first]
+                product[pair.second] += pair.turned.swapaxes(1, 2) @ columns[pair.first].conj()
+        return product
+
+    @property
+    def trace(self) -> float:
+        """tr(R), averaged over the elements [1]."""
+        return float(np.einsum("kaa->", self.pairs[0].correlation).real) / self.pairs[0].correlation.shape[1]
+
+    @property
+    def power(self) -> float:
+        """tr(R^2) + tr(T T*), averaged over the elements [1]."""
+        squares = [float(np.sum(np.abs(pair.correlation) ** 2) + np.sum(np.abs(pair.turned) ** 2)) for pair in self.pairs]
+        return (squares[0] + 2 * sum(squares[1:])) / self.pairs[0].correlation.shape[1]
+
+
+@dataclass(frozen=True)
+class SharedResidual:
+    """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its residual.
+
+    covariance (n_parameter, n_parameter) [parameter units]; mean and dof [1]: the sum of squares of the residual is like
+    chi-square of *dof* degrees of freedom, scaled to *mean*.
+    """
+
+    covariance: FloatArray
+    mean: float
+    dof: float
+
+
+def shared_residual(noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inverse: FloatArray) -> SharedResidual:
+    """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2 / tr(P R P R).
+
+    *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part [1 per parameter unit];
+    *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a sum of squares of correlated normal values
+    (Satterthwaite 1946). Equation (est-shared-residual).
+    """
+    columns = jacobian.reshape(-1, jacobian.shape[2])
+    product = noise.times(jacobian).reshape(columns.shape)
+    middle = (columns.conj().T @ product).real
+    square = (product.conj().T @ product).real
+    mean = 2 * noise.trace * jacobian.shape[1] - float(np.sum(inverse * middle))
+    half = inverse @ middle
+    spread = 2 * noise.power * jacobian.shape[1] - 2 * float(np.sum(inverse * square)) + float(np.trace(half @ half))
+    return SharedResidual(half @ inverse, mean, mean**2 / spread)
+
+
+# Leakage of random data as part of the model: the expected H1 of a model, and the part of its scatter that
+# is leakage, not noise.
+
+# Lines to either side over which the noise beside the leakage is averaged, and rounds of that average.
+HALF_WIDTH, ROUNDS = 8, 4
+# Smallest noise beside the leakage, as a share of both.
+SMALLEST_NOISE = 1e-6
+
+
+@dataclass(frozen=True)
+class Leakage:
+    """Leakage of the chosen lines.
+
+    kernel of the window; numbers (n_line,) [1]: frequency times length of a block; correlation c_d (n_distance,) [1] of noise between
+    lines, see windows.line_correlation; derivatives: of the measured form against the receptance.
+    """
+
+    kernel: LeakageKernel
+    numbers: IntArray
+    correlation: FloatArray
+    derivatives: int
+
+    @cached_property
+    def grid(self) -> tuple[FloatArray, IntArray]:
+        """(omega (n_every,) [rad/s] of all points, place of every line's points among them (n_line, n_point))."""
+        points = self.numbers[:, None] * POINTS + self.kernel.offsets.astype(np.intp)
+        every, place = np.unique(points, return_inverse=True)
+        return 2 * np.pi * every / (POINTS * self.kernel.blocks.length), place.reshape(points.shape)
+
+    @cached_property
+    def _factors(self) -> FloatArray:
+        """(v / w)^n of every line's points, (n_line, n_point) [1]: the measured form is averaged, not the receptance."""
+        omega, place = self.grid
+        return (omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)) ** self.derivatives
+
+    def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
+        """The lines (n_pair,) that have a line *distance* further on, and those (n_pair,)."""
+        second = np.searchsorted(self.numbers, self.numbers + distance)
+        there = self.numbers[np.minimum(second, self.numbers.size - 1)] == self.numbers + distance
+        return np.flatnonzero(there), second[there]
+
+    def points_of(self, model: ReceptanceModel, parameters: FloatArray) -> ComplexArray:
+        """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
+        omega, place = self.grid
+        values: ComplexArray = model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
+        return values
+
+    def averaged(self, values: ComplexArray) -> ComplexArray:
+        """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof, n_input) [unit of values]."""
+        # Cases last, as the derivatives of a model lie in memory: one pass over all of them.
+        every = np.ascontiguousarray(np.moveaxis(values.reshape(-1, *values.shape[-3:]), 0, -1), np.complex128)
+        # Real weights on pairs of real and imaginary part.
+        means = (self._weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
+        cases_last = means.reshape(self.numbers.size, *every.shape[1:])
+        return np.moveaxis(cases_last, -1, 0).reshape(*values.shape[:-3], self.numbers.size, *values.shape[-2:])
+
+    @cached_property
+    def _weights(self) -> Any:
+        """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
+        from scipy import sparse
+
+        omega, place = self.grid
+        n_line, n_point = place.shape
+        weights = (self.kernel.weights * self._factors).ravel()
+        return sparse.csr_array((weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size))
+
+
+@dataclass(frozen=True)
+class SmearedModel:
+    """A model whose FRF is its expected H1 on the lines of *leakage*."""
+
+    model: ResponseModel
+    leakage: Leakage
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.model.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.model.units
+
+    @property
+    def linear(self) -> DynamicModel:
+        return self.model.linear
+
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """Start values (n_parameter,) [parameter units] from those of `linear`."""
+        return self.model.from_linear(values)
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002 (the lines are the leakage's)
+        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation (frf-smeared)."""
+        return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
+        """Its derivatives, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
+        return self.leakage.averaged(self.model.jacobian(parameters, self.leakage.grid[0]))
+
+
+@overload
+def expected(measured: Measured, model: ResponseModel) -> ResponseModel: ...
+@overload
+def expected(measured: Measured, model: FittedModel) -> FittedModel: ...
+def expected(measured: Measured, model: Any) -> Any:
+    """The model as random data show it: with the leakage of their blocks, where that is known."""
+    return model if measured.leakage is None else SmearedModel(model, measured.leakage)
+
+
+def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatArray) -> LineBlocks | None:
+    """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what their residual's power gives.
+
+    The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block loses at its end the next
+    one has too much, so that the mean over overlapping blocks scatters less than its residual tells; from line to line it is correlated
+    otherwise than noise. None without leakage or noise.
+    """
+    leakage = measured.leakage
+    if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
+        return None
+    points = leakage.points_of(model, parameters)
+    deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
+    power = _force_power(measured)
+    apparent = _apparent(leakage, deviation, power) / measured.noise_dof
+    noise = _noise_beside(measured.covariance, apparent)
+    white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
+    of_noise = white @ np.linalg.cholesky(noise)
+    pairs = []
+    for distance in range(leakage.correlation.size + 2):
+        first, second = leakage.pairs(distance)
+        covariance, turned = _scatter(leakage, deviation, power, distance)
+        shared = float(([1.0, *leakage.correlation, 0.0])[distance])
+        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (of_noise[first] @ hermitian(of_noise[second]))
+        pairs.append(LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2)))
+    return LineBlocks(measured.omega.size, tuple(pairs))
+
+
+def _force_power(measured: Measured) -> FloatArray:
+    """Power of every force relative to the first, (n_input,) [1]: noise of H is as large as that of the outputs over the force."""
+    assert measured.covariance is not None
+    _, n_output, n_input = measured.matrix.shape
+    variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
+    ratio: FloatArray = np.median(variance[:, :, :1] / variance, axis=(0, 1))
+    return ratio
+
+
+def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
+    """Covariance (n_line, n, n) [m^2/N^2] of H from the leakage in a single block's residual, as if blocks were independent."""
+    weighted = deviation * (leakage.kernel.weights[:, None, None] * power)
+    return _by_force(_rows(weighted) @ hermitian(_rows(deviation)), power)
+
+
+def _rows(deviation: ComplexArray) -> ComplexArray:
+    """Values (n_line, n_point, n_output, n_input) as rows of an output's numbers, (n_line, n_output, n_point n_input) [their unit]."""
+    n_line, n_point, n_output, n_input = deviation.shape
+    return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
+
+
+def _scatter(leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int) -> tuple[ComplexArray, ComplexArray]:
+    """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d in H1 of lines *distance* apart.
+
+    Of circular normal values, over blocks t apart: sum_t (1 - |t| / K) E_t conj(P_t) / K with E_t of the residuals, P_t of the forces, and
+    sum_t (1 - |t| / K) Q_t(k, l) Q_-t(l, k) / K with Q_t between the residual of one line and block and the force of the other.
+    """
+    kernel = leakage.kernel
+    first, second = leakage.pairs(distance)
+    step = distance * POINTS
+    both = kernel.amplitude[step:] * kernel.amplitude[: kernel.amplitude.size - step]
+    left, right = deviation[first][:, step:], deviation[second][:, : deviation.shape[1] - step]
+    n = deviation.shape[2] * power.size
+    left_rows, right_rows = _rows(left * power), hermitian(_rows(right))
+    left, right = (np.ascontiguousarray(side).reshape(*side.shape[:2], n) for side in (left, right))
+    covariance, turned = np.zeros((2, first.size, n, n), np.complex128)
+    for weight, phases in kernel.shifts():
+        shifted = weight / kernel.blocks.number * both * phases[step:]
+        products = (left_rows * np.repeat(shifted, power.size)) @ right_rows
+        covariance += _by_force(products, power) * np.vdot(phases[step:], both)
+        there = (shifted @ left).reshape(-1, *deviation.shape[2:])
+        back = (both * phases[step:].conj() @ right).reshape(-1, *deviation.shape[2:])
+        turned += np.einsum("koj,kpi->koipj", there, back).reshape(-1, n, n)
+    return covariance, turned
+
+
+def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
+    """Covariance (n_pair, n, n) of vec(H) from that of the outputs (n_pair, n_output, n_output): each force for itself, over its power."""
+    n_pair, n_output, _ = products.shape
+    n = n_output * power.size
+    return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)
+
+
+def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:
+    """The noise (n_line, n, n) in the measured covariance beside the leakage: the mean over neighbours, weighted by the sum of both."""
+    every = np.ones(covariance.shape[0], bool)
+    beside = covariance - apparent
+    noise = neighbourhood_mean(covariance, every, HALF_WIDTH)
+    for _ in range(ROUNDS):
+        size = np.sqrt(np.einsum("lii->li", noise + apparent).real)
+        weight = 1 / (size[:, :, None] * size[:, None, :]) ** 2
+        noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(weight, every, HALF_WIDTH)
+        noise = _positive(noise, covariance + apparent)
+    return noise
+
+
+def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
+    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole* (n_line, n, n)."""
+    size = np.sqrt(np.einsum("lii->li", whole).real)
+    outer = size[:, :, None] * size[:, None, :]
+    values, vectors = np.linalg.eigh(without_rounding(noise / outer))
+    raised = np.maximum(values, SMALLEST_NOISE)
+    return (vectors * raised[:, None, :]) @ hermitian(vectors) * outer

@@ -1,0 +1,248 @@
+"""ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise, and its start values.
+
+ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
+
+Minimises sum over lines of e^H C^-1 e, e = vec(H_measured - H(p)), C the measured covariance, by Levenberg-Marquardt with the
+analytic Jacobian. For a known C this is the maximum-likelihood estimate and reaches the Cramer-Rao bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import MAX_ITERATIONS, Linearisation, Minimum, minimise, triangle_of_products
+from labpipe.estimation.leakage import expected, leaking_noise, shared_residual
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import FittedModel, ReceptanceModel, ResponseModel, compliance
+from labpipe.estimation.output_error import NormalEquations, OutputError, has_line_products, normal_equations
+from labpipe.estimation.regression import equation_solution, inverse_of, regression, solve_scaled
+from labpipe.estimation.statistics import Estimate, determination
+from labpipe.estimation.transfer_mode import TransferMode, transfer_start
+from labpipe.estimation.weights import WeightDoubt, complex_rows, fit_weights, fitted_doubt, has_noise, weight_doubt
+from labpipe.records.identification import Goodness
+
+# Start values of an output-error fit: estimates without start values of their own, the best one first.
+
+REWEIGHTINGS = 12
+# Share of the lowest chi-square that a useful pass must fall below.
+WORTHWHILE = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Start values (n_parameter,) [parameter units], the name of their method, and their chi-square."""
+
+    name: str
+    values: FloatArray
+    chi2: float
+
+
+def starts(problem: OutputError[ResponseModel]) -> list[Start]:
+    """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
+
+    Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
+    makes it nearly an output error and needs no good start. It ends after two successive passes with hardly lower chi-square.
+    """
+    model = problem.model
+    values = _least_squares(problem)
+    attempts = [_start(problem, "least squares", model.from_linear(values))]
+    idle = 0
+    for number in range(1, REWEIGHTINGS + 1):
+        try:
+            values = _reweighted(problem, values)
+        except (FitError, np.linalg.LinAlgError):
+            break
+        lowest = min(start.chi2 for start in attempts)
+        attempts.append(_start(problem, f"reweighted least squares (pass {number})", model.from_linear(values)))
+        idle = 0 if attempts[-1].chi2 < WORTHWHILE * lowest else idle + 1
+        if idle == 2:
+            break
+    best = min(attempts, key=lambda start: start.chi2)
+    return list(dict.fromkeys([best, attempts[-1], attempts[0], attempts[min(1, len(attempts) - 1)]]))
+
+
+def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -> Start:
+    return Start(name, values, problem.chi2(values))
+
+
+def _least_squares(problem: OutputError[ResponseModel]) -> FloatArray:
+    """Least squares of the equation of motion, all lines alike."""
+    linear = problem.model.linear
+    values = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
+    return equation_solution(regression(problem.measured, linear, "none"), linear)[0] if values is None else values
+
+
+def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
+    """Least squares of the whitened equation error times Z_last^-1."""
+    measured, linear = problem.measured, problem.model.linear
+    if has_line_products(linear, problem.weights):
+        values = _by_line_products(problem, last)
+        if values is not None:
+            return values
+    terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)
+    right_side = linear.filtered(last, linear.equation_constant(measured.matrix, measured.omega)[None], measured.omega)[0]
+    return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
+
+
+def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
+    """The same from products line by line, without weights and Z_last^-1 where there is no *last*; None where they are too inexact."""
+    measured, linear = problem.measured, problem.model.linear
+    weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128) if last is None else problem.weights
+
+    def equations_at(values: FloatArray, products: bool) -> NormalEquations:
+        def lines_of(lines: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+            omega, response = measured.omega[lines], measured.matrix[lines]
+            none = np.broadcast_to(np.eye(response.shape[1], dtype=np.complex128), (omega.size, *(response.shape[1:2] * 2)))
+            inverse = none if last is None else compliance(linear, last, omega)
+            return inverse, response, inverse @ (linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response)
+
+        return normal_equations(linear, measured.omega, weights, lines_of, products)
+
+    values = np.zeros(len(linear.terms))
+    equations = equations_at(values, True)
+    factor = triangle_of_products(equations.products)
+    if factor is None:
+        return None
+    scale, triangle = factor
+    for projected in (equations.projected, None):
+        # The second round is the one refinement of the seminormal equations.
+        side = equations_at(values, False).projected if projected is None else projected
+        values = values + np.linalg.solve(triangle, np.linalg.solve(triangle.T, side / scale)) / scale
+    return values
+
+
+# ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
+
+# p-value of a minimum below which, as without convergence, further starts are tried.
+DOUBTFUL_P = 1e-3
+UNWEIGHTED_NOTE = (
+    "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal weight, the standard "
+    "errors come from the residual, and the chi-square test of the model is not possible."
+)
+
+
+def maximum_likelihood(
+    measured: Measured,
+    model: ResponseModel | TransferMode,
+    weight: str = "noise",  # noqa: ARG001 (always by noise)
+    *,
+    most_steps: int = MAX_ITERATIONS,
+) -> Estimate:
+    """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
+
+    Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all lines have equal weight and
+    the residual gives the standard errors. *most_steps* bounds the descent from each start. FitError for fewer equations than parameters,
+    or for a covariance that cannot be inverted. Equation (est-ml).
+    """
+    if isinstance(model, TransferMode):
+        return maximum_likelihood_from(measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase")
+    n_parameter = len(model.names)
+    dof = measured.n_equation - n_parameter
+    if dof <= 0:
+        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+    weighted = has_noise(measured)
+    doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
+    problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+    best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
+    return _estimate(measured, model, problem, best, start.name)
+
+
+def maximum_likelihood_from(measured: Measured, model: FittedModel, start: FloatArray, name: str) -> Estimate:
+    """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is near; *name* of the start."""
+    n_parameter = len(model.names)
+    if measured.n_equation <= n_parameter:
+        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), fit_weights(measured))
+    return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
+
+
+def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
+    """The estimate at a minimum of *problem*, with its doubt."""
+    n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
+    values, converged, iterations = best.values, best.converged, best.steps
+    linear = problem.linearised(values)
+    assessed = assess(measured, model, problem, values, linear)
+    amplification = problem.size * np.sqrt(np.diag(assessed.inverse))
+    r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
+    notes: tuple[str, ...] = (f"ml: started from {start}.",)
+    if not has_noise(measured):
+        notes = (*notes, UNWEIGHTED_NOTE)
+    gof = Goodness(r2, adjusted, assessed.reduced, assessed.p_value)
+    return Estimate(
+        values=values,
+        covariance=assessed.covariance,
+        scaled_design=linear.triangle,
+        gof=gof,
+        dof=dof,
+        converged=converged,
+        iterations=iterations,
+        notes=notes,
+        parameter_dof=_interval_dof(measured, n_parameter, dof),
+        amplification=amplification,
+        squares=linear.chi2,
+    )
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """What noise leaves of a minimum: the estimates' covariance (n, n) [parameter units], and chi-square where the noise is known.
+
+    *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its *p_value*, None for an
+    unknown noise, whose size the residual gives.
+    """
+
+    covariance: FloatArray
+    inverse: FloatArray
+    reduced: float | None = None
+    p_value: float | None = None
+
+
+def assess(
+    measured: Measured,
+    model: FittedModel,
+    problem: OutputError[ReceptanceModel],
+    values: FloatArray,
+    linear: Linearisation | None = None,
+) -> Assessed:
+    """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
+
+    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated covariance and for noise that lines
+    share as in `weights`. Equation (est-unweighted).
+    """
+    linear = linear or problem.linearised(values)
+    inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
+    if not has_noise(measured):
+        if measured.line_noise is None:
+            return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
+        shared = shared_residual(measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse)
+        return Assessed(squares / shared.mean * shared.covariance, inverse)
+    noise, doubt = measured.noise or leaking_noise(measured, model, values[: len(model.names)]), weight_doubt(measured, dof)
+    covariance = doubt.inflation * inverse
+    if noise is not None:
+        covariance, doubt = fitted_doubt(measured, noise, doubt, problem.jacobian(values), inverse)
+    reduced = squares / dof / doubt.excess
+    return Assessed(covariance, inverse, reduced, doubt.p_value(reduced, dof))
+
+
+def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
+    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what they tell; else None."""
+    if measured.noise is None or not np.isfinite(measured.noise_dof):
+        return None
+    return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
+
+
+def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
+    """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
+    minima: list[tuple[float, Minimum, Start]] = []
+    for start in starts(problem):
+        minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)
+        minima.append((problem.chi2(minimum.values), minimum, start))
+        if minimum.converged and not doubtful(minima[-1][0]):
+            break
+    _, best, start = min(minima, key=lambda entry: (not entry[1].converged, entry[0]))
+    return best, start

@@ -1,0 +1,308 @@
+"""Models linear in their parameters: one mass, a rotor on two axes, many degrees of freedom, a moving base.
+
+base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the base.
+
+m x'' = -k (x - b) - c (x' - b'). Absolute T = X / B = (k + j w c) / (k + j w c - w^2 m), relative T_r = (X - B) / B = T - 1
+= w^2 m / (k + j w c - w^2 m) (Thomson and Dahleh, Theory of Vibration with Applications, sec. 3.5; den Hartog, sec. 2.11). So
+(T - 1) / w^2 = m / (k + j w c - w^2 m) [s^2] is the receptance of a mass under the force m, linear in k and c, in either case.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError
+from labpipe.estimation.model import DynamicModel, Setup, Term, angle_of, entry_term, fixed_matrices, labels
+from labpipe.estimation.settings import FitSettings, Mass, linear_kind
+from labpipe.records.response import Port
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.settings import ESTIMATE
+from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
+
+# Models of few degrees of freedom: which coefficients act between which of them. settings.MODELS is the
+# table.
+
+# Least share of a force along a direction that excites it.
+SMALLEST_SHARE = 1e-3
+# Responses count as perpendicular when the cosine of the angle between them is below this (0.06 deg).
+PERPENDICULAR = 1e-3
+
+
+def _scalar_mass(mass: Mass) -> float | None:
+    """The mass [kg], or None when it is to be estimated."""
+    if mass == ESTIMATE:
+        return None
+    if not isinstance(mass, (int, float)):
+        raise ConfigError("this model takes one mass", hint="for example mass: 0.92 kg")
+    if not mass >= 0:
+        raise ConfigError(f"the mass is {mass:g} kg", hint="it must not be negative")
+    return float(mass)
+
+
+def sdof(setup: Setup) -> DynamicModel:
+    """(k + j w c - w^2 m) Y = F: one mass on a spring and a damper (Lim et al. 2009, eq. 8-13)."""
+    _need_ports(setup, "sdof", 1)
+    if len(setup.inputs) != 1:
+        raise ConfigError(f"sdof takes one force, found {labels(setup.inputs)}", hint="name it with `input`")
+    mass = _scalar_mass(setup.settings.mass)
+    shape = (1, 1)
+    terms = [entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape)]
+    if mass is None:
+        terms.append(entry_term("m", "mass", [(0, 0)], shape, droppable=False))
+    return DynamicModel("sdof", tuple(terms), fixed_matrices(np.array([[mass or 0.0]]), np.ones(shape)))
+
+
+def rotor_2dof(setup: Setup) -> DynamicModel:
+    """Eight coefficients of a rotor in its bearings, x and y coupled (Lim et al. 2009, eq. 16-20).
+
+    One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several forces of known
+    direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are estimated. The responses whose dof or
+    label is x and y are x and y in whatever order they come; of other names, the first is x and the second y, and the directions
+    of the forces are taken from the responses' own. ConfigError where ports, mass or directions do not fit the model.
+    """
+    _need_ports(setup, "rotor-2dof", 2)
+    axes = _axes(setup.outputs)
+    mass = _mass_or_error(setup)
+    shape = (2, len(setup.inputs))
+    terms = [
+        entry_term(f"{letter}_{row}{column}", kind, [(r, c)], shape)
+        for letter, kind in (("k", "stiffness"), ("c", "damping"))
+        for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
+        for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
+    ]
+    force: FloatArray = np.zeros(shape)
+    angles = [angle_of(port) for port in setup.inputs]
+    if len(angles) > 1 and None not in angles:
+        force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
+    else:
+        terms.extend(_force_factors(setup.inputs, shape, axes))
+    return DynamicModel("rotor-2dof", tuple(terms), fixed_matrices(mass * np.eye(2), force))
+
+
+def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
+    """b_x, b_y of every force; with the force's label where there are several."""
+    suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
+    return [
+        entry_term(f"b_{'xy'[axis]}{suffix}", "force", [(axes.index(axis), column)], shape, droppable=False)
+        for column, suffix in enumerate(suffixes)
+        for axis in (0, 1)
+    ]
+
+
+def rotor_2dof_direct(setup: Setup) -> DynamicModel:
+    """Direct coefficients only: one spring and damper per axis, under the force's component (Lim et al. 2009, eq. 21-22).
+
+    F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along a response.
+    """
+    if len(setup.outputs) not in (1, 2):
+        raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}", hint="name them with `output`")
+    mass = _mass_or_error(setup)
+    angles = [angle_of(port) for port in setup.inputs]
+    if None in angles:
+        hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
+        raise ConfigError(f"the direction of the force {labels(setup.inputs)} is unknown", hint=hint)
+    axes = _axes(setup.outputs)
+    force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
+    shape = (len(axes), len(setup.inputs))
+    for row, axis in enumerate(axes):
+        if np.max(np.abs(force[row])) < SMALLEST_SHARE:
+            raise ConfigError(f"no force acts in direction {'xy'[axis]}", hint="choose the other `output`, or excite this direction")
+    terms = [
+        entry_term(f"{letter}_{'xy'[axis] * 2}", kind, [(row, row)], shape)
+        for row, axis in enumerate(axes)
+        for letter, kind in (("k", "stiffness"), ("c", "damping"))
+    ]
+    return DynamicModel("rotor-2dof-direct", tuple(terms), fixed_matrices(mass * np.eye(len(axes)), force))
+
+
+def _mass_or_error(setup: Setup) -> float:
+    mass = _scalar_mass(setup.settings.mass)
+    if mass is None:
+        raise ConfigError(f"{setup.settings.model} needs the known mass", hint="for example mass: 0.92 kg, here or in the rig file")
+    return mass
+
+
+def _axes(outputs: tuple[Port, ...]) -> list[int]:
+    """0 for x, 1 for y of every response: by its dof or label; of two responses with other names the first is x."""
+    named = [next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None) for port in outputs]
+    if len(outputs) == 2 and None in named:
+        other = [axis for axis in named if axis is not None]
+        named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
+    axes = [axis for axis in named if axis is not None]
+    if len(axes) < len(outputs):
+        raise ConfigError(f"response '{labels(outputs)}' is neither x nor y", hint="give its dof in the rig file")
+    if len(set(axes)) < len(axes):
+        raise ConfigError(f"the responses {labels(outputs)} have one direction", hint="one along x and one along y are needed")
+    return axes
+
+
+def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> FloatArray:
+    """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to zero is zero.
+
+    Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own directions.
+    """
+    response_angles = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
+    if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
+        raise ConfigError(f"the responses {labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
+    force = np.cos(np.subtract.outer(response_angles, angles))
+    return np.where(np.abs(force) < 1e-15, 0.0, force)
+
+
+def _need_ports(setup: Setup, model: str, n_output: int) -> None:
+    if len(setup.outputs) != n_output:
+        hint = "name it with `output`" if n_output == 1 else "name them with `output`"
+        raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
+
+
+SDOF = linear_kind(sdof, "peaks", one_frf=True, one_mode=True, one_direction=True, frees_mass=True)
+ROTOR_2DOF = linear_kind(rotor_2dof, "tied", "damping", simpler="rotor-2dof-direct")
+ROTOR_2DOF_DIRECT = linear_kind(rotor_2dof_direct, "tied", one_direction=True, richer="rotor-2dof")
+
+# mdof: any number of degrees of freedom, (K + j w C - w^2 M) H = B, one parameter per entry of K, C (and
+# M).
+
+MASS_SCALE = "mass_scale"
+
+
+def mdof(setup: Setup) -> DynamicModel:
+    """Stiffness k_i_j, damping c_i_j and, if unknown, mass m_i_j between the dofs i, j of the outputs.
+
+    One force is sufficient: every row of the equation of motion has its own coefficients (Knaapen 1997, ch. 4). *symmetric* settings
+    give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with `scale_mass`, known up to a factor.
+    ConfigError for a force on a dof without output, or a mass of the wrong size.
+    """
+    settings = setup.settings
+    dofs = [port.dof or port.label for port in setup.outputs]
+    if len(set(dofs)) < len(dofs):
+        raise ConfigError(f"two of the responses {labels(setup.outputs)} have one dof", hint="choose with `output`")
+    force = _forces(setup, dofs)
+    kinds = {"k": "stiffness", "c": "damping"}
+    terms = [term for letter, kind in kinds.items() for term in _entries(letter, kind, dofs, setup.shape, settings.symmetric)]
+    mass = _fixed_mass(settings.mass, len(dofs))
+    if mass is None:
+        terms.extend(_mass_entries(setup, dofs))
+        mass = np.zeros((len(dofs), len(dofs)))
+    elif settings.scale_mass:
+        terms.append(_mass_factor(setup, mass))
+        mass = np.zeros_like(mass)
+    return DynamicModel("mdof", tuple(terms), fixed_matrices(mass, force))
+
+
+def _entries(letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True) -> list[Term]:
+    """One parameter per entry of a matrix; of a symmetric one, those on and above the diagonal."""
+    places = [(r, c) for r in range(len(dofs)) for c in range(r if symmetric else 0, len(dofs))]
+    return [
+        entry_term(f"{letter}_{dofs[r]}_{dofs[c]}", kind, [(r, c), (c, r)] if symmetric else [(r, c)], shape, droppable) for r, c in places
+    ]
+
+
+def _mass_entries(setup: Setup, dofs: list[str]) -> list[Term]:
+    entries = _entries("m", "mass", dofs, setup.shape, setup.settings.symmetric, droppable=False)
+    if not setup.settings.lumped_mass:
+        return entries
+    return [term for term in entries if np.count_nonzero(np.diag(term.matrices.mass))]
+
+
+def _mass_factor(setup: Setup, mass: FloatArray) -> Term:
+    term = entry_term(MASS_SCALE, "mass", [], setup.shape, droppable=False)
+    return dataclasses.replace(term, unit="1", matrices=dataclasses.replace(term.matrices, mass=mass))
+
+
+def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
+    """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
+    if mass == ESTIMATE:
+        return None
+    entries = np.array(mass, dtype=float) if _rectangular(mass) else np.empty(0)
+    if entries.ndim == 0:
+        return float(entries) * np.eye(n_dof)
+    if entries.shape == (n_dof,):
+        entries = np.diag(entries)
+    if entries.shape != (n_dof, n_dof):
+        hint = f"a list of {n_dof} masses, a {n_dof} x {n_dof} matrix, or `estimate`"
+        raise ConfigError(f"the mass does not fit {n_dof} responses", hint=hint)
+    if not np.allclose(entries, entries.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(entries)[0] < 0:
+        raise ConfigError("the mass matrix is not symmetric with positive kinetic energy")
+    return entries
+
+
+def _rectangular(mass: Mass) -> bool:
+    """True for a number, a list of numbers, or a list of equally long lists of numbers."""
+    if not isinstance(mass, tuple):
+        return True
+    rows = [row if isinstance(row, tuple) else (row,) for row in mass]
+    return len({len(row) for row in rows}) == 1 and all(isinstance(entry, (int, float)) for row in rows for entry in row)
+
+
+def _forces(setup: Setup, dofs: list[str]) -> FloatArray:
+    """Force distribution (n_dof, n_input): on the output of its dof, or by its angle on x and y."""
+    return np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
+
+
+def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
+    if port.dof in dofs:
+        return np.eye(len(dofs))[dofs.index(port.dof)]
+    angle = angle_of(port)
+    output_angles = [angle_of(output) for output in setup.outputs]
+    if angle is None or None in output_angles:
+        hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
+        raise ConfigError(f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint)
+    shares = np.cos(angle - np.array(output_angles, dtype=float))
+    return np.where(np.abs(shares) < 1e-15, 0.0, shares)
+
+
+MDOF = linear_kind(mdof, "tied", "damping", "symmetric", "lumped_mass", "scale_mass", matrix_modes=True, frees_mass=True)
+
+# base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the
+# base.
+
+BASE = "base"
+# Coefficients of a mass that is not given, and their units.
+PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s")}
+
+
+def form_view(form: str, settings: FitSettings) -> FormView:
+    """The view of a model on a response of that *form*; ConfigError for a base without its motion, and for a transmissibility elsewhere."""
+    if settings.kind.of_base and form != TRANSMISSIBILITY:
+        what = f"model {BASE} needs the motion of the base as input, this FRF is of a force" if form in DERIVATIVES else _no_motion(form)
+        raise ConfigError(
+            what, hint="in the rig file: role: input for the acceleration (velocity, displacement) of the base; or model: sdof"
+        )
+    if not settings.kind.of_base and form == TRANSMISSIBILITY:
+        raise ConfigError(f"model {settings.model} needs a force as input, this FRF is of the motion of a base", hint=f"model: {BASE}")
+    if form == TRANSMISSIBILITY:
+        return FormView(form, 0.0 if settings.relative else 1.0)
+    return FormView(form)
+
+
+def _no_motion(form: str) -> str:
+    return f"model {BASE} needs the motion of the base as input, and a motion as output; this FRF is of the form '{form}'"
+
+
+def base_excited(setup: Setup) -> DynamicModel:
+    """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows no more.
+
+    ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
+    """
+    if setup.shape != (1, 1):
+        what = f"{BASE} takes one response and one base, found {labels(setup.outputs)} and {labels(setup.inputs)}"
+        raise ConfigError(what, hint="name them with `output` and `input`")
+    given = setup.settings.mass
+    if given != ESTIMATE and not (isinstance(given, float | int) and given > 0):
+        raise ConfigError(f"{BASE} takes one positive mass", hint="for example mass: 0.92 kg; without it f_n and zeta are identified")
+    shape = (1, 1)
+    terms = (entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape))
+    if isinstance(given, float | int):
+        return DynamicModel(BASE, terms, fixed_matrices(np.array([[float(given)]]), float(given) * np.ones(shape)))
+    return DynamicModel(BASE, tuple(map(_per_mass, terms)), fixed_matrices(np.ones(shape), np.ones(shape)))
+
+
+def _per_mass(term: Term) -> Term:
+    name, unit = PER_MASS[term.name]
+    return replace(term, name=name, unit=unit)
+
+
+BASE_EXCITED = linear_kind(base_excited, "relative", one_mode=True, of_base=True)

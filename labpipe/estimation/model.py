@@ -1,0 +1,499 @@
+"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces, constraints, proportional damping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.settings import FitSettings
+from labpipe.records.response import Port
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.registry import nearest
+
+# A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces B = B_0 +
+# sum_j p_j B_j.
+
+# Complex numbers of the derivatives that are made together: few enough to stay in the cache.
+CACHED_ELEMENTS = 1 << 16
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Contribution of one parameter (or of all constants) to the equation of motion.
+
+    stiffness K [N/m], damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: FloatArray
+    force: FloatArray
+
+    def plus(self, other: Matrices, factor: float = 1.0) -> Matrices:
+        """The sum with *factor* times other matrices."""
+        return Matrices(
+            self.stiffness + factor * other.stiffness,
+            self.damping + factor * other.damping,
+            self.mass + factor * other.mass,
+            self.force + factor * other.force,
+        )
+
+
+def no_matrices(n_dof: int, n_input: int) -> Matrices:
+    """Matrices of zeros."""
+    square = np.zeros((n_dof, n_dof))
+    return Matrices(square, square, square, np.zeros((n_dof, n_input)))
+
+
+@dataclass(frozen=True)
+class Term:
+    """One parameter of a model and its matrices.
+
+    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its value.
+    """
+
+    name: str
+    unit: str
+    matrices: Matrices
+    droppable: bool = True
+    aliases: tuple[str, ...] = ()
+
+
+class ReceptanceModel(Protocol):
+    """An FRF as a function of parameters, with its Jacobian."""
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) [m/N], (n_line, n_dof, n_input), at *omega* (n_line,) [rad/s]."""
+        ...
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
+        ...
+
+
+class FittedModel(ReceptanceModel, Protocol):
+    """Model of a fit: the FRF and its Jacobian, and its parameters' names and units."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> tuple[str, ...]: ...
+
+
+class ResponseModel(FittedModel, Protocol):
+    """Model of an output-error fit that has a model linear in its parameters for the start."""
+
+    @property
+    def linear(self) -> DynamicModel:
+        """The model linear in its parameters of which this one is a special case."""
+        ...
+
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """Start values (n_parameter,) [parameter units] from those of `linear`."""
+        ...
+
+
+@dataclass(frozen=True)
+class ActingTerms:
+    """The terms that have a matrix of one kind: their *place* among all, their *matrices* as columns
+    (n_element, n_acting) [unit of the kind].
+
+    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order, factor 1.
+    """
+
+    place: IntArray | slice
+    matrices: ComplexArray
+    single: IntArray | None
+    plain: bool
+
+    @classmethod
+    def of(cls, rows: FloatArray) -> ActingTerms | None:
+        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind]; None where all are zero."""
+        there = np.flatnonzero(np.any(rows != 0, axis=1))
+        if there.size == 0:
+            return None
+        # Neighbours as a slice: picking by numbers copies.
+        are_neighbours = there[-1] - there[0] == there.size - 1
+        place = slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there
+        matrices = rows[there].T.astype(np.complex128)
+        single = np.argmax(rows[there] != 0, axis=1) if np.all(np.count_nonzero(rows[there], axis=1) == 1) else None
+        return cls(place, matrices, single, matrices.shape[0] == matrices.shape[1] and np.array_equal(matrices, np.eye(there.size)))
+
+    def combined(self, elements: ComplexArray) -> ComplexArray:
+        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit]; picked where every term has only one element."""
+        if self.plain:
+            return elements
+        if self.single is not None:
+            return np.asarray(elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)])
+        return np.asarray(elements @ self.matrices)
+
+
+@dataclass(frozen=True)
+class DynamicModel:
+    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *constant*: known part of the matrices, *terms*: parameters to estimate."""
+
+    name: str
+    terms: tuple[Term, ...]
+    constant: Matrices
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(term.name for term in self.terms)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple(term.unit for term in self.terms)
+
+    @property
+    def linear(self) -> DynamicModel:
+        return self
+
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """The parameters (n_parameter,) [parameter units], unchanged."""
+        return values
+
+    def without(self, name: str) -> DynamicModel:
+        """The model with one parameter fixed at zero."""
+        return self.fixed(name, 0.0)
+
+    def fixed(self, name: str, value: float) -> DynamicModel:
+        """The model with one parameter fixed instead of estimated."""
+        (term,) = (term for term in self.terms if term.name == name)
+        others = tuple(other for other in self.terms if other is not term)
+        return replace(self, terms=others, constant=self.constant.plus(term.matrices, value))
+
+    def tied(self, names: Sequence[str]) -> DynamicModel:
+        """The model with one common value for several parameters, named after the first."""
+        joined = [term for term in self.terms if term.name in names]
+        matrices = joined[0].matrices
+        for term in joined[1:]:
+            matrices = matrices.plus(term.matrices)
+        common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
+        return replace(self, terms=tuple(common if term is joined[0] else term for term in self.terms if term not in joined[1:]))
+
+    def whole(self, parameters: FloatArray) -> Matrices:
+        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""
+        n_dof, n_input = self.constant.force.shape
+        joined = parameters @ self._joined[:-1] + self._joined[-1]
+        square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
+        force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
+        return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
+
+    def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation (est-stiffness)."""
+        return _dynamic_stiffness(self.whole(parameters), omega)
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular. Equation (est-receptance)."""
+        whole = self.whole(parameters)
+        return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]; parameters last in memory.
+
+        Every element e_a e_b^T of a Z_j gives the outer product of column a of Z^-1 and row b of H, which all terms share.
+        Equation (est-jacobian).
+        """
+        whole = self.whole(parameters)
+        n_line, (n_dof, n_input), n_parameter = omega.size, whole.force.shape, len(self.terms)
+        slopes = np.zeros((n_line, n_dof, n_input, n_parameter), np.complex128)
+        n_chunk = max(16, CACHED_ELEMENTS // (n_dof**3 * n_input))
+        for start in range(0, n_line, n_chunk):
+            lines = slice(start, start + n_chunk)
+            self._add_slopes(whole, omega[lines], slopes[lines])
+        return slopes.transpose(3, 0, 1, 2)
+
+    def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
+        """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
+        n_line, n_dof, n_input = slopes.shape[:3]
+        inverse = _inverse(_dynamic_stiffness(whole, omega))
+        by_input = (inverse @ whole.force).swapaxes(1, 2)
+        outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
+        for kind, factor in _line_factors(omega).items():
+            acting = self.acting[kind]
+            if acting is not None:
+                slopes[..., acting.place] -= acting.combined(outer) * factor[:, None, None, None]
+        acting = self.acting["force"]
+        if acting is not None:
+            moved = np.einsum("loa,pai->loip", inverse, acting.matrices.T.reshape(-1, n_dof, n_input))
+            slopes[..., acting.place] += moved
+
+    def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one inverse per line.
+
+        There are many sides, and a product with the small inverse costs a fraction of solving for them.
+        """
+        n_side, n_line, n_dof, n_input = sides.shape
+        joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
+        solved = _inverse(self.dynamic_stiffness(parameters, omega)) @ joined
+        return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
+
+    def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input) [1 per parameter unit]."""
+        n_line, n_dof, n_input = h.shape
+        # Lines in the last axis but one: every product below is one contiguous matrix product.
+        terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
+        by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
+        for kind, factor in _line_factors(omega).items():
+            stack = self._stacks[kind]
+            acting = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
+            if acting.size:
+                moved = (by_dof * factor[:, None]).reshape(n_dof, -1).astype(np.complex128, copy=False)
+                products = stack[acting].reshape(-1, n_dof).astype(np.complex128) @ moved
+                terms[acting] += products.reshape(acting.size, n_dof, n_line, n_input)
+        force = self._stacks["force"]
+        if np.any(force):
+            terms -= force[:, :, None]
+        return terms.transpose(0, 2, 1, 3)
+
+    def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
+        """B_0 - Z_0 H [1]: the right side of the equation of motion, (n_line, n_dof, n_input)."""
+        return np.asarray(self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128)
+
+    @cached_property
+    def _joined(self) -> FloatArray:
+        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product gives their sum."""
+        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.constant)]
+        return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
+
+    @cached_property
+    def acting(self) -> dict[str, ActingTerms | None]:
+        """Of each kind of matrix, the terms that have one; None where no term has."""
+        return {kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()}
+
+    @cached_property
+    def _stacks(self) -> dict[str, FloatArray]:
+        """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
+        stacks = {}
+        for kind in ("stiffness", "damping", "mass", "force"):
+            matrices = [getattr(term.matrices, kind) for term in self.terms]
+            stacks[kind] = np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
+        return stacks
+
+
+def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s]; FitError where Z is singular."""
+    return _inverse(model.dynamic_stiffness(parameters, omega))
+
+
+def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
+    """By what a matrix of each kind stands in Z(w), (n_line,)."""
+    return {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
+
+
+def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
+    w = omega[:, None, None]
+    return np.asarray(matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128)
+
+
+def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
+    try:
+        solved: ComplexArray = np.linalg.solve(z, sides[None])
+    except np.linalg.LinAlgError:
+        raise _singular() from None
+    return solved
+
+
+def _inverse(z: ComplexArray) -> ComplexArray:
+    try:
+        inverse: ComplexArray = np.linalg.inv(z)
+    except np.linalg.LinAlgError:
+        raise _singular() from None
+    return inverse
+
+
+def _singular() -> FitError:
+    return FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass")
+
+
+# What a model needs to know of the measurement, and the pieces that models are made of.
+
+UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's settings."""
+
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    settings: FitSettings
+    closed_loop: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_output, n_input)."""
+        return len(self.outputs), len(self.inputs)
+
+
+def entry_term(name: str, kind: str, places: list[tuple[int, int]], shape: tuple[int, int], droppable: bool = True) -> Term:
+    """A parameter that enters the same in all *places* of one matrix; *shape* is (n_dof, n_input)."""
+    empty = no_matrices(*shape)
+    matrix = getattr(empty, kind).copy()
+    for place in places:
+        matrix[place] = 1.0
+    return Term(name, UNITS[kind], replace(empty, **{kind: matrix}), droppable)
+
+
+def fixed_matrices(mass: FloatArray, force: FloatArray) -> Matrices:
+    """Fixed mass (n, n) [kg] and force factors (n, n_input); no prior of stiffness and damping."""
+    return replace(no_matrices(*force.shape), mass=mass, force=force)
+
+
+def labels(ports: tuple[Port, ...]) -> str:
+    """Labels of the ports, for messages."""
+    return ", ".join(port.label for port in ports)
+
+
+def angle_of(port: Port) -> float | None:
+    """Direction [rad] from x towards y, None if unknown."""
+    return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)
+
+
+# Proportional (Rayleigh) damping: C = alpha M + beta K with alpha [1/s] and beta [s] for all damping
+# coefficients.
+
+# Least number of damping coefficients that alpha and beta replace.
+FEWEST_DAMPING_TERMS = 3
+
+
+@dataclass(frozen=True)
+class ProportionalModel:
+    """A model with damping alpha M + beta K; parameters: *free* (all but damping), then alpha, beta.
+
+    *linear*: the model with independent damping coefficients, for the start. *expanded*: with terms beta k_j and alpha m_j;
+    *by_stiffness*, *by_mass*: the free parameter of each of them, -1 for the constants. Equation (est-proportional).
+    """
+
+    free: DynamicModel
+    linear: DynamicModel
+    expanded: DynamicModel
+    by_stiffness: tuple[int, ...]
+    by_mass: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        return self.free.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.free.names, "alpha", "beta")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return (*self.free.units, "1/s", "s")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The free terms; alpha and beta have no matrices of their own."""
+        return self.free.terms
+
+    def expanded_values(self, parameters: FloatArray) -> FloatArray:
+        """(free, beta k_j, alpha m_j), (..., n_expanded) [N.s/m for damping], from *parameters* (..., n_parameter)."""
+        free, alpha, beta = parameters[..., :-2], parameters[..., -2:-1], parameters[..., -1:]
+        return np.concatenate([free, beta * _picked(free, self.by_stiffness), alpha * _picked(free, self.by_mass)], axis=-1)
+
+    def from_linear(self, values: FloatArray) -> FloatArray:
+        """The free parameters and the alpha, beta with alpha M + beta K closest to C, (n_parameter,) [parameter units]."""
+        by_name = dict(zip(self.linear.names, values, strict=True))
+        whole = self.linear.whole(values)
+        columns = np.column_stack([whole.mass.reshape(-1), whole.stiffness.reshape(-1)])
+        scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+        ratios = np.linalg.lstsq(columns / scale, whole.damping.reshape(-1), rcond=None)[0] / scale
+        return np.array([*(by_name[name] for name in self.free.names), *ratios])
+
+    def slopes(self, parameters: FloatArray) -> FloatArray:
+        """d (expanded values) / d (parameters), (n_expanded, n_parameter) [unit ratios]."""
+        free, alpha, beta = parameters[:-2], parameters[-2], parameters[-1]
+        n_free, n_stiffness = free.size, len(self.by_stiffness)
+        slopes = np.zeros((n_free + n_stiffness + len(self.by_mass), n_free + 2))
+        slopes[:n_free, :n_free] = np.eye(n_free)
+        for factor, column, offset, owners in (
+            (beta, -1, n_free, self.by_stiffness),
+            (alpha, -2, n_free + n_stiffness, self.by_mass),
+        ):
+            for row, number in enumerate(owners, offset):
+                slopes[row, column] = free[number] if number >= 0 else 1.0
+                if number >= 0:
+                    slopes[row, number] = factor
+        return slopes
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) [m/N], (n_line, n_dof, n_input)."""
+        return self.expanded.receptance(self.expanded_values(parameters), omega)
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
+        expanded = self.expanded.jacobian(self.expanded_values(parameters), omega)
+        jacobian: ComplexArray = np.tensordot(self.slopes(parameters).T, expanded, 1)
+        return jacobian
+
+    def whole(self, parameters: FloatArray) -> Matrices:
+        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter)."""
+        return self.expanded.whole(self.expanded_values(parameters))
+
+
+def proportional(model: DynamicModel) -> ProportionalModel:
+    """*model* with its damping coefficients replaced by alpha M + beta K; ConfigError when it has fewer than three of them."""
+    if sum(_acts(term.matrices.damping) for term in model.terms) < FEWEST_DAMPING_TERMS:
+        raise ConfigError("proportional damping needs a model with several damping coefficients", hint="leave `damping` out")
+    free = replace(model, terms=tuple(term for term in model.terms if not _acts(term.matrices.damping)))
+    stiffness = [n for n, term in enumerate(free.terms) if _acts(term.matrices.stiffness)]
+    mass = [n for n, term in enumerate(free.terms) if _acts(term.matrices.mass)]
+    by_stiffness = (*stiffness, *([-1] if _acts(model.constant.stiffness) else []))
+    by_mass = (*mass, *([-1] if _acts(model.constant.mass) else []))
+    damping = [
+        *(("beta", model.constant.stiffness if n < 0 else free.terms[n].matrices.stiffness, n) for n in by_stiffness),
+        *(("alpha", model.constant.mass if n < 0 else free.terms[n].matrices.mass, n) for n in by_mass),
+    ]
+    empty = no_matrices(*model.constant.force.shape)
+    products = tuple(
+        Term(f"{factor}*{'given' if n < 0 else free.names[n]}", "N.s/m", replace(empty, damping=matrix)) for factor, matrix, n in damping
+    )
+    return ProportionalModel(free, model, replace(free, terms=(*free.terms, *products)), by_stiffness, by_mass)
+
+
+def _acts(matrix: FloatArray) -> bool:
+    return bool(np.any(matrix != 0))
+
+
+def _picked(free: FloatArray, indices: tuple[int, ...]) -> FloatArray:
+    ones = np.ones((*free.shape[:-1], 1))
+    return np.concatenate([free, ones], axis=-1)[..., list(indices)]
+
+
+# Constraints on single coefficients: fixed values, equal values, proportional damping.
+
+
+def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | ProportionalModel:
+    """*model* with its `fixed`, `tied` and `damping` settings applied; ConfigError for names the model does not have."""
+    for name, value in settings.fixed:
+        _check_names(model, name, "fixed")
+        model = model.fixed(name, value)
+    for group in settings.tied:
+        model = _tied(model, group)
+    if not model.terms:
+        raise ConfigError("every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`")
+    return proportional(model) if settings.damping == "proportional" else model
+
+
+def _tied(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
+    for name in group:
+        _check_names(model, name, "tied")
+    units = {term.unit for term in model.terms if term.name in group}
+    if len(set(group)) < 2 or len(units) > 1:
+        raise ConfigError(f"tied: {', '.join(group)} cannot have one value", hint="name two or more coefficients of one unit")
+    return model.tied(group)
+
+
+def _check_names(model: DynamicModel, name: str, key: str) -> None:
+    if name not in model.names:
+        hint = nearest(name, model.names)
+        raise ConfigError(f"{key}: {model.name} has no coefficient '{name}' (left to estimate)", hint=hint)

@@ -1,0 +1,366 @@
+"""ls and iv: least squares and instrumental variables of the equation of motion."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import Linearisation, scaled_triangle
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import DynamicModel
+from labpipe.estimation.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
+from labpipe.estimation.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.records.identification import Goodness
+
+# ls: least squares of the equation of motion, sum_j p_j (Z_j H - B_j) = B_0 - Z_0 H, real and imaginary
+# parts stacked.
+
+BIAS_NOTE = (
+    "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise of the measured FRF "
+    "(the FRF is among the regressors). The estimator ml has no such bias."
+)
+
+
+def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
+    """Equation-error estimate; rows of the equation of motion without common parameters are separate regressions.
+
+    Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al. 2009, eq. 14-15, 25,
+    with n - k for the printed n - 3). FitError for fewer equations than parameters. Equation (est-ls).
+    """
+    equation = regression(measured, model, weight)
+    n_parameter = len(model.terms)
+    values, covariance, parameter_dof = equation_solution(equation, model)
+    r2, adjusted = determination(equation.right_side, equation.residual(values), n_parameter)
+    design, amplification = _plain_design(measured, model, values, equation.terms)
+    dof = measured.n_equation - n_parameter
+    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
+    scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
+    return Estimate(
+        values=values,
+        covariance=scaled,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        notes=notes,
+        parameter_dof=parameter_dof,
+        amplification=amplification,
+    )
+
+
+def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of freedom (n_parameter,).
+
+    Degrees of freedom are those of the regression of each parameter. Raises FitError as solve_scaled does.
+    """
+    n_parameter = len(model.terms)
+    values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
+    parameter_dof = np.zeros(n_parameter, int)
+    for rows, columns in _separate_regressions(model):
+        side = equation.right_side[:, rows]
+        values[columns], covariance[np.ix_(columns, columns)] = _solve(equation.terms[columns][:, :, rows], side)
+        parameter_dof[columns] = 2 * side.size - len(columns)
+    return values, covariance, parameter_dof
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *right_side* (n_line, n_dof, n_input) [1].
+
+    line_weights (n_line,) [1].
+    """
+
+    terms: ComplexArray
+    right_side: ComplexArray
+    line_weights: FloatArray
+
+    def residual(self, values: FloatArray) -> ComplexArray:
+        """Residual of the equation, (n_line, n_dof, n_input) [1]."""
+        residual: ComplexArray = self.right_side - np.tensordot(values, self.terms, 1)
+        return residual
+
+
+def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
+    """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
+    if measured.n_equation <= len(model.terms):
+        raise FitError(f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters", hint="widen the band")
+    weights = line_weights(measured, weight)
+    terms = model.equation_terms(measured.matrix, measured.omega)
+    right_side = model.equation_constant(measured.matrix, measured.omega)
+    if weight != "none":
+        terms, right_side = terms * weights[:, None, None], right_side * weights[:, None, None]
+    return Regression(terms, right_side, weights)
+
+
+def line_weights(measured: Measured, weight: str) -> FloatArray:
+    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s / |H| in the equation of motion.
+
+    FitError for an unknown or zero noise. Equation (est-line-weights).
+    """
+    if weight == "none":
+        return np.ones(measured.omega.size)
+    if not has_noise(measured):
+        raise FitError("the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out")
+    assert measured.covariance is not None
+    size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
+    noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
+    if np.any(noise == 0):
+        raise FitError("a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out")
+    weights: FloatArray = size / noise
+    return weights / float(np.max(weights))
+
+
+def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArray, dof: int) -> tuple[float | None, float | None]:
+    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,); None for an unknown noise."""
+    if not has_noise(measured):
+        return None, None
+    try:
+        doubt = weight_doubt(measured, dof)
+        residual = whitened(whitener(measured), measured.matrix - model.receptance(values, measured.omega))
+    except FitError:
+        return None, None
+    reduced = float(residual @ residual) / dof / doubt.excess
+    return (reduced, doubt.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
+
+
+def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's, whichever is worse.
+
+    Noise in the measured FRF makes collinear columns appear different; the model's FRF has none.
+    """
+    designs = [noisy_terms]
+    with contextlib.suppress(FitError):
+        designs.append(model.equation_terms(model.receptance(values, measured.omega), measured.omega))
+    candidates = [equation_design(terms, model, values) for terms in designs]
+    return max(candidates, key=lambda design: condition_number(design[0]))
+
+
+def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification (n_parameter,) [parameter units].
+
+    An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
+    """
+    lengths, triangle, _ = scaled_triangle(stacked_terms(terms).T)
+    forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
+    return triangle, forces * np.sqrt(inflation_factors(triangle)) / lengths
+
+
+def triangle_of(columns: FloatArray) -> FloatArray:
+    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to length 1."""
+    return scaled_triangle(columns)[1]
+
+
+def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least-squares solution (n_parameter,) [parameter units] and (W^T W)^-1 (n_parameter, n_parameter).
+
+    *columns* (n_equation, n_parameter), *right_side* (n_equation,). Columns are scaled to length 1, so that units have no influence.
+    FitError for linearly dependent columns.
+    """
+    n = columns.shape[1]
+    scale, triangle, by_products = scaled_triangle(columns)
+    inverse, (left_vectors, singular, right_vectors) = _inverted(triangle, scale, max(columns.shape))
+    if by_products:
+        # Corrected seminormal equations (Bjoerck 1987): one refinement makes them as accurate as QR.
+        values = inverse @ (columns.T @ right_side)
+        return values + inverse @ (columns.T @ (right_side - columns @ values)), inverse
+    side = np.asarray(np.linalg.qr(np.column_stack([columns / scale, right_side]), mode="r"))[:n, n]
+    # The right side keeps the signs of this factorisation, whose first columns are R up to rounding.
+    return right_vectors.T @ ((left_vectors.T @ side) / singular) / scale, inverse
+
+
+def inverse_of(linear: Linearisation) -> FloatArray:
+    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation; FitError for linearly dependent columns."""
+    return _inverted(linear.triangle, linear.scale, linear.n_equation)[0]
+
+
+def _inverted(triangle: FloatArray, scale: FloatArray, n_row: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+    """(W^T W)^-1 of W = Q R S, and the singular vectors and values of R."""
+    left_vectors, singular, right_vectors = linalg.svd(triangle)
+    if singular[-1] <= singular[0] * np.finfo(float).eps * n_row:
+        raise FitError(
+            "the excitation leaves parameters undetermined: columns of the regression are linearly dependent",
+            hint="excite a second force direction, or use a model with fewer parameters",
+        )
+    inverse = (right_vectors.T / singular**2) @ right_vectors / np.outer(scale, scale)
+    return inverse, (left_vectors, singular, right_vectors)
+
+
+def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """One regression: estimates and their covariance from its residual variance."""
+    columns = stacked_terms(terms).T
+    side = stacked(right_side.reshape(-1))
+    if side.size <= columns.shape[1]:
+        message = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
+        raise FitError(message, hint="widen the band")
+    values, inverse = solve_scaled(columns, side)
+    residual = side - columns @ values
+    variance = float(residual @ residual) / (side.size - values.size)
+    return values, variance * inverse
+
+
+def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
+    """(rows of the equation of motion, parameters) of every group of rows with common parameters."""
+    n_dof = model.constant.mass.shape[0]
+    acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in (term.matrices for term in model.terms)]
+    groups: list[tuple[list[int], list[int]]] = []
+    for row in range(n_dof):
+        rows, columns = [row], {number for number, places in enumerate(acts) if places[row]}
+        for other in [group for group in groups if columns & set(group[1])]:
+            groups.remove(other)
+            rows, columns = [*other[0], *rows], columns | set(other[1])
+        groups.append((rows, sorted(columns)))
+    # Elimination may leave a direction without any parameter: it has no regression.
+    return [group for group in groups if group[1]]
+
+
+# iv: instrumental variables, with the regressors of the fitted model's noise-free FRF as instruments (Young
+# 1970).
+
+MAX_ITERATIONS = 25
+TOLERANCE = 1e-4
+# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is above 0.39 for good fits
+# and below 0.2 where the iteration diverges to a model unrelated to the data.
+WEAKEST_INSTRUMENTS = 0.3
+BREAKDOWN_NOTE = (
+    "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical correlation {correlation:.2f}, "
+    f"limit {WEAKEST_INSTRUMENTS:g}), or the iteration does not converge. The estimator ml converges without it."
+)
+
+
+def instrumental_variables(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
+    """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one; started from ls.
+
+    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4). A fit with weak instruments
+    counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for dependent instruments.
+    Equation (est-iv).
+    """
+    equation = regression(measured, model, weight)
+    values, stationary, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
+    fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
+    instruments = _weighted_columns(fitted_terms, equation)
+    correlation = weakest_correlation(instruments, stacked_terms(equation.terms))
+    converged = stationary and correlation >= WEAKEST_INSTRUMENTS
+    covariance = _sandwich(measured, model, equation, instruments, values)
+    dof = measured.n_equation - len(model.terms)
+    r2, adjusted = determination(equation.right_side, equation.residual(values), len(model.terms))
+    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
+    notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
+    design, amplification = equation_design(fitted_terms, model, values)
+    scaled = measured.shared_noise * covariance
+    return Estimate(
+        values=values,
+        covariance=scaled,
+        scaled_design=design,
+        gof=gof,
+        dof=dof,
+        converged=converged,
+        iterations=iterations,
+        notes=notes,
+        amplification=amplification,
+    )
+
+
+def instrument_step(
+    measured: Measured, model: DynamicModel, weight: str, values: FloatArray
+) -> Callable[[DynamicModel, Measured], FloatArray]:
+    """From a model and data to the estimate (n_parameter,) [parameter units] by the instruments of *values* (n_parameter,)."""
+    fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
+    instruments = _weighted_columns(fitted_terms, regression(measured, model, weight))
+
+    def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
+        equation = regression(changed, changed_model, weight)
+        columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+        return _solve_instrumental(instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns)))
+
+    return step
+
+
+def _iterate(measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray) -> tuple[FloatArray, bool, int]:
+    """(estimate, True if converged, iterations)."""
+    columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
+    # Parameters of different dimension are compared in units of the regressors' lengths.
+    size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
+    last: ComplexArray | None = None
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        response = model.receptance(values, measured.omega)
+        instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
+        new = _solve_instrumental(instruments, columns, side, size)
+        stationary = _change(new * size, values * size) < TOLERANCE or (last is not None and _change(response, last) < TOLERANCE)
+        values, last = new, response
+        if stationary:
+            return values, True, iteration
+    return values, False, MAX_ITERATIONS
+
+
+def _solve_instrumental(instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray) -> FloatArray:
+    """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
+    product = (instruments @ columns.T) / np.outer(size, size)
+    try:
+        values: FloatArray = np.linalg.solve(product, (instruments @ side) / size) / size
+    except np.linalg.LinAlgError:
+        raise FitError("the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml") from None
+    if not np.all(np.isfinite(values)):
+        raise FitError("iv diverged", hint="use ml")
+    return values
+
+
+def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
+    """Smallest canonical correlation [1] between the spaces of instruments and of regressors, both (n_parameter, n_equation).
+
+    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1. Equation (est-canonical).
+    """
+    sizes = [np.sqrt(np.einsum("pe,pe->p", rows, rows)) for rows in (instruments, columns)]
+    half = np.linalg.solve(triangle_of(instruments.T).T, instruments @ columns.T / np.outer(*sizes))
+    between = np.linalg.solve(triangle_of(columns.T).T, half.T)
+    return float(np.linalg.svd(between, compute_uv=False)[-1])
+
+
+def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
+    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by line (White)."""
+    scores = _scores if has_noise(measured) else _residual_scores
+    middle = scores(measured, model, equation, instruments, values)
+    bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
+    covariance: FloatArray = bread @ middle @ bread.T
+    return covariance
+
+
+def _scores(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
+    """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
+    assert measured.covariance is not None
+    n_line, n_output, n_input = measured.matrix.shape
+    z = model.dynamic_stiffness(values, measured.omega) * equation.line_weights[:, None, None]
+    turned = np.einsum("lab,ij->laibj", z, np.eye(n_input)).reshape(n_line, n_output * n_input, -1)
+    omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
+    half = instruments.shape[1] // 2
+    rows = (instruments[:, :half] + 1j * instruments[:, half:]).reshape(-1, n_line, n_output * n_input).transpose(1, 0, 2)
+    middle: FloatArray = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
+    return middle
+
+
+def _residual_scores(
+    measured: Measured,
+    model: DynamicModel,  # noqa: ARG001 (one signature for both)
+    equation: Regression,
+    instruments: FloatArray,
+    values: FloatArray,
+) -> FloatArray:
+    """sum over lines of g g^T, g = V^T e of one line, enlarged by n / (n - k)."""
+    products = instruments * stacked(equation.residual(values).reshape(-1))
+    by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
+    middle: FloatArray = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
+    return middle
+
+
+def _weighted_columns(terms: ComplexArray, equation: Regression) -> FloatArray:
+    weights = equation.line_weights
+    return stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
+
+
+def _change(new: NDArray[np.inexact], old: NDArray[np.inexact]) -> float:
+    return float(np.linalg.norm(new - old) / np.linalg.norm(old))

@@ -1,0 +1,298 @@
+"""Settings of one fit, the kinds of models and the tables of models and estimators.
+
+A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks for instead of its name.
+
+Every kind is looked at when a pipeline is read, so the modules of the kinds import no code that fits: their functions do, when called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Any
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.estimators import Estimator
+from labpipe.records.identification import Fit
+from labpipe.records.settings import ESTIMATE, Doubts, Settings, setting
+from labpipe.records.uncertain import RepeatSource, Uncertain
+from labpipe.registry import Registry
+from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
+
+if TYPE_CHECKING:
+    from labpipe.estimation.model import DynamicModel, Setup
+    from labpipe.records.response import FrequencyResponse
+
+# A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks
+# for instead of its name.
+
+# Keys of a fit that every model takes.
+EVERY = ("model", "estimator", "band", "coverage", "test")
+# Keys that every model linear in its parameters takes besides.
+LINEAR = (
+    *("mass", "input", "output", "bands", "sliding", "subtract", "share", "eliminate", "fixed", "weight"),
+    *("bootstrap", "monte_carlo", "compare"),
+)
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """How fits of a model are made, and what is true of it.
+
+    fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak. section: key of the model's own
+    settings in a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier:
+    name of the fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
+    times_mass: stiffness and damping are the given mass times what is fitted.
+
+    keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood: those of them that only an
+    estimator by likelihood takes. estimators: names of those that fit it;
+    empty: any. equations: of a model linear in its parameters, from ports and settings; None for a model fitted in its own way.
+
+    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes: the
+    modes of its K, C and M are derived. one_direction: a stiffness and a damping for each direction, uncoupled. of_base: its input is
+    the motion of a base. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare with.
+    """
+
+    fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
+    section: str = ""
+    settings: type | None = None
+    example: str = ""
+    optional: bool = False
+    earlier: Callable[[FitSettings], str] = lambda _settings: ""
+    begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
+    of: str = RESPONSES
+    times_mass: bool = False
+    keys: tuple[str, ...] = ("mass", "input", "output", "bands")
+    by_likelihood: tuple[str, ...] = ()
+    estimators: tuple[str, ...] = ()
+    equations: Callable[[Setup], DynamicModel] | None = None
+    one_frf: bool = False
+    one_mode: bool = False
+    matrix_modes: bool = False
+    one_direction: bool = False
+    of_base: bool = False
+    frees_mass: bool = False
+    richer: str = ""
+    simpler: str = ""
+
+    def model(self, setup: Setup) -> DynamicModel:
+        """The equations of a model linear in its parameters for these ports and settings."""
+        assert self.equations is not None
+        return self.equations(setup)
+
+
+def linear_kind(equations: Callable[[Setup], DynamicModel], *more: str, **properties: Any) -> ModelKind:
+    """The kind of a model linear in its parameters; *more*: keys beyond LINEAR that it takes."""
+    return ModelKind(_fit_linear, keys=(*LINEAR, *more), equations=equations, **properties)
+
+
+def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.estimation.fitting import fit_linear
+
+    return fit_linear(response, settings)
+
+
+# Settings of one fit: from a response to parameters with uncertainties.
+
+# ModelKinds, or, of plug-ins, functions from the setup of a fit (ports, mass) to a model linear in its parameters.
+MODELS = Registry(
+    "model",
+    {
+        "sdof": "labpipe.estimation.linear_models:SDOF",
+        "rotor-2dof": "labpipe.estimation.linear_models:ROTOR_2DOF",
+        "rotor-2dof-direct": "labpipe.estimation.linear_models:ROTOR_2DOF_DIRECT",
+        "mdof": "labpipe.estimation.linear_models:MDOF",
+        "base": "labpipe.estimation.linear_models:BASE_EXCITED",
+    },
+)
+# Estimators, or, of plug-ins, functions from a measured FRF, a model and the weight of lines to an Estimate.
+ESTIMATORS = Registry(
+    "estimator",
+    {
+        "ls": "labpipe.estimation.estimators:LS",
+        "iv": "labpipe.estimation.estimators:IV",
+        "ml": "labpipe.estimation.estimators:ML",
+        "amplitude": "labpipe.estimation.estimators:AMPLITUDE",
+    },
+)
+WEIGHTS = ("none", "noise")
+DAMPINGS = ("viscous", "proportional")
+
+Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
+
+
+@dataclass(frozen=True)
+class Sliding(Settings):
+    """The fit is repeated in a band of *width* moved by *step*."""
+
+    width: float = setting("value", "width of one band", unit="Hz")
+    step: float = setting("value", "distance between the centres of neighbouring bands", unit="Hz")
+
+
+@dataclass(frozen=True)
+class Support(Settings):
+    """Stiffness and damping of the support, subtracted from the direct coefficients; their doubts are sources of the budget."""
+
+    stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
+    damping: Uncertain = setting("uncertain", "damping of the support", unit="N.s/m", default=Uncertain(0.0))
+
+
+@dataclass(frozen=True)
+class FitSettings(Settings):
+    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has.
+
+    *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
+    """
+
+    model: str = setting("choice", "what is identified", choices=tuple(MODELS))
+    _: KW_ONLY
+    mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE)
+    estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
+    input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
+    output: tuple[str, ...] = setting("names", "response channel(s); default: all the model takes", default=())
+    band: tuple[float, float] | None = setting("band", "frequencies used; default: all", unit="Hz", default=None)
+    bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", unit="Hz", default=())
+    peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
+        "peaks", "bands of chosen peaks of the diagonal terms, by dof; one fit for each", unit="Hz", default=()
+    )
+    sliding: Sliding | None = setting("section", "repeat the fit in sliding bands", section=Sliding, default=None)
+    subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
+    share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
+    eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
+    symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)
+    lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
+    scale_mass: bool = setting("flag", "the given mass is known but for a factor, which is estimated", default=False)
+    relative: bool = setting("flag", "the response is measured relative to the base", default=False)
+    damping: str = setting("choice", "viscous, or proportional: C = alpha M + beta K", choices=DAMPINGS, default="viscous")
+    fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
+    tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
+    weight: str = setting("choice", "all lines weigh alike, or by their noise (as they always do for ml)", choices=WEIGHTS, default="none")
+    bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
+    coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
+    monte_carlo: int = setting("integer", "draws of noise and of all numbers with a doubt, as a check of the budget", default=0)
+    compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
+    test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
+    name: str = ""
+    model_settings: Any = None
+    doubts: Doubts = ()
+    repeats: tuple[RepeatSource, ...] = ()
+
+    def __post_init__(self) -> None:
+        self._check_keys()
+        self._check_bands()
+        self._check_combinations()
+        kind = self.kind
+        if kind.settings is None and self.model_settings is not None:
+            raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
+        if kind.settings is not None and kind.optional and self.model_settings is None:
+            object.__setattr__(self, "model_settings", kind.settings())
+        if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
+            raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
+
+    @property
+    def kind(self) -> ModelKind:
+        """The ModelKind of the settings' model; ConfigError for an unknown model."""
+        return model_kind(self.model)
+
+    @property
+    def estimates(self) -> Estimator:
+        """The Estimator of that name; ConfigError for an unknown one."""
+        return estimator_of(self.estimator)
+
+    def _check_keys(self) -> None:
+        """ConfigError for an estimator that does not fit the model, and for keys that would change nothing that is computed."""
+        able = _able(self.model)
+        if self.estimator not in able:
+            what = f"{self.estimator} does not estimate model {self.model}"
+            raise ConfigError(what, hint=f"estimator: {_one_of(able)}", field="estimator")
+        for key in self.written:
+            if key not in (*EVERY, *self.kind.keys):
+                hint = f"leave it out; models that take it: {', '.join(takers(key))}"
+                raise ConfigError(f"'{key}' is not for model {self.model}", hint=hint, field=key)
+            others = [name for name in able if self._may_have(key, estimator_of(name))]
+            if self.estimator not in others:
+                hint = f"leave it out, or estimator: {_one_of(others)}" if others else "leave it out"
+                raise ConfigError(f"'{key}' is not for estimator {self.estimator}", hint=hint, field=key)
+
+    def _may_have(self, key: str, estimator: Estimator) -> bool:
+        return key not in estimator.refuses and (estimator.likelihood or key not in self.kind.by_likelihood)
+
+    def _check_combinations(self) -> None:
+        """ConfigError for keys that change nothing, or have no meaning, beside others."""
+        if not 0 < self.coverage < 1:
+            raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
+        if self.damping == "proportional" and self.eliminate:
+            hint = "leave one of them out"
+            raise ConfigError("'eliminate' cannot be combined with proportional damping", hint=hint, field="eliminate")
+        if self.scale_mass and self.mass == ESTIMATE:
+            hint = "for example mass: [1 kg, 2 kg]"
+            raise ConfigError("'scale_mass' needs the mass to be scaled", hint=hint, field="scale_mass")
+        if self.lumped_mass and self.mass != ESTIMATE:
+            raise ConfigError("'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass")
+        if self.kind.of_base and self.mass == ESTIMATE and (self.subtract or self.share != 1):
+            key = "subtract" if self.subtract else "share"
+            what = f"'{key}' needs the mass: without it a transmissibility gives no stiffness"
+            raise ConfigError(what, hint="for example mass: 0.92 kg", field=key)
+
+    def _check_bands(self) -> None:
+        """ConfigError for bands or ports that are set twice."""
+        if self.bands and (self.band or self.sliding):
+            raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands", field="bands")
+        if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):
+            hint = "leave out band, bands, sliding, input and output"
+            raise ConfigError("'peaks' names bands and ports by itself", hint=hint, field="peaks")
+
+
+# What a model needs, in words, and how a pipeline measures that; the model that is of it.
+_NEEDED = {
+    RESPONSES: ("an FRF", "frf: {excitation: periodic}"),
+    DECAYS: ("free decays", "frf: {excitation: decay}"),
+    SPECTRA: ("spectra of all channels", "frf: {result: spectra}"),
+}
+_MODEL_OF = {DECAYS: "decay", SPECTRA: "dynamic-stiffness or magnet"}
+
+
+def check_kind(settings: FitSettings, measured: str) -> None:
+    """ConfigError where a model is not of what was *measured*: responses, decays or spectra."""
+    of = settings.kind.of
+    if of == measured:
+        return
+    needed, remedy = _NEEDED[of]
+    if of == RESPONSES:
+        hint = f"model: {_MODEL_OF[measured]}"
+        raise ConfigError(f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none", hint=hint, field="model")
+    raise ConfigError(f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model")
+
+
+def model_kind(name: str) -> ModelKind:
+    """The kind of model of that name; of a plug-in's function, that of a model linear in its parameters."""
+    entry = MODELS.load(name)
+    return entry if isinstance(entry, ModelKind) else linear_kind(entry, "tied", "damping")
+
+
+def estimator_of(name: str) -> Estimator:
+    """The estimator of that name; a plug-in's function counts as one with the defaults."""
+    entry = ESTIMATORS.load(name)
+    return entry if isinstance(entry, Estimator) else Estimator(entry)
+
+
+def takers(key: str) -> tuple[str, ...]:
+    """The models that take a key of a fit."""
+    return tuple(name for name in MODELS if key in (*EVERY, *model_kind(name).keys))
+
+
+def models_text(key: str) -> str:
+    """Which models take a key of a fit, as a help says it; empty where all do."""
+    able = takers(key)
+    return "" if len(able) == len(tuple(MODELS)) else f" (models {', '.join(able)})"
+
+
+def _able(model: str) -> tuple[str, ...]:
+    """The estimators that fit a model."""
+    kind = model_kind(model)
+    return kind.estimators or tuple(name for name in ESTIMATORS if kind.one_frf or not estimator_of(name).one_frf)
+
+
+def _one_of(names: Sequence[str]) -> str:
+    """a, b or c."""
+    return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

@@ -1,0 +1,176 @@
+"""Goodness of fit, standard errors, intervals, collinearity, and what systematic errors do to a minimum of squares."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.distributions import student_quantile
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Goodness
+
+# Goodness of fit, standard errors, intervals and collinearity measures.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Result of an estimator: parameters, their covariance, goodness of fit.
+
+    values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular
+    factor of the real design or Jacobian with columns of length 1; dof: real equations - parameters; parameter_dof (n_parameter,): the
+    same of the regression of each parameter, where a fit consists of several (ls: one per direction), else None.
+    amplification (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF; half of
+    it for an error of half the FRF's size in the worst possible direction. squares: sum of the weighted residual's squares [1]. Both are
+    None where the estimator does not compute them.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    scaled_design: FloatArray
+    gof: Goodness
+    dof: int
+    converged: bool = True
+    iterations: int = 0
+    notes: tuple[str, ...] = ()
+    parameter_dof: IntArray | None = None
+    amplification: FloatArray | None = None
+    squares: float | None = None
+
+    @property
+    def student_dof(self) -> IntArray:
+        """Degrees of freedom of every parameter's t-ratio, (n_parameter,)."""
+        return np.full(self.values.size, self.dof) if self.parameter_dof is None else self.parameter_dof
+
+
+def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter: int) -> tuple[float, float]:
+    """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
+
+    right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts in one column, as in the
+    regression (Lim et al. 2009, eq. 23). Equation (est-r2).
+    """
+    side = stacked(right_side.reshape(-1))
+    n = side.size
+    total = float(np.sum((side - side.mean()) ** 2))
+    r2 = 1 - float(np.sum(np.abs(residual) ** 2)) / total if total > 0 else 0.0
+    return r2, 1 - (1 - r2) * (n - 1) / max(n - n_parameter, 1)
+
+
+@functools.cache
+def student_limit(dof: int) -> float:
+    """The two-sided 95 % Student quantile."""
+    return student_quantile(0.975, max(dof, 1))
+
+
+def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:
+    """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
+    if not np.isfinite(std_error):
+        return Parameter(name, value, unit, vif=vif)
+    limit = student_limit(dof)
+    t_ratio = value / std_error if std_error > 0 else None
+    interval = (value - limit * std_error, value + limit * std_error)
+    significant = abs(value) > limit * std_error
+    return Parameter(name, value, unit, std_error=std_error, t_ratio=t_ratio, ci95=interval, significant=significant, vif=vif)
+
+
+def widened(parameter: Parameter, factor: float) -> Parameter:
+    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong; std_error stays that of noise."""
+    if parameter.std_error is None:
+        return parameter
+    error, value = factor * parameter.std_error, parameter.value
+    interval, ratio, significant = parameter.ci95, parameter.t_ratio, parameter.significant
+    if interval is not None:
+        interval = (value + factor * (interval[0] - value), value + factor * (interval[1] - value))
+        significant = None if significant is None else bool(interval[0] > 0 or interval[1] < 0)
+    ratio = None if ratio is None or factor == 0 else ratio / factor
+    return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
+
+
+def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:
+    """A parameter computed from estimated ones, with its propagated standard error."""
+    limit = student_limit(dof)
+    interval = (value - limit * std_error, value + limit * std_error)
+    return Parameter(name, value, unit, std_error=std_error, t_ratio=None, ci95=interval, derived=True)
+
+
+def inflation_factors(scaled_design: FloatArray) -> FloatArray:
+    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1 for an orthogonal column.
+
+    *scaled_design* (n_parameter, n_parameter). Equation (est-vif).
+    """
+    _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        factors: FloatArray = np.sum((vectors / singular[:, None]) ** 2, axis=0)
+    return factors
+
+
+def condition_number(scaled_design: FloatArray) -> float:
+    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns (Belsley, Kuh and Welsch 1980).
+
+    Equation (est-condition).
+    """
+    singular = np.linalg.svd(scaled_design, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+
+
+def correlation(covariance: FloatArray) -> FloatArray:
+    """The correlation matrix (n, n) [1] of a covariance. Equation (est-correlation)."""
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    matrix: FloatArray = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+def stacked(values: ComplexArray) -> FloatArray:
+    """Real and imaginary parts (..., 2 n) [unit of the values] of values (..., n), concatenated."""
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def stacked_terms(terms: ComplexArray) -> FloatArray:
+    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit], with a single copy."""
+    rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
+    rows[:, 0], rows[:, 1] = terms.real, terms.imag
+    return rows.reshape(terms.shape[0], -1)
+
+
+# Combinations of parameters in words.
+
+
+def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
+    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; without parts below *least*."""
+    # Sorted as printed: parts that look alike keep the order of their names, whatever their last digits.
+    order = np.argsort(-np.round(np.abs(direction) / np.max(np.abs(direction)), 2), kind="stable")
+    direction = direction / direction[order[0]]
+    parts = [f"{names[n]} {direction[n]:+.2f}" for n in order if abs(direction[n]) >= least]
+    return ", ".join(parts)
+
+
+# What systematic errors do to a minimum of squares: one more step of Gauss-Newton, and the part of
+# chi-square that they explain.
+
+
+def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
+    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J.
+
+    slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter, n_parameter) [parameter units] (J^T J)^-1.
+    Equation (unc-step).
+    """
+    return np.asarray(-changes @ slopes @ covariance)
+
+
+def explained(residual: FloatArray, changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> float:
+    """The part of chi-square [1] that systematic errors explain, each of them 0 +- 1 standard uncertainty.
+
+    residual (n_datum,) [1] at the minimum; changes (n_source, n_datum) [1], with what the fit follows of them taken out; slopes
+    (n_datum, n_parameter) [1/parameter unit] and covariance (n_parameter, n_parameter) [parameter units] as for the steps.
+    Equation (unc-explained).
+    """
+    if not len(changes):
+        return 0.0
+    left = changes + steps_by(changes, slopes, covariance) @ slopes.T
+    projected = changes @ residual
+    return float(projected @ np.linalg.solve(np.eye(len(left)) + left @ changes.T, projected))

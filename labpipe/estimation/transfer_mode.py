@@ -1,0 +1,127 @@
+"""One mode seen from another point than it is driven at: its residue has either sign, and any phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.model import Matrices, Setup, Term, angle_of
+from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.statistics import stacked
+from labpipe.records.response import Port
+
+# Cosine between two directions of one point below which the response is across the force.
+ACROSS = 0.5
+REWEIGHTINGS = 12
+# Damping ratio of a start without another.
+LIGHT = 0.01
+
+
+@dataclass(frozen=True)
+class TransferMode:
+    """H(w) = (A + j B) / (w_n^2 - w^2 + 2 j zeta w_n w) + C + j D: a mode, and a constant for those outside the band.
+
+    Parameters: f_n [Hz], zeta [1], the modal constant A [1/kg] = psi_o psi_i / m with its sign, B [1/kg] its part in quadrature, C and D
+    [m/N]. A delay or a gain that changes evenly with frequency turns the residue and leaves a constant: w_n and zeta stay what they are.
+    Equation (est-transfer-mode).
+    """
+
+    name: str = "sdof"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("f_n", "zeta", "modal_constant", "modal_constant_quadrature", "residual_re", "residual_im")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return ("Hz", "1", "1/kg", "1/kg", "m/N", "m/N")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """None: the parameters have no matrices."""
+        return ()
+
+    def whole(self, parameters: FloatArray) -> Matrices:
+        """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,) [parameter units]."""
+        w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
+        unit = np.ones((1, 1))
+        return Matrices(w_n**2 * unit, 2 * zeta * w_n * unit, unit, parameters[2] * unit)
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H [m/N] at *parameters* (6,) [parameter units], (n_line, 1, 1); *omega* (n_line,) [rad/s]."""
+        numerator, constant = complex(*parameters[2:4]), complex(*parameters[4:])
+        return np.asarray(numerator / _denominator(parameters, omega) + constant)[:, None, None]
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (6, n_line, 1, 1) [m/N per parameter unit]."""
+        w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
+        below = 1 / _denominator(parameters, omega)
+        slope = -complex(*parameters[2:4]) * below**2
+        unit = np.ones(omega.size, np.complex128)
+        rows = [slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega), slope * 2j * w_n * omega, below, 1j * below, unit, 1j * unit]
+        return np.array(rows)[:, :, None, None]
+
+
+def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+    w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
+    return np.asarray(w_n**2 - omega**2 + 2j * zeta * w_n * omega)
+
+
+def is_transfer(output: Port, force: Port) -> bool:
+    """True where force and response are at different points, or across each other at one: by their dofs.
+
+    A dof that is no more than the name of a channel or column ("acc", "f") is no point: only names with a number count without a rig file.
+    """
+    if output.dof == force.dof or not (_is_place(output) and _is_place(force)):
+        return False
+    angles = angle_of(output), angle_of(force)
+    if angles[0] is not None and angles[1] is not None:
+        return bool(abs(np.cos(angles[0] - angles[1])) < ACROSS)
+    return angles[0] is None and angles[1] is None
+
+
+def _is_place(port: Port) -> bool:
+    """True for a dof that says where or along what: a direction, a name of its own, or one with a number."""
+    if not port.dof:
+        return False
+    return angle_of(port) is not None or port.dof not in (port.label, port.channel) or any(letter.isdigit() for letter in port.dof)
+
+
+def transfer_of(setup: Setup) -> bool:
+    """True where a setup is of a single transfer FRF."""
+    return setup.shape == (1, 1) and is_transfer(setup.outputs[0], setup.inputs[0])
+
+
+def transfer_start(measured: Measured) -> FloatArray:
+    """Start values (6,) [parameter units]: least squares of (k + j w c) H - (A + j B) - (C + j D) (k - w^2 + j w c) = w^2 H.
+
+    The constant's products with k and c are taken from the last pass, and equations divided by its denominator (Sanathanan and Koerner
+    1963). From the largest line where no pass gives an oscillation; FitError for fewer lines than determine them.
+    """
+    h, w = measured.matrix[:, 0, 0], measured.omega
+    if h.size < 5:
+        raise FitError(f"{h.size} lines cannot determine a mode and its residual term", hint="widen the band")
+    weight = np.ones(h.size, np.complex128)
+    unit = np.ones(h.size, np.complex128)
+    start = None
+    for _ in range(REWEIGHTINGS):
+        # C + j D times the denominator is a polynomial: its terms in w^2 and w are columns of their own.
+        columns = [h, 1j * w * h, -unit, -1j * unit, w**2 * unit, 1j * w**2, w * unit, 1j * w]
+        rows = stacked(np.array([column * weight for column in columns])).T
+        solved = solve_scaled(rows, stacked(weight * w**2 * h))[0]
+        below = solved[0] - w**2 + 1j * w * solved[1]
+        if solved[0] > 0:
+            start = solved[:2]
+        weight = 1 / below
+    if start is None:
+        peak = float(w[np.argmax(np.abs(h))])
+        start = np.array([peak**2, 2 * LIGHT * peak])
+    below = start[0] - w**2 + 1j * w * start[1]
+    rows = stacked(np.array([1 / below, 1j / below, unit, 1j * unit])).T
+    amounts = solve_scaled(rows, stacked(h))[0]
+    w_n = np.sqrt(start[0])
+    return np.array([w_n / (2 * np.pi), start[1] / (2 * w_n), *amounts])

@@ -1,0 +1,1 @@
+"""Calibration lines of sensors, actuators and preloads."""

@@ -1,0 +1,41 @@
+"""The uncertainty budget of a floating-bearing fit: what noise and every given number leave of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.methods.floating_bearing.values import Valued
+from labpipe.records.finding import Parameter
+from labpipe.records.fit_details import GivenDoubt
+from labpipe.records.uncertain import Budget, Doubt
+
+# Share of a variance below which an independent error is not listed by itself and stays with the noise.
+UNSEEN = 1e-3
+
+
+def budgeted(valued: Sequence[Valued], doubts: Sequence[GivenDoubt], dof: int) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """The parameters with their systematic part, and the budget; none without doubts that count.
+
+    A source of several independent errors, the noise of a baseline, is listed as so many, since they are common to all fits on it.
+    """
+    parameters = tuple(quantity.parameter for quantity in valued)
+    slopes = np.stack([quantity.slopes for quantity in valued])
+    whole = np.array([parameter.full_error or np.nan for parameter in parameters])
+    sources, changes = [], []
+    for doubt in doubts:
+        for number, row in enumerate(doubt.changes, start=1):
+            change = slopes @ row
+            if np.nanmax(change**2 / whole**2) > UNSEEN:
+                name = doubt.source if len(doubt.changes) == 1 else f"{doubt.source} ({number})"
+                sources.append(Doubt(name, doubt.std_error, doubt.unit))
+                changes.append(change)
+    if not sources:
+        return parameters, None
+    systematic = np.sqrt(np.sum(np.square(changes), axis=0))
+    random = np.sqrt(np.maximum(whole**2 - systematic**2, 0.0))
+    budget = Budget(tuple(p.name for p in parameters), random, float(dof), tuple(sources), np.array(changes))
+    stated = zip(parameters, systematic, strict=True)
+    return tuple(p if p.full_error is None or not size else replace(p, systematic=float(size)) for p, size in stated), budget

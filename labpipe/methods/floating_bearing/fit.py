@@ -1,0 +1,462 @@
+"""Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of noise and of given numbers.
+
+ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line from two runs.
+
+All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be and its intervals, from the
+residual, are those of noise that is the same at all lines. For comparison with published results; `ml` is the better estimate.
+
+Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test beside it.
+
+BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios are not chi-square then, and
+AIC takes the larger form in a third of the cases. A form that BIC chooses may still fail its chi-square: then none is right.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation import statistics
+from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
+from labpipe.estimation.regression import triangle_of
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import condition_number, correlation, determination, inflation_factors
+from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.findings import (
+    effective_forces,
+    given_notes,
+    mismatch_factor,
+    mismatch_findings,
+    motion_findings,
+    noise_findings,
+    physical_findings,
+    remedy,
+    shown_course,
+    whirl_findings,
+)
+from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, StiffnessModel, banded
+from labpipe.methods.floating_bearing.given import (
+    Baseline,
+    Given,
+    balance_of,
+    errors_by_given,
+    given_doubts,
+    given_errors,
+    response_of,
+    smoothed_channels,
+)
+from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, GivenErrors, Noise, estimate
+from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
+from labpipe.methods.floating_bearing.stator import LineStiffness, Stator, line_stiffness, motion_note, other_excitations, stator_of
+from labpipe.methods.floating_bearing.values import Bearing, Doubted, Shaft, coefficients, derived_values, dimensionless
+from labpipe.quantities import UnitError, parse_value
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.fit_details import DynamicStiffness, GivenDoubt, OtherExcitation, systematic
+from labpipe.records.identification import Candidate, Fit, Goodness
+from labpipe.records.settings import ESTIMATE
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import Uncertain, split_doubt
+from labpipe.registry import nearest
+
+# Where a baseline comes from: the fit of an earlier test, or given numbers.
+
+NONE = Uncertain(0.0)
+
+
+def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
+    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names; ConfigError if there is none."""
+    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
+    if not stiffness_settings.baseline:
+        return settings
+    usable = [fit for fit in fits if fit.detail(DynamicStiffness) is not None]
+    baselines = [fit for fit in usable if fit.name == stiffness_settings.baseline] or [
+        fit for fit in usable if fit.test == stiffness_settings.baseline
+    ]
+    if not baselines:
+        hint = nearest(stiffness_settings.baseline, [fit.name for fit in usable])
+        raise ConfigError(
+            f"baseline: no earlier fit '{stiffness_settings.baseline}' of model dynamic-stiffness",
+            hint=f"fits are made in their order; {hint}",
+        )
+    if len(baselines) > 1:
+        tests = ", ".join(fit.test for fit in baselines)
+        raise ConfigError(
+            f"baseline: '{stiffness_settings.baseline}' has {len(baselines)} results ({tests})",
+            hint="say `test:` in the fit of the baseline",
+        )
+    return replace(settings, model_settings=replace(stiffness_settings, known=baseline_of(baselines[0])))
+
+
+def baseline_of(fit: Fit) -> Baseline:
+    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become doubts of this one.
+
+    A residual beyond the noise counts as noise here as in the intervals of that fit.
+    """
+    shown = fit.detail(DynamicStiffness)
+    if shown is None or not fit.converged:
+        raise ConfigError(f"the fit '{fit.name}' is no baseline: it did not converge")
+    label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
+    values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
+    changes = _excess(fit.gof) * (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
+    return Baseline(fitted_model(shown), shown.values, (GivenDoubt(label, changes), *shown.doubts), fit.name, fit.test)
+
+
+def _excess(gof: Goodness) -> float:
+    """The factor of a residual that is larger than noise, else 1."""
+    beyond = gof.chi2_reduced is not None and gof.chi2_p is not None and gof.chi2_p < MISMATCH_P
+    return float(np.sqrt(gof.chi2_reduced)) if beyond and gof.chi2_reduced is not None else 1.0
+
+
+def _scale(shown: DynamicStiffness) -> FloatArray:
+    errors = np.sqrt(np.diag(shown.noise))
+    return np.where(errors > 0, errors, 1.0)
+
+
+def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
+    """The model of a fitted dynamic stiffness."""
+    form = banded(np.array(shown.bands)) if shown.form == BANDS else FORMS[shown.form]
+    return StiffnessModel(form, shown.symmetry)
+
+
+def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
+    """The baseline of given numbers, the same in x and y; else that of an earlier fit; None without any."""
+    if own.baseline_stiffness is None and own.baseline_damping is None:
+        return own.known
+    stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
+    pairs = (("stiffness of the baseline", stiffness, "N/m"), ("damping of the baseline", damping, "N.s/m"))
+    doubts = tuple(
+        GivenDoubt(
+            number.source or f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}",
+            number.std_error * np.eye(2)[place][None],
+            std_error=number.std_error,
+            unit=unit,
+        )
+        for place, (name, number, unit) in enumerate(pairs)
+        if number.std_error > 0
+    )
+    return Baseline(StiffnessModel(FORMS["kc"], "isotropic"), np.array([stiffness.value, damping.value]), doubts, "given numbers")
+
+
+# ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line
+# from two runs.
+
+# Functions of the real and of the imaginary part of H, by form.
+REAL_PARTS = {"kc": 1, "kcm": 2}
+
+
+def least_squares(balance: Balance, model: StiffnessModel) -> tuple[Estimate, Callable[[ComplexArray], FloatArray]]:
+    """The estimate, and how it responds to changes of e (n, n_line, n_run, 2) [N]: (n, n_parameter) [parameter units].
+
+    ConfigError for other forms than kc and kcm, FitError where runs do not give H. Equation (ds-ls).
+    """
+    if model.form.name not in REAL_PARTS or model.symmetry == "seal":
+        raise ConfigError("least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator")
+    lines = line_stiffness(balance)
+    designs = _designs(model, lines.omega)
+    for design in designs:
+        if design.shape[0] <= design.shape[1]:
+            raise FitError(f"{design.shape[0]} lines cannot determine the coefficients", hint="widen the band")
+    values, variance = _solved(model, lines.stiffness, designs)
+    covariance = np.zeros((values.size, values.size))
+    n_element = model.elements.shape[0]
+    numbers = np.arange(values.size).reshape(-1, n_element)
+    for part, design in enumerate(designs):
+        inverse = np.linalg.inv(design.T @ design)
+        rows = numbers[_rows_of(model, part)]
+        for element in range(n_element):
+            covariance[np.ix_(rows[:, element], rows[:, element])] = variance[part, element] * inverse
+    dof = 2 * n_element * lines.omega.size - values.size
+    columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
+    design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
+    estimate = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
+    return estimate, _response(model, lines, designs)
+
+
+def _rows_of(model: StiffnessModel, part: int) -> list[int]:
+    """Numbers of the matrices that the real (0) or imaginary part (1) of H tells: K and M, or C."""
+    return [1] if part else [number for number in range(len(model.form.matrices)) if number != 1]
+
+
+def _designs(model: StiffnessModel, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Functions of the real and of the imaginary part, (n_line, n) [1, 1/s, 1/s^2]."""
+    basis = model.form.basis(np.empty(0), omega)
+    return basis[_rows_of(model, 0)].real.T, basis[_rows_of(model, 1)].imag.T
+
+
+def _elements(model: StiffnessModel, stiffness: ComplexArray) -> ComplexArray:
+    """(..., n_line, n_element) [N/m] of H (..., n_line, 2, 2)."""
+    return np.einsum("...ij,cij->...c", stiffness, model.elements)
+
+
+def _solved(model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary part."""
+    measured = _elements(model, stiffness)
+    solution = np.empty((len(model.form.matrices), measured.shape[-1]))
+    variance = np.empty((2, measured.shape[-1]))
+    for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):
+        coefficients = np.linalg.pinv(design) @ side
+        solution[_rows_of(model, part)] = coefficients
+        variance[part] = np.sum((side - design @ coefficients) ** 2, axis=0) / (design.shape[0] - design.shape[1])
+    return solution.reshape(-1), variance
+
+
+def _response(model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]) -> Callable[[ComplexArray], FloatArray]:
+    def respond(errors: ComplexArray) -> FloatArray:
+        return np.stack([_solved(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors])
+
+    return respond
+
+
+# Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test
+# beside it.
+
+# Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
+STRONG = 10.0
+
+
+def compared(
+    balance: Balance,
+    symmetry: str,
+    noise: Noise,
+    forms: Sequence[str],
+    known: Estimate | None = None,
+    doubtful: GivenErrors | None = None,
+) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
+    """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out. Equation (ds-bic)."""
+    estimates: dict[str, Estimate] = {}
+    for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
+        try:
+            fits = known is not None and form == known.model.form.name
+            estimates[form] = (
+                known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, doubtful)
+            )
+        except FitError:
+            continue
+    ranked = sorted((_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic)
+    return tuple(ranked), estimates
+
+
+def _bic(candidate: Candidate) -> float:
+    assert candidate.bic is not None
+    return candidate.bic
+
+
+def _candidate(form: str, found: Estimate, n_equation: int) -> Candidate:
+    n = found.values.size
+    bic = found.squares + n * float(np.log(n_equation))
+    return Candidate(form, n, found.squares, found.dof, found.squares + 2 * n, bic=bic, chi2_p=found.p_value)
+
+
+def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
+    """Warnings: no candidate passes its chi-square test; another form than the *given* one is better."""
+    if not candidates:
+        return ()
+    findings = []
+    if all(candidate.chi2_p is not None and candidate.chi2_p < MISMATCH_P for candidate in candidates):
+        least = min(candidates, key=lambda candidate: candidate.chi2 / candidate.dof)
+        names = ", ".join(candidate.name for candidate in candidates)
+        message = (
+            f"none of the compared forms ({names}) explains the data: the best, {least.name}, leaves {least.chi2 / least.dof:.3g} times "
+            f"the squares that noise would (p = {least.chi2_p:.2g}). The bearing is not linear at this amplitude, a "
+            "channel or the baseline is wrong, or its course over frequency is another one; look at the figure over frequency"
+        )
+        findings.append(Finding("no-model", message))
+    best = candidates[0]
+    this = next((candidate for candidate in candidates if candidate.name == form), None)
+    if given and this is not None and _bic(this) - _bic(best) > STRONG:
+        message = (
+            f"another form is better supported by the data: '{best.name}' with {best.parameters} parameters has BIC {_bic(best):.4g}, "
+            f"'{form}' with {this.parameters} parameters {_bic(this):.4g}"
+        )
+        findings.append(Finding("other-model", message))
+    return tuple(findings)
+
+
+# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the doubt of noise
+# and of given numbers.
+
+BANDS_BY_DEFAULT = 10
+LS_NOTE = (
+    "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with equal weights. The noise of the "
+    "motion is not regarded and that of the lines taken as equal: errors are up to several times those of ml, and intervals may be short."
+)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors, and compared forms."""
+
+    best: Estimate
+    doubts: tuple[GivenDoubt, ...]
+    amplification: FloatArray | None
+    excitations: tuple[OtherExcitation, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+
+
+def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
+    """One fit, or one per band; none of the test that the baseline itself was fitted on.
+
+    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the coefficients.
+    """
+    _check(settings)
+    section: DynamicStiffnessSettings = settings.model_settings
+    if section.known is not None and section.known.test == spectra.name:
+        return ()
+    return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
+
+
+def _check(settings: FitSettings) -> None:
+    """ConfigError for more than one mass."""
+    if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
+        raise ConfigError("the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass")
+
+
+def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
+    section: DynamicStiffnessSettings = settings.model_settings
+    stator = stator_of(spectra, band, settings.input, settings.output)
+    given = _given(settings, stator)
+    balance = balance_of(stator, given)
+    noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
+    solved = _solved_fit(stator, given, balance, settings, noise)
+    likely = settings.estimates.likelihood
+    best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
+    of_given = systematic(solved.doubts, best.values.size)
+    doubted = Doubted(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
+    shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
+    load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
+    bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
+    main = coefficients(doubted, inflation_factors(best.design))
+    # A baseline is no bearing of a shaft.
+    others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
+    whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
+    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.doubts, best.dof)
+    fit = _reported(settings, balance, solved, whole_band, parameters)
+    findings = (
+        *fit.findings,
+        *(mismatch_findings(best) if likely else ()),
+        *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
+        *(noise_findings(best, noise) if likely else ()),
+        *motion_findings(stator, given),
+        *whirl_findings(turning, shaft.speed),
+        *physical_findings(parameters),
+    )
+    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *(() if likely else (LS_NOTE,)))
+    shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
+    shown = replace(shown, excitations=solved.excitations)
+    return replace(fit, findings=(*findings, *spectra.findings), notes=notes, details=(shown,), budget=budget if fit.converged else None)
+
+
+def _given(settings: FitSettings, stator: Stator) -> Given:
+    """Mass and baseline of the settings; ConfigError where accelerations are missing, or the inertia is out already."""
+    section: DynamicStiffnessSettings = settings.model_settings
+    mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
+    if mass is not None and mass.value == 0:
+        mass = None
+    given = Given(mass, given_baseline(section), section.motion == "absolute")
+    if mass is not None and effective_forces(stator):
+        raise ConfigError("the forces are without the stator's inertia already", hint="stator_mass: 0 kg", field="stator_mass")
+    if given.accelerated and not stator.accelerated and not given.absolute:
+        what = "mass of the stator" if mass is not None else "baseline"
+        raise ConfigError(
+            f"the {what} acts with the stator's absolute motion, and there are no accelerations: displacements against the shaft, which "
+            "moves too, are not that",
+            hint="measure accelerations in x and y; motion: absolute where the displacements are absolute",
+        )
+    return given
+
+
+def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
+    """A number of the settings, else the test's condition of that name; ConfigError for one that cannot be read."""
+    if given is not None or condition not in spectra.conditions:
+        return given
+    try:
+        return parse_value(split_doubt(str(spectra.conditions[condition]))[0], unit)
+    except UnitError as error:
+        raise ConfigError(f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}") from None
+
+
+def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
+    """The estimate by the settings' estimator."""
+    section: DynamicStiffnessSettings = settings.model_settings
+    if not settings.estimates.likelihood:
+        best, respond = least_squares(balance, StiffnessModel(_form(section, balance.omega), section.symmetry))
+        errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
+        return Solved(best, given_doubts(errors, respond), None)
+    best, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
+    problem = ErrorsInVariables(balance, best.model)
+    stiffness, state, columns = best.model.stiffness(best.values, stator.omega), problem.at(best.values), problem.columns(best.values)
+    errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
+    doubts = given_doubts(errors, response_of(state, columns))
+    amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
+    return Solved(best, doubts, amplification, other_excitations(stator, best, columns), candidates)
+
+
+def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, doubtful: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
+    """The estimate of the form that is given, or with `compare` and without one that of the best form."""
+    section: DynamicStiffnessSettings = settings.model_settings
+    model = StiffnessModel(_form(section, balance.omega), section.symmetry)
+    if not settings.compare:
+        return estimate(balance, model, noise, doubtful), ()
+    of_form = None if section.form is None else estimate(balance, model, noise, doubtful)
+    candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, doubtful)
+    if not candidates:
+        raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
+    return (of_form or estimates[candidates[0].name]), candidates
+
+
+def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
+    if section.form != BANDS:
+        return FORMS[section.form or "kcm"]
+    low, high = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
+    count = BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
+    return banded(np.linspace(low, high, count + 1))
+
+
+def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tuple[float, float], parameters: tuple[Parameter, ...]) -> Fit:
+    """The fit with its goodness, and warnings on the estimate."""
+    best = solved.best
+    names = best.model.names
+    stiffness = best.model.stiffness(best.values, balance.omega)
+    residual = balance.right - np.einsum("lij,lrj->lri", stiffness, balance.motion)
+    r2, adjusted = determination(balance.right, residual, len(names))
+    likely = settings.estimates.likelihood
+    gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
+    as_estimate = statistics.Estimate(
+        values=best.values,
+        covariance=best.covariance,
+        scaled_design=best.design,
+        gof=gof,
+        dof=best.dof,
+        converged=best.converged,
+        iterations=best.steps,
+        amplification=solved.amplification,
+    )
+    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, best.model.units, remedy)
+    if best.model.n_shape:
+        # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
+        warnings = [finding for finding in warnings if finding.code != "collinear"]
+    if not best.converged:
+        parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
+    return Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator=settings.estimator,
+        band_hz=band,
+        lines=balance.omega.size,
+        equations=best.dof + len(names),
+        dof=best.dof,
+        gof=gof,
+        parameters=parameters,
+        condition_number=condition_number(best.design),
+        correlation=correlation(best.covariance),
+        converged=best.converged,
+        iterations=best.steps,
+        findings=(*warnings, *goodness_findings(gof)),
+        candidates=solved.candidates,
+    )

@@ -1,0 +1,386 @@
+"""Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
+
+Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
+
+With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0 is, but for constants,
+V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System Identification, sec. 9.10). No run is inverted, so that one
+run with one vector per line is as good as two. 2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
+
+ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance estimated from few periods.
+
+A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu / (nu - p), and the covariance
+of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1) (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail, f_tail
+from labpipe.errors import FitError
+from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.regression import triangle_of
+from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
+
+# Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
+# m.
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Force side G [N] and motion m [m] of the balance G = H m, with their covariance.
+
+    omega (n_line,) [rad/s]; right, motion (n_line, n_run, 2); right_covariance E[g g^H] [N^2], cross E[m g^H] [N.m], motion_covariance
+    E[m m^H] [m^2], each (n_line, n_run, 2, 2).
+    """
+
+    omega: FloatArray
+    right: ComplexArray
+    motion: ComplexArray
+    right_covariance: ComplexArray
+    cross: ComplexArray
+    motion_covariance: ComplexArray
+
+    @property
+    def n_equation(self) -> int:
+        """Real equations: two complex ones for every line and run."""
+        return 2 * self.right.size
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """The residual of one H: L L^H = S, the covariance of e; *white* = L^-1 e; *smoothed* motion m^, its noise as far as e tells it.
+
+    white, smoothed (n_line, n_run, 2) [1, m]; l_xx, l_yx, l_yy (n_line, n_run) [N]: the elements of L.
+    """
+
+    white: ComplexArray
+    smoothed: ComplexArray
+    l_xx: FloatArray
+    l_yx: ComplexArray
+    l_yy: FloatArray
+
+    def whiten(self, side: ComplexArray) -> ComplexArray:
+        """L^-1 of forces (..., n_line, n_run, 2) [N]."""
+        first = side[..., 0] / self.l_xx
+        return np.stack([first, (side[..., 1] - self.l_yx * first) / self.l_yy], axis=-1)
+
+    def weighted(self) -> ComplexArray:
+        """S^-1 e (n_line, n_run, 2) [1/N]."""
+        second = self.white[..., 1] / self.l_yy
+        return np.stack([(self.white[..., 0] - self.l_yx.conj() * second) / self.l_xx, second], axis=-1)
+
+
+def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
+    """Matrices (..., 2, 2) on vectors (..., 2) [any unit], the axes before them broadcast."""
+    return np.stack([matrix[..., n, 0] * vectors[..., 0] + matrix[..., n, 1] * vectors[..., 1] for n in (0, 1)], axis=-1)
+
+
+def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
+    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
+    h = stiffness[:, None]
+    of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
+    s = balance.right_covariance - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2) - h @ of_motion
+    l_xx = np.sqrt(s[..., 0, 0].real)
+    l_yx = s[..., 1, 0] / l_xx
+    l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
+    plain = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
+    white = Whitened(plain.whiten(plain.white), balance.motion, l_xx, l_yx, l_yy)
+    smoothed = balance.motion - times(of_motion, white.weighted())
+    return Whitened(white.white, smoothed, l_xx, l_yx, l_yy)
+
+
+class ErrorsInVariables:
+    """V of a model as a sum of squares; its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly, 2 Re sum (dB u^)^H S^-1 e."""
+
+    def __init__(self, balance: Balance, model: StiffnessModel) -> None:
+        self.balance, self.model = balance, model
+        self._at: tuple[bytes, Whitened] | None = None
+
+    def at(self, parameters: FloatArray) -> Whitened:
+        """The whitened residual at *parameters* (n_parameter,) [parameter units]."""
+        key = parameters.tobytes()
+        if self._at is None or self._at[0] != key:
+            with np.errstate(all="ignore"):
+                self._at = key, whitened(self.balance, self.model.stiffness(parameters, self.balance.omega))
+        return self._at[1]
+
+    @property
+    def size(self) -> float:
+        """Norm of the force side [N] over that of its noise, line by line: what rounding is relative to."""
+        variance = np.trace(self.balance.right_covariance, axis1=-2, axis2=-1).real
+        power = np.sum(np.abs(self.balance.right) ** 2, axis=-1)
+        return float(np.sqrt(np.sum(np.divide(power, variance, out=np.zeros_like(power), where=variance > 0))))
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """L^-1 e as real numbers (n_equation,) [1]."""
+        return real_rows(self.at(parameters).white.reshape(1, -1))[0]
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """(n_equation, n_parameter) [1/parameter unit]."""
+        return self.columns(parameters)
+
+    def columns(self, parameters: FloatArray) -> FloatArray:
+        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element of the matrices.
+
+        Equation (ds-jacobian).
+        """
+        state, model, omega = self.at(parameters), self.model, self.balance.omega
+        theta = parameters[model.n_linear :]
+        moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
+        basis = model.form.basis(theta, omega)
+        linear = (-basis[:, None, :, None, None] * moved).reshape(model.n_linear, -1)
+        if model.n_shape:
+            slopes = model.form.slopes(theta, omega)
+            change = np.tensordot(slopes.transpose(0, 2, 1), model.matrices(parameters), 1)
+            shaped = -state.whiten(times(change[:, :, None], state.smoothed)).reshape(model.n_shape, -1)
+            linear = np.concatenate([linear, shaped])
+        return real_rows(linear).T
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """V [1] at *parameters* (n_parameter,); infinite where it is no number. Equation (ds-likelihood)."""
+        white = self.at(parameters).white
+        total = float(np.sum(white.real**2 + white.imag**2))
+        return total if np.isfinite(total) else float("inf")
+
+
+def real_rows(rows: ComplexArray) -> FloatArray:
+    """Complex rows (n, m) [any unit] as real parts, then imaginary parts, (n, 2 m)."""
+    return np.concatenate([rows.real, rows.imag], axis=1)
+
+
+# Where a descent begins: the matrices by weighted linear least squares, for every shape parameter of a grid
+# at once.
+
+# Descents from the best places of a grid of shape parameters.
+MOST_DESCENTS = 3
+REWEIGHTED = 2
+# Added to the unit diagonal of scaled normal equations, for forms that hold another one within themselves.
+RIDGE = 1e-10
+
+
+def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
+    """Values (n_parameter,) [parameter units] to begin with, the most promising first; one for a model without shape parameters."""
+    weights = _weights(balance, model.symmetry)
+    grid = model.form.starts(balance.omega)
+    linear, misfit = solved(balance, model, grid, weights)
+    order = np.argsort(misfit)[:MOST_DESCENTS]
+    return [np.concatenate([linear[number], grid[number]]) for number in order]
+
+
+def _weights(balance: Balance, symmetry: str) -> Whitened:
+    """Weights by the noise of the balance: first all lines alike, then twice with the K, C and M that come out."""
+    model = StiffnessModel(FORMS["kcm"], symmetry)
+    weights = _alike(balance)
+    for _ in range(REWEIGHTED):
+        values = solved(balance, model, np.empty((1, 0)), weights)[0][0]
+        weights = whitened(balance, model.stiffness(values, balance.omega))
+    return weights
+
+
+def _alike(balance: Balance) -> Whitened:
+    """Weights that are the same for all lines."""
+    ones = np.ones(balance.right.shape[:2])
+    return Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
+
+
+def solved(balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened) -> tuple[FloatArray, FloatArray]:
+    """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what they leave (n_start,) [1].
+
+    grid (n_start, n_shape) of shape parameters. The normal equations of all starts come from the same sums over runs and components,
+    line by line, since the functions g_k are the same for all elements of a matrix.
+    """
+    moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
+    side = weights.whiten(balance.right)
+    n_element, n_line = moved.shape[:2]
+    rows = moved.transpose(1, 0, 2, 3).reshape(n_line, n_element, -1)
+    # (n_line, n_element, n_element) and (n_line, n_element): sums over runs and components.
+    products = (rows.conj() @ rows.swapaxes(-1, -2)).reshape(n_line, -1)
+    forced = np.einsum("lcr,lr->lc", rows.conj(), side.reshape(n_line, -1))
+    basis = np.stack([model.form.basis(theta, balance.omega) for theta in grid])
+    n_start, n_matrix = basis.shape[:2]
+    pairs = (basis.conj()[:, :, None] * basis[:, None]).reshape(-1, n_line)
+    normal = (pairs @ products).real.reshape(n_start, n_matrix, n_matrix, n_element, n_element)
+    normal = normal.transpose(0, 1, 3, 2, 4).reshape(n_start, model.n_linear, model.n_linear)
+    right = (basis.conj() @ forced).real.reshape(n_start, model.n_linear)
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), np.finfo(float).tiny))
+    scaled = normal / (scale[:, :, None] * scale[:, None]) + RIDGE * np.eye(model.n_linear)
+    linear = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale
+    return linear, float(np.sum(np.abs(side) ** 2)) - np.sum(right * linear, axis=1)
+
+
+# ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
+# estimated from few periods.
+
+# Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a model.
+GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
+# Equations of a line and run.
+N_EQUATION = 2
+# Distance to the minimum in standard errors at which a descent ends: that which counts, and those from several starts before it.
+NEAR, ROUGH = 1e-4, 0.1
+MOST_STEPS, FEW_STEPS = 60, 12
+# Relative noise below which a covariance is rounding.
+NOISE_FREE = 1e-20
+# Ratio of the residual's variance to that of chi-square at least, where the covariance was estimated: runs and lines may have a common one.
+LEAST_SPREAD = 1.25
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter, n_parameter) [their units].
+
+    squares: 2 V [1] corrected for estimated covariances and doubtful given numbers, chi-square with *dof* if the model is right; p_value of
+    it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
+    """
+
+    model: StiffnessModel
+    values: FloatArray
+    covariance: FloatArray
+    squares: float
+    dof: int
+    p_value: float
+    converged: bool
+    steps: int
+    design: FloatArray
+
+    @property
+    def reduced(self) -> float:
+        """Chi-square per degree of freedom, 1 if the model is right."""
+        return self.squares / self.dof
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How far the covariance of the noise is known.
+
+    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p of a line and run.
+    """
+
+    dof: float = float("inf")
+    shared: float = 1.0
+    shared_power: float = 1.0
+    equations: int = N_EQUATION
+
+    @property
+    def least_dof(self) -> float:
+        """Degrees of freedom up to which chi-square has no variance."""
+        return self.equations + 1.0
+
+    @property
+    def excess(self) -> float:
+        """E[2 V] over its value for a known covariance. Equation (ds-excess)."""
+        return self.dof / (self.dof - self.equations) if np.isfinite(self.dof) else 1.0
+
+    @property
+    def inflation(self) -> float:
+        """Covariance of the estimates over the inverse of the information matrix. Equation (ds-inflation)."""
+        if not np.isfinite(self.dof):
+            return self.shared
+        return self.shared * self.dof**2 / ((self.dof - self.equations) ** 2 - 1)
+
+    @property
+    def _excess_variance(self) -> float:
+        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu - p + 1) degrees of freedom."""
+        return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
+
+    def spread(self, dof: int) -> float:
+        """Standard deviation of chi-square per degree of freedom."""
+        return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
+
+    def p_value(self, squares: float, dof: int) -> float:
+        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated.
+
+        Equation (ds-p-value).
+        """
+        effective = dof / self.shared_power
+        if not np.isfinite(self.dof):
+            return chi2_tail(squares / self.shared_power, effective)
+        spread = self._excess_variance
+        second = (effective - 2 + 4 * spread) / (spread - 1)
+        return f_tail(squares / dof * second / (second - 2), effective, second)
+
+
+def checked(balance: Balance, noise: Noise) -> None:
+    """FitError for a balance without noise, or whose covariance comes from too few periods."""
+    power, variance = np.sum(np.abs(balance.motion) ** 2), np.sum(np.trace(balance.motion_covariance, axis1=-2, axis2=-1).real)
+    forced, scatter = np.sum(np.abs(balance.right) ** 2), np.sum(np.trace(balance.right_covariance, axis1=-2, axis2=-1).real)
+    if variance <= NOISE_FREE * power and scatter <= NOISE_FREE * forced:
+        raise FitError(
+            "the noise of the channels is not known, so ml cannot weigh them", hint="measure several periods or blocks, or `estimator: ls`"
+        )
+    if noise.dof <= noise.least_dof:
+        raise FitError(
+            f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
+            hint="average more periods or blocks, or let neighbouring lines share their noise",
+        )
+
+
+def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: GivenErrors | None = None) -> Estimate:
+    """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
+
+    *doubtful* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their doubt.
+    Equation (ds-explained).
+    """
+    n = len(model.names)
+    dof = balance.n_equation - n
+    if dof <= 0:
+        raise FitError(f"{balance.n_equation} real equations cannot determine {n} parameters", hint="widen the band, or a smaller `form`")
+    checked(balance, noise)
+    problem = ErrorsInVariables(balance, model)
+    best = _lowest(problem)
+    squares = 2 * problem.chi2(best.values)
+    jacobian = problem.columns(best.values)
+    if doubtful is not None:
+        squares -= _explained(problem, best.values, jacobian, doubtful, noise.excess)
+    squares /= noise.excess
+    design = triangle_of(jacobian)
+    covariance = noise.inflation * inverse_information(jacobian)
+    p_value = noise.p_value(squares, dof)
+    return Estimate(model, best.values, covariance, squares, dof, p_value, best.converged, best.steps, design)
+
+
+def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, doubtful: GivenErrors, excess: float) -> float:
+    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one.
+
+    min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can follow.
+    """
+    state = problem.at(values)
+    errors = doubtful(problem.model, values, state)
+    if not len(errors):
+        return 0.0
+    scale = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.qr(jacobian / np.where(scale > 0, scale, 1.0))[0]
+    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
+    changes = changes - (changes @ basis) @ basis.T
+    along = 2 * changes @ problem.residual(values) / excess
+    stiff = np.eye(len(errors)) + 2 * changes @ changes.T / excess
+    return float(excess * along @ np.linalg.solve(stiff, along))
+
+
+def _lowest(problem: ErrorsInVariables) -> Minimum:
+    """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its end."""
+    begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
+    if not begun:
+        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise, or `estimator: ls`")
+    if len(begun) > 1:
+        rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
+        begun = [min(rough, key=problem.chi2)]
+    return minimise(problem, begun[0], NEAR, MOST_STEPS)
+
+
+def inverse_information(jacobian: FloatArray) -> FloatArray:
+    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise; pseudo-inverse of a singular one.
+
+    Equation (ds-covariance).
+    """
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    columns = jacobian / scale
+    inverse: FloatArray = np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)
+    return inverse

@@ -1,0 +1,107 @@
+"""The model dynamic-stiffness: its settings, and its entry in the table of models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES
+from labpipe.methods.floating_bearing.given import Baseline
+from labpipe.records.identification import Fit
+from labpipe.records.settings import Settings, setting
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import Uncertain
+from labpipe.registry import nearest
+from labpipe.spectra.settings import SPECTRA
+
+# Settings of a floating-bearing fit: the section `dynamic_stiffness:` of a fit with model
+# dynamic-stiffness.
+
+MOTIONS = ("relative", "absolute")
+SYMMETRIES = ("none", "seal", "direct")
+COMPARED = ("kc", "kcm", "relaxation", "pad")
+
+
+@dataclass(frozen=True)
+class DynamicStiffnessSettings(Settings):
+    """What is identified and what is given; *known*: the baseline of `baseline`, once its fit is made."""
+
+    form: str | None = setting("choice", "course over frequency; default: kcm, or with `compare` the best", choices=NAMES, default=None)
+    _: KW_ONLY
+    symmetry: str = setting("choice", "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms", choices=SYMMETRIES, default="none")
+    motion: str = setting("choice", "that it acts on: against the shaft, or absolute (baseline)", choices=MOTIONS, default="relative")
+    stator_mass: Uncertain | None = setting("uncertain", "mass of the stator with its doubt; default: `mass`", unit="kg", default=None)
+    baseline: str = setting("text", "an earlier fit of what holds the stator, or its test", default="")
+    baseline_stiffness: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N/m", default=None)
+    baseline_damping: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None)
+    band_width: float | None = setting("value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None)
+    forms: tuple[str, ...] = setting("names", "forms that `compare` holds against each other", default=COMPARED)
+    speed: float | None = setting(
+        "value", "speed of the shaft, from x to y; default: the test's condition `speed`", unit="Hz", default=None
+    )
+    rotor_mass: Uncertain | None = setting(
+        "uncertain", "mass on the bearing, for the onset speed of whirl of a rotor on it", unit="kg", default=None
+    )
+    rotor_stiffness: float | None = setting("value", "stiffness of that rotor; default: rigid", unit="N/m", default=None)
+    load: float | None = setting("value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None)
+    clearance: float | None = setting("value", "radial clearance, for coefficients without dimension", unit="m", default=None)
+    viscosity: float | None = setting("value", "for the Sommerfeld number", unit="Pa.s", default=None)
+    diameter: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
+    length: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
+    known: Baseline | None = None
+
+    def __post_init__(self) -> None:
+        if self.baseline and (self.baseline_stiffness or self.baseline_damping):
+            raise ConfigError("'baseline' is given twice", hint="a fit, or numbers", field="baseline")
+        for name in ("stator_mass", "rotor_mass"):
+            mass: Uncertain | None = getattr(self, name)
+            if mass is not None and mass.value < 0:
+                raise ConfigError(f"'{name}' is negative", field=name)
+        for name in ("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter", "length"):
+            value: float | None = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        for form in self.forms:
+            if form not in FORMS:
+                raise ConfigError(f"'forms': '{form}' cannot be compared", hint=nearest(form, tuple(FORMS)), field="forms")
+        if self.band_width is not None and self.form != BANDS:
+            raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")
+
+
+# The model dynamic-stiffness as an entry of the table of models. What fits is imported by the first fit.
+
+
+def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.methods.floating_bearing.fit import dynamic_stiffness_fits
+
+    return dynamic_stiffness_fits(spectra, settings)
+
+
+def _earlier(settings: FitSettings) -> str:
+    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
+    return stiffness_settings.baseline
+
+
+def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
+    if not _earlier(settings):
+        return settings
+    from labpipe.methods.floating_bearing.fit import with_baseline
+
+    return with_baseline(settings, fits)
+
+
+DYNAMIC_STIFFNESS = ModelKind(
+    _fit,
+    "dynamic_stiffness",
+    DynamicStiffnessSettings,
+    "dynamic_stiffness: {form: kcm}",
+    optional=True,
+    earlier=_earlier,
+    begin=_begin,
+    of=SPECTRA,
+    keys=("mass", "input", "output", "bands", "compare"),
+    by_likelihood=("compare",),
+    estimators=("ml", "ls"),
+)

@@ -1,0 +1,291 @@
+"""Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other excitations would give.
+
+What another excitation of the same time and peak force would have given, from the information that every line brought.
+
+The information of a line about the coefficients goes with the square of its force, whatever the rest does. A spectrum of the same r.m.s.
+and crest factor shifts it among the lines; both forces at once, with the opposite sign of one of them in the second run, bring twice as
+much of it as one after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whitened
+from labpipe.records.fit_details import OtherExcitation
+from labpipe.records.recording import Channel
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import nearest
+from labpipe.spectra.bands import lines_in
+
+# Forces on the stator, its motion against the shaft and its acceleration in x and y, of the channels of a
+# test.
+
+FORCE, DISPLACEMENT, ACCELERATION = "force", "displacement", "acceleration"
+QUANTITIES = (FORCE, DISPLACEMENT, ACCELERATION)
+ROLES = {FORCE: "input", DISPLACEMENT: "output", ACCELERATION: "output"}
+LEAST_LINES = 3
+# Sine of the angle below which two directions are one.
+PARALLEL = 1e-3
+
+
+@dataclass(frozen=True)
+class Stator:
+    """Spectra of the stator on the lines of a fit.
+
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run, n_channel, n_channel): all that was
+    measured [SI units]; to_axes (6, n_channel) [1]: [F_x, F_y, D_x, D_y, A_x, A_y] = to_axes @ channels [N, m, m/s^2], rows of zeros
+    without accelerations. shared, shared_power: factor of the noise that lines share on the variance of a sum over lines, and of powers.
+    """
+
+    omega: FloatArray
+    channels: ComplexArray
+    covariance: ComplexArray
+    to_axes: FloatArray
+    spectra: ChannelSpectra
+    shared: float = 1.0
+    shared_power: float = 1.0
+
+    @property
+    def accelerated(self) -> bool:
+        """Whether accelerations were measured."""
+        return bool(np.any(self.to_axes[4:]))
+
+    @property
+    def axes(self) -> ComplexArray:
+        """(n_line, n_run, 6) [N, m, m/s^2]: forces, displacements, accelerations in x and y."""
+        return self.channels @ self.to_axes.T
+
+    @property
+    def axes_covariance(self) -> ComplexArray:
+        """(n_line, n_run, 6, 6) [products of N, m, m/s^2]."""
+        return self.to_axes @ self.covariance @ self.to_axes.T
+
+
+def stator_of(spectra: ChannelSpectra, band: tuple[float, float] | None, inputs: Sequence[str], outputs: Sequence[str]) -> Stator:
+    """The stator's spectra in a band [Hz]; *inputs*: names of the forces, *outputs*: of displacements and accelerations, all without names.
+
+    ConfigError for channels that give no motion in x and y, FitError for too few lines.
+    """
+    chosen = {quantity: _chosen(spectra, quantity, inputs if quantity == FORCE else outputs) for quantity in QUANTITIES}
+    _check_names(spectra, inputs, [FORCE], "input")
+    _check_names(spectra, outputs, [DISPLACEMENT, ACCELERATION], "output")
+    to_axes = np.zeros((6, len(spectra.channels)))
+    for number, quantity in enumerate(QUANTITIES):
+        columns = chosen[quantity]
+        if columns or quantity != ACCELERATION:
+            to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
+    lines: BoolArray = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    if np.count_nonzero(lines) < LEAST_LINES:
+        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
+    shared = _shared(spectra, lines)
+    omega = 2 * np.pi * spectra.frequency[lines]
+    return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
+
+
+def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
+    """Columns of a quantity in its role; accelerations that stand in sums only, as references, where no others are there."""
+    columns = spectra.columns(quantity, ROLES[quantity])
+    return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
+
+
+def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
+    """Columns of a quantity that are named, or all; a channel that stands in a chosen sum only acts through that, unless it is named."""
+    columns = _measured(spectra, quantity)
+    if names:
+        return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    summed = {term.channel for n in columns for term in spectra.channels[n].terms}
+    return [n for n in columns if spectra.channels[n].name not in summed]
+
+
+def _check_names(spectra: ChannelSpectra, names: Sequence[str], quantities: Sequence[str], key: str) -> None:
+    """ConfigError for a name that no channel has."""
+    columns = [n for quantity in quantities for n in _measured(spectra, quantity)]
+    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
+    for name in names:
+        if name not in places:
+            what = " or ".join(quantities)
+            raise ConfigError(f"no {what} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+
+
+def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> FloatArray:
+    """(2, n) [1] from the channels of a quantity to x and y: forces add up, motions are projections of it."""
+    channels = [spectra.channels[n] for n in columns]
+    if not channels:
+        raise ConfigError(f"there is no {quantity} channel with role {ROLES[quantity]}", hint=_needed(quantity))
+    angles = np.array([direction(channel) for channel in channels])
+    _check_once(channels, quantity)
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    directions[np.abs(directions) < 1e-15] = 0.0
+    if quantity == FORCE:
+        return directions
+    if np.linalg.svd(directions, compute_uv=False)[-1] < PARALLEL or len(channels) < 2:
+        listed = ", ".join(f"{channel.name} ({channel.dof})" for channel in channels)
+        raise ConfigError(f"{quantity} channels {listed} do not give the motion in x and in y", hint=_needed(quantity))
+    return np.asarray(np.linalg.pinv(directions.T))
+
+
+def _needed(quantity: str) -> str:
+    what = {FORCE: "the forces on the stator", DISPLACEMENT: "displacements of the stator against the shaft in x and y"}
+    return f"the balance of the stator needs {what.get(quantity, 'its accelerations in x and y')}"
+
+
+def direction(channel: Channel) -> float:
+    """Angle [rad] from x towards y of a channel; ConfigError where the rig does not tell."""
+    angle = channel.angle if channel.angle is not None else AXIS_ANGLES.get(channel.dof)
+    if angle is None:
+        raise ConfigError(f"the direction of channel '{channel.name}' is not known", hint="dof: x, y, or an angle from x such as 45 deg")
+    return angle
+
+
+def _check_once(channels: Sequence[Channel], quantity: str) -> None:
+    """ConfigError for two channels of one direction: a raw force and the same force with the inertia taken out must not be added."""
+    seen: dict[str, str] = {}
+    for channel in channels:
+        if channel.dof in seen:
+            key = "input" if quantity == FORCE else "output"
+            hint = f"name those of the balance in `{key}`"
+            raise ConfigError(f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}", hint=hint)
+        seen[channel.dof] = channel.name
+
+
+def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, as far as both are in the band."""
+    correlation = np.array(spectra.line_correlation, np.complex128)
+    if not correlation.size:
+        return 1.0, 1.0
+    n = int(np.count_nonzero(lines))
+    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
+    return max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0), 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
+
+
+# The dynamic stiffness line by line without a model, for figures and for least squares as in the
+# literature.
+
+# Condition number of the motions of all runs beyond which they are one direction.
+ONE_DIRECTION = 1e3
+
+
+@dataclass(frozen=True)
+class LineStiffness:
+    """H = G m^-1 (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]; inverse (n_line, n_run, 2) [1/m]: rows of m^-1, by run.
+
+    *paired*: the vectors of two neighbouring lines taken together, each line having one only.
+    """
+
+    omega: FloatArray
+    stiffness: ComplexArray
+    inverse: ComplexArray
+    paired: bool = False
+
+
+def line_stiffness(balance: Balance) -> LineStiffness:
+    """H of every line from two or more runs; FitError where the runs of a line move in one direction. Equation (ds-line)."""
+    n_run = balance.motion.shape[1]
+    if n_run < 2:
+        raise FitError(
+            "least squares needs two runs with independent forces at every line, there is one", hint="estimator: ml needs one run only"
+        )
+    motion = balance.motion.swapaxes(-1, -2)
+    if np.any(np.linalg.cond(motion) > ONE_DIRECTION):
+        raise FitError("the runs move the stator in one direction at a line", hint="two independent directions of force, or estimator: ml")
+    inverse = np.linalg.pinv(motion)
+    return LineStiffness(balance.omega, balance.right.swapaxes(-1, -2) @ inverse, inverse)
+
+
+def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
+    """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run by pairs of lines.
+
+    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two lines of a pair: H is the
+    model in their middle and what both lines leave.
+    """
+    state = whitened(balance, stiffness)
+    noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
+    residual, motion, omega = balance.right - times(stiffness[:, None], balance.motion), balance.motion, balance.omega
+    paired = motion.shape[1] < 2
+    if paired:
+        omega, stiffness = (
+            _pairs(omega[:, None, None]).mean(axis=(1, 2)),
+            _pairs(stiffness.reshape(-1, 1, 4)).mean(axis=1).reshape(-1, 2, 2),
+        )
+        residual, motion, noise = _pairs(residual), _pairs(motion), _pairs(noise)
+    vectors = motion.swapaxes(-1, -2)
+    is_determined = np.linalg.cond(vectors) < ONE_DIRECTION
+    inverse = np.linalg.pinv(vectors[is_determined])
+    h = stiffness[is_determined] + residual[is_determined].swapaxes(-1, -2) @ inverse
+    variance = np.einsum("lri,lrj->lij", noise[is_determined], np.abs(inverse) ** 2)
+    return LineStiffness(omega[is_determined], h, inverse, paired), variance
+
+
+def _pairs(values: NDArray[Any]) -> NDArray[Any]:
+    """(n_line, 1, n) as (n_line // 2, 2, n): two neighbouring lines as two runs."""
+    n = values.shape[0] // 2
+    return values[: 2 * n].reshape(n, 2, values.shape[2])
+
+
+# What another excitation of the same time and peak force would have given, from the information that every
+# line brought.
+
+# Share of the power of the forces below which a line or a direction does not act.
+QUIET = 1e-4
+SHAPES = (("amplitude ~ 1/f", -1), ("amplitude the same at all lines", 0), ("amplitude ~ f", 1))
+LETTERS = ("k", "c", "m")
+
+
+def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
+    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter) [1/parameter unit] of the Jacobian.
+
+    Equation (ds-excitation).
+    """
+    n_line, n_run = stator.channels.shape[:2]
+    rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
+    scale = np.linalg.norm(columns, axis=0)
+    rows = rows / np.where(scale > 0, scale, 1.0)
+    information = rows.swapaxes(1, 2) @ rows
+    power = np.sum(np.abs(stator.axes[..., :2]) ** 2, axis=(1, 2))
+    acting = power > QUIET * power.max()
+    per_power = information[acting] / power[acting, None, None]
+    here = _errors(np.sum(information[acting], axis=0))
+    letters = [name[0] for name in found.model.names]
+    others = []
+    for name, exponent in SHAPES:
+        shape = stator.omega[acting] ** (2 * exponent)
+        planned = shape * power[acting].sum() / shape.sum()
+        others.append(_ratios(name, _errors(np.tensordot(planned, per_power, 1)) / here, letters))
+    if one_at_a_time(stator):
+        others.append(_ratios("both forces at once, + + and + -", np.full(here.size, np.sqrt(0.5)), letters))
+    return tuple(others)
+
+
+def _errors(information: FloatArray) -> FloatArray:
+    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), np.finfo(float).tiny))
+
+
+def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
+    """Geometric mean over the elements of K, of C and of M."""
+    means = [
+        (letter, float(np.exp(np.mean(np.log(ratios[[one == letter for one in letters]]))))) for letter in LETTERS if letter in letters
+    ]
+    return OtherExcitation(name, tuple(letter for letter, _ in means), tuple(ratio for _, ratio in means))
+
+
+def one_at_a_time(stator: Stator) -> bool:
+    """Whether every run has forces in one direction only, and not all the same."""
+    power = np.sum(np.abs(stator.axes[..., :2]) ** 2, axis=0)
+    single = np.min(power, axis=1) < QUIET * np.max(power, axis=1)
+    return bool(np.all(single) and np.unique(np.argmax(power, axis=1)).size == 2)
+
+
+def motion_note(stator: Stator) -> str:
+    """The amplitude that the coefficients hold for."""
+    size = np.sqrt(np.mean(np.sum(np.abs(stator.axes[..., 2:4]) ** 2, axis=0) / 2, axis=0))
+    x, y = (f"{1e6 * value:.3g} um" for value in size)
+    return f"dynamic-stiffness: the coefficients hold for motions of this size: r.m.s. of the displacements {x} in x, {y} in y."

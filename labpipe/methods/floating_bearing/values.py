@@ -1,0 +1,461 @@
+"""What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless coefficients.
+
+Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a rotor on the bearing.
+
+A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The imaginary part gives k, the
+equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x. Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C
+with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
+
+Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping changes sign.
+
+On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy - H_yx)) / 2:
+K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2 (M_xy - M_yx)) / (2 w).
+
+What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed of the shaft.
+
+*std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond the noise); intervals are by
+the latter.
+
+Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and the Sommerfeld number.
+
+S = mu N L D / W (R / c)^2 with N in revolutions per second (Someya 1989, Journal-Bearing Databook).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.estimation.statistics import derived, estimated, student_limit, widened
+from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
+from labpipe.records.finding import Parameter
+from labpipe.records.uncertain import Uncertain
+
+# Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a
+# rotor on the bearing.
+
+# Imaginary step of derivatives: exact to rounding.
+STEP = 1e-30
+# Two-sided 95 % of a standard normal value.
+LIMIT = 1.959964
+# Share of a complex root's size below which its imaginary part is rounding.
+REAL = 1e-6
+FORMS_WITH_WHIRL = ("kc", "kcm")
+
+
+@dataclass(frozen=True)
+class Whirl:
+    """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95 % interval (Fieller).
+
+    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,). Ends of the interval are infinite where it has none.
+    """
+
+    square: float
+    slopes: FloatArray
+    interval: tuple[float, float]
+    stiffness: float
+    stiffness_slopes: FloatArray
+
+
+def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
+    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where there is no real solution.
+
+    Equation (ds-whirl).
+    """
+    polynomial = _polynomial(model, values)[0].real
+    square = _root(polynomial)
+    if square is None:
+        return None
+    stepped = [_polynomial(model, values + 1j * STEP * scale * row) for row, scale in zip(np.eye(values.size), _sizes(values), strict=True)]
+    slopes = np.stack([part[0].imag for part in stepped]) / (STEP * _sizes(values))[:, None]
+    powers = np.array([square**2, square, 1.0])
+    along = float(2 * polynomial[0] * square + polynomial[1])
+    square_slopes = -(slopes @ powers) / along
+    stiffness = _polynomial(model, values)[1].real
+    stiffness_slopes = np.stack([part[1].imag for part in stepped]) / (STEP * _sizes(values))[:, None]
+    return Whirl(
+        square,
+        square_slopes,
+        _fieller(polynomial, slopes, covariance, square),
+        float(stiffness[0] + stiffness[1] * square),
+        np.asarray(stiffness_slopes @ np.array([1.0, square]) + stiffness[1] * square_slopes),
+    )
+
+
+def _sizes(values: FloatArray) -> FloatArray:
+    return np.where(values != 0, np.abs(values), 1.0)
+
+
+def _polynomial(model: StiffnessModel, values: ComplexArray | FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x; complex for complex values."""
+    # Linear in the values, so that complex steps pass.
+    matrices: NDArray[Any] = model.matrices(values)  # type: ignore[arg-type]
+    k, c = matrices[0], matrices[1]
+    m = matrices[2] if len(matrices) > 2 else np.zeros_like(k)
+    # Every element of K - x M as (constant, slope).
+    (xx, xy), (yx, yy) = [[np.array([k[i, j], -m[i, j]], np.complex128) for j in (0, 1)] for i in (0, 1)]
+    level = (xx * c[1, 1] + yy * c[0, 0] - xy * c[1, 0] - yx * c[0, 1]) / (c[0, 0] + c[1, 1])
+    quadratic = _product(xx - level, yy - level) - _product(xy, yx)
+    quadratic[1] -= c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0]
+    return quadratic, level
+
+
+def _product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+    """(a_0 + a_1 x)(b_0 + b_1 x), highest power first."""
+    return np.array([a[1] * b[1], a[0] * b[1] + a[1] * b[0], a[0] * b[0]])
+
+
+def _root(polynomial: FloatArray) -> float | None:
+    """The root that is the only one without added mass."""
+    second, first, constant = (float(value) for value in polynomial)
+    inside = first**2 - 4 * second * constant
+    if inside < 0 or first == 0:
+        return None
+    return -2 * constant / (first + np.copysign(np.sqrt(inside), first))
+
+
+def _fieller(polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float) -> tuple[float, float]:
+    """All x around the root at which the quadratic is not significantly different from zero: phi(x)^2 < 1.96^2 var phi(x)."""
+    slope = 2 * polynomial[0] * square + polynomial[1]
+    powers = slopes @ np.array([square**2, square, 1.0])
+    unit = max(abs(square), float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope)), np.finfo(float).tiny)
+    scales = np.array([unit**2, unit, 1.0])
+    scaled = polynomial * scales
+    spread = (slopes * scales).T @ covariance @ (slopes * scales)
+    variance = np.zeros(5)
+    for i in range(3):
+        for j in range(3):
+            variance[i + j] += spread[i, j]
+    roots = np.roots(np.convolve(scaled, scaled) - LIMIT**2 * variance)
+    real = unit * np.sort(roots[np.abs(roots.imag) <= REAL * np.maximum(np.abs(roots), 1e-9)].real)
+    below, above = real[real <= square], real[real >= square]
+    return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
+
+
+# Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping
+# changes sign.
+
+# Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the highest.
+SHARES = (0.05, 1.5)
+N_FREQUENCY = 4000
+
+
+@dataclass(frozen=True)
+class Course:
+    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same shape and unit."""
+
+    omega: FloatArray
+    stiffness: FloatArray
+    stiffness_error: FloatArray
+    damping: FloatArray
+    damping_error: FloatArray
+
+
+def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it. Equation (ds-forward)."""
+    direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
+    return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
+
+
+def effective(model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0) -> Course:
+    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter, n_parameter) [parameter units].
+
+    Equation (ds-effective).
+    """
+    h = forward(model.stiffness(values, omega), sense)
+    slopes = forward(model.jacobian(values, omega), sense)
+    errors = [np.sqrt(np.maximum(np.sum(part * (covariance @ part), axis=0), 0.0)) for part in (slopes.real, slopes.imag)]
+    return Course(omega, h.real, errors[0], h.imag / omega, errors[1] / omega)
+
+
+@dataclass(frozen=True)
+class Crossover:
+    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and 95 % interval (Fieller)."""
+
+    omega: float
+    slopes: FloatArray
+    interval: tuple[float, float]
+
+
+def crossover(model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0) -> Crossover | None:
+    """The highest frequency at which C_eff turns from negative to positive; None where it does not; *band* omega (n_line,) [rad/s]."""
+    omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
+    course = effective(model, values, covariance, omega, sense)
+    signs = np.sign(course.damping)
+    turns = np.flatnonzero((signs[:-1] < 0) & (signs[1:] >= 0))
+    if not turns.size:
+        return None
+    at = int(turns[-1])
+    frequency = _zero(omega, course.damping, at)
+    slopes = forward(model.jacobian(values, np.array([frequency])), sense).imag[:, 0] / frequency
+    along = float((course.damping[at + 1] - course.damping[at]) / (omega[at + 1] - omega[at]))
+    upper, lower = course.damping + LIMIT * course.damping_error, course.damping - LIMIT * course.damping_error
+    below = np.flatnonzero(upper[: at + 1] < 0)
+    above = np.flatnonzero(lower[at + 1 :] > 0)
+    low = _zero(omega, upper, int(below[-1])) if below.size else -np.inf
+    high = _zero(omega, lower, at + int(above[0])) if above.size else np.inf
+    return Crossover(frequency, -slopes / along, (low, high))
+
+
+def _zero(omega: FloatArray, values: FloatArray, at: int) -> float:
+    """Where the straight line from point *at* to the next is zero."""
+    step = values[at + 1] - values[at]
+    return float(omega[at] - values[at] * (omega[at + 1] - omega[at]) / step) if step else float(omega[at])
+
+
+# What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed
+# of the shaft.
+
+# Ratio of the whole standard error to that of noise below which they are the same.
+SAME = 1 + 1e-9
+
+
+@dataclass(frozen=True)
+class Doubted:
+    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter, n_parameter) [their units]."""
+
+    model: StiffnessModel
+    values: FloatArray
+    noise: FloatArray
+    whole: FloatArray
+    dof: int
+
+    def error(self, slopes: FloatArray, *, whole: bool) -> float:
+        """Standard error [its unit] of what has *slopes* (n_parameter,) over the values."""
+        covariance = self.whole if whole else self.noise
+        return float(np.sqrt(max(float(slopes @ covariance @ slopes), 0.0)))
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """The shaft: *speed* [Hz], negative where it turns from y to x; mass [kg] and stiffness [N/m] of a rotor whose onset is asked for."""
+
+    speed: float | None = None
+    rotor_mass: Uncertain | None = None
+    rotor_stiffness: float | None = None
+
+    @property
+    def sense(self) -> float:
+        return -1.0 if self.speed is not None and self.speed < 0 else 1.0
+
+
+@dataclass(frozen=True)
+class Valued:
+    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted values."""
+
+    parameter: Parameter
+    slopes: FloatArray
+
+
+def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Valued, ...]:
+    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry ties to them."""
+    model = found.model
+    plain = [
+        _estimated(found, number, name, unit, float(vif))
+        for number, (name, unit, vif) in enumerate(zip(model.names[: model.n_linear], model.units, vifs, strict=False))
+    ]
+    shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
+    return (*plain, *shaped, *(_tied(valued) for valued in plain if model.symmetry == "seal"))
+
+
+def _estimated(found: Doubted, number: int, name: str, unit: str, vif: float) -> Valued:
+    noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
+    shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
+    return Valued(shown, np.eye(found.values.size)[number])
+
+
+def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
+    """The interval and significance by the whole standard error."""
+    return widened(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
+
+
+def _shape(found: Doubted, number: int, vif: float) -> Valued:
+    """A shape parameter; the interval of one that is positive is that of its logarithm."""
+    declared, place = found.model.form.shape[number], found.model.n_linear + number
+    inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
+    noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
+    plain = _wide(estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, found.dof, vif), noise, whole)
+    reach = student_limit(found.dof) * whole
+    shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
+    return Valued(shown, slope * np.eye(found.values.size)[place])
+
+
+def _finite(low: float, high: float) -> tuple[float, float] | None:
+    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
+
+
+def _tied(valued: Valued) -> Valued:
+    """k_yy = k_xx and k_yx = -k_xy."""
+    parameter = valued.parameter
+    letter, suffix, *rest = _parts(parameter.name)
+    name = "_".join([letter, {"xx": "yy", "xy": "yx"}[suffix], *rest])
+    if suffix == "xx":
+        return Valued(replace(parameter, name=name, derived=True), valued.slopes)
+    interval = None if parameter.ci95 is None else (-parameter.ci95[1], -parameter.ci95[0])
+    ratio = None if parameter.t_ratio is None else -parameter.t_ratio
+    turned = replace(parameter, name=name, value=-parameter.value, ci95=interval, t_ratio=ratio, derived=True)
+    return Valued(turned, -valued.slopes)
+
+
+def _parts(name: str) -> list[str]:
+    """Letters, suffix and number of a band: k_p_xx gives k_p, xx; k_xx_1 gives k, xx, 1."""
+    parts = name.split("_")
+    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
+    return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
+
+
+def derived_values(found: Doubted, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Valued, ...], Whirl | None]:
+    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself; omega (n_line,) [rad/s] of the fit."""
+    turning = _whirl_of(found)
+    parts = [*_whirl_values(found, turning, shaft), *_crossover(found, omega, shaft), *_synchronous(found, omega, shaft)]
+    return tuple(parts), turning
+
+
+def _whirl_of(found: Doubted) -> Whirl | None:
+    full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
+    return whirl(found.model, found.values, found.whole) if full else None
+
+
+def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
+    """Whirl frequency ratio and onset speed; none where there is no whirl."""
+    if turning is None or turning.square <= 0 or not shaft.speed:
+        return []
+    speed = 2 * np.pi * abs(shaft.speed)
+    ratio = np.sqrt(turning.square) / speed
+    slopes = turning.slopes / (2 * np.sqrt(turning.square) * speed)
+    ends = [float(np.sqrt(max(end, 0.0)) / speed) for end in turning.interval]
+    values = [_derived(found, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
+    if shaft.rotor_mass is not None and turning.stiffness > 0:
+        values.append(_onset(found, turning, shaft, float(ratio), slopes))
+    return values
+
+
+def _onset(found: Doubted, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Valued:
+    """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl; k in series with the shaft's stiffness."""
+    mass = shaft.rotor_mass
+    assert mass is not None
+    softer = 1 + turning.stiffness / shaft.rotor_stiffness if shaft.rotor_stiffness else 1.0
+    value = np.sqrt(turning.stiffness / softer / mass.value) / ratio / (2 * np.pi)
+    slopes = value * (turning.stiffness_slopes / (2 * turning.stiffness * softer) - ratio_slopes / ratio)
+    of_mass = mass.std_error / (2 * mass.value)
+    whole = float(np.hypot(found.error(slopes, whole=True), value * of_mass))
+    reach = LIMIT * whole / value
+    interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
+    noise = found.error(slopes, whole=False)
+    plain = derived("onset_speed", "Hz", float(value), noise, found.dof)
+    return Valued(replace(plain, ci95=interval, std_error_inflated=_inflated(noise, whole)), slopes)
+
+
+def _inflated(noise: float, whole: float) -> float | None:
+    return whole if whole > SAME * noise else None
+
+
+def _derived(found: Doubted, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None) -> Valued:
+    noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
+    shown = replace(derived(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
+    return Valued(shown, slopes)
+
+
+def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+    if found.model.symmetry == "direct":
+        return []
+    found_at = crossover(found.model, found.values, found.whole, omega, shaft.sense)
+    if found_at is None:
+        return []
+    to_hertz = 1 / (2 * np.pi)
+    low, high = (to_hertz * end for end in found_at.interval)
+    value = to_hertz * found_at.omega
+    return [_derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))]
+
+
+def _synchronous(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+    """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K and C."""
+    if not shaft.speed or found.model.form.name == "kc":
+        return []
+    speed = 2 * np.pi * abs(shaft.speed)
+    if not omega[0] <= speed <= omega[-1]:
+        return []
+    at = np.array([speed])
+    h, slopes = found.model.stiffness(found.values, at)[0], found.model.jacobian(found.values, at)[:, 0]
+    values = []
+    for letter, unit, factor in (("k", STIFFNESS, 1.0), ("c", DAMPING, 1 / (1j * speed))):
+        for i, row in enumerate("xy"):
+            for j, column in enumerate("xy"):
+                if found.model.symmetry == "direct" and i != j:
+                    continue
+                value, change = (factor * h[i, j]).real, (factor * slopes[:, i, j]).real
+                whole = found.error(change, whole=True)
+                reach = student_limit(found.dof) * whole
+                values.append(
+                    _derived(
+                        found, f"{letter}_{row}{column}_synchronous", unit, float(value), change, _finite(value - reach, value + reach)
+                    )
+                )
+    return values
+
+
+# Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and
+# the Sommerfeld number.
+
+LETTERS = "kcm"
+
+
+@dataclass(frozen=True)
+class Bearing:
+    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]; None where not given."""
+
+    clearance: float | None = None
+    load: float | None = None
+    viscosity: float | None = None
+    diameter: float | None = None
+    length: float | None = None
+
+
+def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float | None) -> tuple[Valued, ...]:
+    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
+
+    Equation (ds-dimensionless).
+    """
+    if not bearing.clearance or not bearing.load or not speed:
+        return ()
+    omega = 2 * np.pi * abs(speed)
+    scaled = [
+        _scaled(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
+        for valued in coefficients
+        if (letter := valued.parameter.name.split("_")[0]) in LETTERS and len(valued.parameter.name) == len("k_xx")
+    ]
+    number = _sommerfeld(bearing, abs(speed))
+    return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
+
+
+def _scaled(valued: Valued, factor: float) -> Valued:
+    parameter = valued.parameter
+    interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
+    errors = [None if error is None else factor * error for error in (parameter.std_error, parameter.std_error_inflated)]
+    scaled = replace(
+        parameter,
+        name=f"{parameter.name}_dimensionless",
+        value=factor * parameter.value,
+        unit="1",
+        std_error=errors[0],
+        std_error_inflated=errors[1],
+        ci95=interval,
+        vif=None,
+        derived=True,
+    )
+    return Valued(scaled, factor * valued.slopes)
+
+
+def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
+    """Of numbers that are given as exact; none unless all are."""
+    needed = (bearing.viscosity, bearing.length, bearing.diameter)
+    if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
+        return ()
+    viscosity, length, diameter = (float(number) for number in needed if number is not None)
+    value = viscosity * speed * length * diameter / bearing.load * (diameter / (2 * bearing.clearance)) ** 2
+    return (Parameter("sommerfeld", value, "1", derived=True),)

@@ -1,0 +1,363 @@
+"""A virtual floating-stator rig: shakers push the stator, probes see it move against the shaft, accelerometers see it move.
+
+Stator: (Z_s + H) X_s - H X_r = F, shaft: -H X_s + (Z_r + H) X_r = F_r, with H the film, Z_s = -w^2 m_s + j w C_b + K_b the stator on its
+hoses and soft supports, Z_r the same of the shaft. Measured are F, D = X_s - X_r less the runout of the shaft's surface, and A = -w^2 X_s,
+so that F - m_s A - (K_b + j w C_b) X_s = H D, whatever the shaft does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.bearing import converged_equilibrium
+from labpipe.methods.journal_bearing.kind import JournalSettings
+from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
+from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, require_positive, whole_numbers
+
+KIND = "virtual-floating-rig"
+Matrix = tuple[tuple[float, ...], ...]
+NONE: Matrix = ((0.0, 0.0), (0.0, 0.0))
+# Way of excitation -> ends of the names of its recordings.
+RUNS_OF = {"alternating": ("x", "y"), "hadamard": ("plus", "minus"), "zipper": ("zipper",), "random": ("random",)}
+FILMS = ("given", "journal")
+
+
+@dataclass(frozen=True)
+class Relaxation(Settings):
+    """G j w tau / (1 + j w tau) in either direction: damping that turns into stiffness."""
+
+    stiffness: float = setting("value", "stiffness G that is added at high frequency", unit="N/m")
+    time: float = setting("value", "relaxation time tau", unit="s")
+
+    def __post_init__(self) -> None:
+        if not self.time > 0:
+            raise ConfigError("the relaxation time is positive", field="time")
+
+
+@dataclass(frozen=True)
+class Pad(Settings):
+    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a tilting-pad bearing."""
+
+    stiffness: float = setting("value", "R_0", unit="N/m")
+    damping: float = setting("value", "R_1", unit="N.s/m")
+    frequency: float = setting("value", "natural frequency of the pad, w_0", unit="Hz")
+    damping_ratio: float = setting("value", "damping ratio of the pad", unit="1")
+
+    def __post_init__(self) -> None:
+        if not self.frequency > 0:
+            raise ConfigError("the natural frequency of a pad is positive", field="frequency")
+
+
+@dataclass(frozen=True)
+class Condition(Settings):
+    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to it."""
+
+    speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
+    load: float = setting("value", "static load on the bearing, downwards (-y)", unit="N", default=0.0)
+    pressure: float = setting("value", "pressure drop or supply pressure, for the record", unit="Pa", default=0.0)
+    film: str = setting("choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given")
+    stiffness: Matrix = setting("matrix", "K of the film (x, y)", unit="N/m", default=NONE)
+    damping: Matrix = setting("matrix", "C of the film", unit="N.s/m", default=NONE)
+    mass: Matrix = setting("matrix", "virtual mass M of the film", unit="kg", default=NONE)
+    relaxation: Relaxation | None = setting("section", "relaxation, added in x and in y", section=Relaxation, default=None)
+    pad: Pad | None = setting("section", "pad with inertia, added in x and in y", section=Pad, default=None)
+
+    def __post_init__(self) -> None:
+        _check_matrices(self, "stiffness", "damping", "mass")
+        if self.speed < 0:
+            raise ConfigError("the shaft speed must not be negative", hint="it turns from x to y", field="speed")
+        if self.film == "journal" and not (self.speed > 0 and self.load > 0):
+            raise ConfigError("a journal bearing needs a speed and a load", field="film")
+
+
+@dataclass(frozen=True)
+class FloatingNoise(Settings):
+    """Standard deviations of the measuring noise of a sample, white up to half the sampling rate."""
+
+    force: float = setting("value", "load cells", unit="N", default=2.0)
+    displacement: float = setting("value", "relative probes", unit="m", default=2e-7)
+    acceleration: float = setting("value", "accelerometers", unit="m/s^2", default=0.05)
+    drive: float = setting("value", "recorded drives", unit="V", default=1e-4)
+
+    def of(self, quantity: str) -> float:
+        """Standard deviation of a channel of this quantity [SI]; zero for the tacho."""
+        return {"force": self.force, "displacement": self.displacement, "acceleration": self.acceleration, "voltage": self.drive}.get(
+            quantity, 0.0
+        )
+
+
+@dataclass(frozen=True)
+class FloatingRig(Settings):
+    """A stator on soft supports around a shaft on its own supports, pushed by two shakers; runs CONDITION-x, -y, -plus, -minus, ..."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    stator_mass: float = setting("value", "mass of the stator with its housing", unit="kg")
+    conditions: tuple[tuple[str, Condition], ...] = setting("sections", "conditions by name", section=Condition, default=(), needed=True)
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual floating stator")
+    journal: JournalSettings | None = setting("section", "journal bearing between stator and shaft", section=JournalSettings, default=None)
+    baseline_stiffness: Matrix = setting("matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE)
+    baseline_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=NONE)
+    shaft_mass: float = setting("value", "mass that moves with the shaft", unit="kg", default=40.0)
+    shaft_stiffness: Matrix = setting("matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8)))
+    shaft_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=((2e4, 0.0), (0.0, 2e4)))
+    shaft_noise: float = setting("value", "rms of a random force on the shaft in x and in y, white in the band", unit="N", default=0.0)
+    unbalance: float = setting("value", "mass times eccentricity of the shaft", unit="kg.m", default=0.0)
+    runout: tuple[float, ...] = setting(
+        "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
+    )
+    excitation: str = setting("choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard")
+    force: float = setting("value", "rms force of one shaker", unit="N", default=2000.0)
+    band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
+    spacing: float = setting("value", "spacing of the excited lines", unit="Hz", default=1.0)
+    slope: float = setting("value", "power of frequency with which the amplitude of the lines goes, -1 for 1/f", unit="1", default=0.0)
+    periods: int = setting("integer", "periods recorded, all of them steady", default=8)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
+    drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
+    gain: float = setting("value", "force of a shaker over its drive", unit="N/V", default=1000.0)
+    probe_delay: float = setting("value", "delay of the relative probes", unit="s", default=0.0)
+    noise: FloatingNoise = setting("section", "measuring noise", section=FloatingNoise, default=FloatingNoise())
+
+    def __post_init__(self) -> None:
+        _check_matrices(self, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")
+        require_positive(self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain")
+        if not self.conditions:
+            raise ConfigError("conditions: are missing", hint="for example conditions: {dry: {}}", field="conditions")
+        if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
+            raise ConfigError("a condition has the film of a journal bearing, the rig has no `journal`", field="conditions")
+        if not self.band[1] < self.sample_rate / 2:
+            raise ConfigError(f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field="band")
+        exact = self.sample_rate / self.spacing
+        if abs(exact - round(exact)) > 1e-9 * exact:
+            raise ConfigError(f"a period of {1 / self.spacing:g} s holds no whole number of samples", field="spacing")
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """The names of all recordings that can be made."""
+        return tuple(f"{name}-{end}" for name, _ in self.conditions for ends in RUNS_OF.values() for end in ends)
+
+    @property
+    def usual(self) -> tuple[str, ...]:
+        """The recordings of every condition under the rig's `excitation`."""
+        return tuple(f"{name}-{end}" for name, _ in self.conditions for end in RUNS_OF[self.excitation])
+
+    def condition(self, run: str) -> Condition:
+        """The condition of a recording."""
+        return dict(self.conditions)[run.rpartition("-")[0]]
+
+    @property
+    def n_sample(self) -> int:
+        """Samples of a recording."""
+        return self.periods * round(self.sample_rate / self.spacing)
+
+    @property
+    def lines_in_band(self) -> tuple[IntArray, FloatArray]:
+        """Numbers and frequencies [Hz] of the lines of a whole recording within the band, (n_line,) each."""
+        frequency = fft.rfftfreq(self.n_sample, 1 / self.sample_rate)
+        inside = np.flatnonzero((frequency >= self.band[0] * (1 - 1e-9)) & (frequency <= self.band[1] * (1 + 1e-9)) & (frequency > 0))
+        return inside, frequency[inside]
+
+
+def _check_matrices(owner: Settings, *names: str) -> None:
+    for name in names:
+        if np.shape(getattr(owner, name)) != (2, 2):
+            raise ConfigError(f"{name} is not a 2 x 2 matrix", field=name)
+
+
+AXES = ("x", "y")
+MESH_ERROR = 0.01
+
+
+@lru_cache(maxsize=16)
+def _journal(journal: JournalSettings, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
+    """K and C of a journal bearing; its y and z are x and y here, and it turns from x to y."""
+    state = converged_equilibrium(journal.bearing(), (0.0, -load), 2 * np.pi * speed, MESH_ERROR)
+    return state.stiffness, state.damping
+
+
+def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """K [N/m], C [N s/m] and M [kg] of the film, (2, 2) each, without relaxation and pad."""
+    stiffness, damping = np.array(condition.stiffness, float), np.array(condition.damping, float)
+    if condition.film == "journal":
+        assert rig.journal is not None
+        stiffness, damping = _journal(rig.journal, condition.load, condition.speed)
+    return stiffness, damping, np.array(condition.mass, float)
+
+
+def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
+    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator is -H D.
+
+    Equation (sim-film).
+    """
+    omega = 2 * np.pi * np.asarray(frequency, float)
+    jw = 1j * omega[:, None, None]
+    stiffness, damping, mass = coefficients(rig, condition)
+    dynamic = dynamic_stiffness(mass, stiffness, damping, omega)
+    if condition.relaxation is not None:
+        relative = jw * condition.relaxation.time
+        dynamic = dynamic + condition.relaxation.stiffness * relative / (1 + relative) * np.eye(2)
+    if condition.pad is not None:
+        pad = condition.pad
+        relative = jw / (2 * np.pi * pad.frequency)
+        dynamic = dynamic + (pad.stiffness + jw * pad.damping) / (1 + 2 * pad.damping_ratio * relative + relative**2) * np.eye(2)
+    return np.asarray(dynamic)
+
+
+def motions(rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,) [Hz]. Equation (sim-floating)."""
+    omega, h = 2 * np.pi * np.asarray(frequency, float), film(rig, condition, frequency)
+    stator = dynamic_stiffness(rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega)
+    shaft = dynamic_stiffness(rig.shaft_mass * np.eye(2), rig.shaft_stiffness, rig.shaft_damping, omega)
+    system = np.concatenate([np.concatenate([stator + h, -h], axis=2), np.concatenate([-h, shaft + h], axis=2)], axis=1)
+    moved = np.linalg.solve(system, forces[:, :, None])[:, :, 0]
+    return moved[:, :2], moved[:, 2:]
+
+
+def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
+    """f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with the shaft.
+
+    Periodic in the whole run and band-limited, so every line is the exact steady state.
+    """
+    condition = rig.condition(name)
+    inside, lines = rig.lines_in_band
+    forces = np.concatenate([SHAKERS[name.rpartition("-")[2]](rig, rng)[inside], _white(rig.shaft_noise, (lines.size, 2), rng)], axis=1)
+    stator, shaft = motions(rig, condition, lines, forces)
+    late = np.exp(-2j * np.pi * lines * rig.probe_delay)[:, None]
+    amplitudes = np.concatenate([forces[:, :2], (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator], axis=1)
+    phase = rng.uniform(0, 2 * np.pi)
+    samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
+    channels = _channels()
+    if rig.drives:
+        samples = np.concatenate([samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1)
+        channels += [Channel(f"u_{axis}", "voltage", "reference", axis, AXIS_ANGLES[axis]) for axis in AXES]
+    samples = samples + rng.standard_normal(samples.shape) * [rig.noise.of(channel.quantity) for channel in channels]
+    tacho = pulses(_angle(rig, condition.speed) + phase) * (condition.speed > 0)
+    return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
+
+
+def _channels() -> list[Channel]:
+    kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
+    return [Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis]) for letter, quantity, role in kinds for axis in AXES]
+
+
+def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
+    """(n_sample, n) of amplitudes (n_line, n), 0 to peak, at lines of the whole run."""
+    spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
+    spectrum[lines] = amplitudes * (rig.n_sample / 2)
+    return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
+
+
+def _white(rms: float, shape: tuple[int, int], rng: np.random.Generator) -> ComplexArray:
+    """Amplitudes (n_line, n) of white noise with this rms in all lines together."""
+    draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    return np.asarray(draws * rms / np.sqrt(shape[0]))
+
+
+def _angle(rig: FloatingRig, speed: float) -> FloatArray:
+    return np.asarray(2 * np.pi * speed * np.arange(rig.n_sample) / rig.sample_rate)
+
+
+def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:
+    """What the six channels see of the turning shaft: motion under the unbalance, and runout, (n_sample, 6)."""
+    total = np.zeros((rig.n_sample, 6))
+    if condition.speed == 0:
+        return total
+    angle = _angle(rig, condition.speed) + phase
+    if rig.unbalance > 0:
+        omega = 2 * np.pi * condition.speed
+        force: ComplexArray = np.array([[0, 0, 1, -1j]], np.complex128) * rig.unbalance * omega**2
+        stator, shaft = motions(rig, condition, np.array([condition.speed]), force)
+        late = np.exp(-1j * omega * rig.probe_delay)
+        amplitudes = np.concatenate([np.zeros(2), (stator - shaft)[0] * late, -(omega**2) * stator[0]])
+        total += (np.exp(1j * angle)[:, None] * amplitudes).real
+    for order, amplitude in enumerate(rig.runout, 1):
+        for column, quarter in ((2, 0.0), (3, np.pi / 2)):
+            total[:, column] -= amplitude * np.cos(order * (angle - quarter - 2 * np.pi * condition.speed * rig.probe_delay))
+    return total
+
+
+def _multisine(rig: FloatingRig) -> Multisine:
+    return design_multisine(rig.band, rig.spacing, rig.force)
+
+
+def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
+    """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y in turn."""
+    design = _multisine(rig)
+    size = (design.lines * design.spacing) ** rig.slope
+    amplitude = size * np.exp(1j * design.phases)
+    both = amplitude[:, None] * np.array(shares)
+    if zipper:
+        both = both * (np.arange(design.lines.size)[:, None] % 2 == np.arange(2))
+    rms = np.sqrt(np.sum(np.abs(both) ** 2, axis=0) / 2)
+    spectrum = np.zeros((rig.n_sample // 2 + 1, 2), np.complex128)
+    spectrum[design.lines * rig.periods] = both * rig.force / np.where(rms > 0, rms, 1.0)
+    return spectrum
+
+
+def _random(rig: FloatingRig, rng: np.random.Generator) -> ComplexArray:
+    """Independent random forces in x and y over all lines of the run in the band."""
+    inside, lines = rig.lines_in_band
+    draws = rng.standard_normal((inside.size, 2)) + 1j * rng.standard_normal((inside.size, 2))
+    draws = draws * (lines**rig.slope)[:, None]
+    spectrum = np.zeros((rig.n_sample // 2 + 1, 2), np.complex128)
+    spectrum[inside] = draws * rig.force / np.sqrt(np.sum(np.abs(draws) ** 2, axis=0) / 2)
+    return spectrum
+
+
+# End of the name of a run -> amplitudes (n_sample // 2 + 1, 2) of the shakers' forces [N].
+SHAKERS: dict[str, Callable[[FloatingRig, np.random.Generator], ComplexArray]] = {
+    "x": lambda rig, _rng: _periodic(rig, (1, 0)),
+    "y": lambda rig, _rng: _periodic(rig, (0, 1)),
+    "plus": lambda rig, _rng: _periodic(rig, (1, 1)),
+    "minus": lambda rig, _rng: _periodic(rig, (1, -1)),
+    "zipper": lambda rig, _rng: _periodic(rig, (1, 1), zipper=True),
+    "random": _random,
+}
+
+
+def truth(rig: FloatingRig) -> dict[str, Any]:
+    """Masses and baseline of the stator, and per condition k_xx ... m_yy, relaxation and pad [SI, Hz]."""
+    stator = coefficients_by_name(AXES, k=rig.baseline_stiffness, c=rig.baseline_damping)
+    conditions: dict[str, Any] = {}
+    for name, condition in rig.conditions:
+        entries: dict[str, Any] = {"speed_hz": condition.speed, "load": condition.load, "pressure": condition.pressure}
+        for part in (condition.relaxation, condition.pad):
+            entries |= {} if part is None else {type(part).__name__.lower(): vars(part)}
+        conditions[name] = entries | _coefficients_by_name(rig, condition)
+    return {"stator_mass": rig.stator_mass, "baseline": stator, "conditions": conditions}
+
+
+def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
+    stiffness, damping, mass = coefficients(rig, condition)
+    return coefficients_by_name(AXES, k=stiffness, c=damping, m=mass)
+
+
+def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
+    """Coefficients of the condition of the runs; ConfigError where they are of several."""
+    conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
+    if len(conditions) != 1:
+        raise ConfigError("'runs' of one condition belong to one fit", hint="for example runs: [seal-plus, seal-minus]")
+    return _coefficients_by_name(rig, rig.condition(runs[0]))
+
+
+FLOATING_RIG = kind_of_recordings(
+    FloatingRig,
+    runs=lambda rig: rig.runs,
+    usual=lambda rig: rig.usual,
+    record=_run,
+    logged=whole_numbers,
+    truth=truth,
+    parameters=_parameters,
+)

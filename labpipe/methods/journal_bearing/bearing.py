@@ -1,0 +1,423 @@
+"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients; Ocvirk's closed forms.
+
+Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear coefficients.
+
+Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per displacement in z:
+K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
+
+Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one half.
+
+The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`, load along -z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from labpipe.arrays import FloatArray
+from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
+from labpipe.errors import ConfigError, FitError
+from labpipe.methods.journal_bearing.film import FactoredFilm, Film, FilmMesh, band_room, factored, film_equations, interpolation
+
+# Static equilibrium of the journal on its film: Newton's method for pressures and displacement together,
+# dimensionless.
+
+# Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
+TOLERANCE = 1e-7
+ROUGH_TOLERANCE = 1e-3
+# The same for the change on half the cells, from which a neighbour starts, and the fewest cells of a film that is started so.
+START_TOLERANCE = 1e-4
+MANY_CELLS = 480 * 30
+MOST_STEPS = 40
+MOST_HALVINGS = 6
+# Largest share of the film thickness that one step may close.
+LARGEST_CLOSING = 0.7
+# Least film thickness over clearance.
+THINNEST = 1e-6
+# First guess: this eccentricity ratio in the direction of the load.
+FIRST_ECCENTRICITY = 0.3
+NO_EQUILIBRIUM = "no equilibrium of the journal in its oil film was found"
+CHECK_LOAD = "the load may be too high for the film; check load, viscosity, speed and clearance"
+
+
+@dataclass(frozen=True)
+class FilmState:
+    """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps.
+
+    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse: roughly, the state of the same
+    film on half the cells each way; None where it was not needed.
+    """
+
+    displacement: FloatArray
+    pressure: FloatArray
+    force: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    steps: int
+    coarse: FilmState | None = None
+
+    def moved(self, first: FilmState, second: FilmState) -> FilmState:
+        """This state with displacement and pressure changed as from *first* to *second*: a start value, no equilibrium."""
+        displacement = self.displacement + second.displacement - first.displacement
+        return replace(self, displacement=displacement, pressure=self.pressure + second.pressure - first.pressure, coarse=None)
+
+
+def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE) -> FilmState:
+    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the same mesh.
+
+    *tolerance*: largest change of the displacement over clearance [-] in the last step. Without *near*, or where Newton's method fails
+    from it, coarser meshes give the start value. FitError when there is no equilibrium. Equation (jour-equilibrium).
+    """
+    if near is not None:
+        try:
+            start = _start_near(film, load, near)
+            return replace(_balanced(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse)
+        except FitError:
+            pass
+    displacement, pressure, coarse = _first_guess(film, load)
+    return replace(_balanced(film, load, displacement, pressure, tolerance), coarse=coarse)
+
+
+def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
+    """The state *near*, changed as the equilibrium on half the cells changes from that film to this.
+
+    Newton's method moves the front of the film by about a cell each step: over many cells it is cheaper to follow it on few of them.
+    """
+    coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
+    if coarse is None or near.coarse is None or near.coarse.pressure.shape != (coarse.mesh.around, coarse.mesh.across // 2):
+        return replace(near, coarse=None)
+    state = film_equilibrium(coarse, load, near.coarse, START_TOLERANCE)
+    around, across = interpolation(coarse.mesh, film.mesh)
+    pressure = near.pressure + around @ (state.pressure - near.coarse.pressure) @ across
+    return replace(near, displacement=near.displacement + state.displacement - near.coarse.displacement, pressure=pressure, coarse=state)
+
+
+def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
+    """Displacement, pressure and, where there are coarser meshes, the state on half the cells."""
+    coarse = film.coarser()
+    if coarse is None:
+        return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film), None
+    state = _rough_state(coarse, load, MOST_HALVINGS)
+    around, across = interpolation(coarse.mesh, film.mesh)
+    return state.displacement, around @ state.pressure @ across, state
+
+
+def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
+    """The state on a coarse mesh; where Newton's method fails, started from the state under half the load."""
+    try:
+        displacement, pressure, coarse = _first_guess(film, load)
+        return replace(_balanced(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)
+    except FitError:
+        if halvings == 0:
+            raise
+    lighter = _rough_state(film, load / 2, halvings - 1)
+    return _balanced(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
+
+
+def _ambient(film: Film) -> FloatArray:
+    return np.zeros((film.mesh.around, film.mesh.across // 2))
+
+
+def _balanced(film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float) -> FilmState:
+    still = np.zeros(2)
+    room, squeeze, weight = band_room(film.mesh), _squeeze(film), film.mesh.arc * film.mesh.strip / 2
+    for step in range(1, MOST_STEPS + 1):
+        equations = film_equations(film, displacement, still, pressure)
+        factors = factored(equations, film.grid.curvature, room)
+        # The weights of the force are those of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b, for every b.
+        squeezed = factors.solve(squeeze)
+        by_force = weight * squeezed
+        stiffness = np.einsum("aij,bij->ab", by_force, equations.by_displacement)
+        missing = load + film.force_weights @ pressure.sum(axis=1) - np.einsum("aij,ij->a", by_force, equations.residual)
+        change = np.linalg.solve(stiffness, missing)
+        part = _allowed_part(film, displacement, change)
+        displacement = displacement + part * change
+        side = equations.residual + change[0] * equations.by_displacement[0] + change[1] * equations.by_displacement[1]
+        pressure = pressure - part * factors.solve(side[None])[0]
+        if np.max(np.abs(change)) < tolerance:
+            force = film.force_weights @ pressure.sum(axis=1)
+            return FilmState(displacement, pressure, force, stiffness, film.force_weights @ squeezed.sum(axis=2).T, step)
+    raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+
+
+def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None) -> FilmState:
+    """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
+
+    FitError when Newton's method does not converge.
+    """
+    room, pressure = band_room(film.mesh), _ambient(film) if near is None else near.pressure
+    for step in range(1, MOST_STEPS + 1):
+        equations = film_equations(film, displacement, velocity, pressure)
+        factors = factored(equations, film.grid.curvature, room)
+        changes = -factors.solve(np.concatenate([equations.residual[None], equations.by_displacement]))
+        pressure = pressure + changes[0]
+        if np.max(np.abs(changes[0])) <= TOLERANCE * np.max(np.abs(pressure)):
+            force, slopes = (film.force_weights @ field.sum(axis=-1).T for field in (pressure, changes[1:]))
+            return FilmState(displacement, pressure, force, -slopes, _damping(film, factors), step)
+    raise FitError("the pressure in the oil film did not converge", hint="check displacement and wear")
+
+
+def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
+    """-dF/d(e'/Omega): the squeeze term through the same factors; symmetric, because they are."""
+    return film.force_weights @ factors.solve(_squeeze(film)).sum(axis=2).T
+
+
+def _squeeze(film: Film) -> FloatArray:
+    """Derivative of the squeeze term 2 dh/d(Omega t) by the velocity of the journal, (2, n_theta, n_half) [-]."""
+    return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
+
+
+def _allowed_part(film: Film, displacement: FloatArray, change: FloatArray) -> float:
+    _, face = film.thickness(displacement)
+    if np.min(face) < THINNEST:
+        raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
+    closing = float(np.max(-(change @ film.grid.at_face) / face))
+    return min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
+
+
+# Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
+# coefficients.
+
+DEFAULT_MESH = FilmMesh(120, 30)
+MOST_CELLS_AROUND = 960
+WIDEST_GROOVE = 2 * np.pi / 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalBearing:
+    """A plain journal bearing; lengths in [m], *clearance* radial, viscosity [Pa s].
+
+    wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin. cavitation_pressure [Pa] relative
+    to the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the horizontal split, over
+    the whole length and at ambient pressure; zero for none. ConfigError for impossible values.
+    """
+
+    diameter: float
+    length: float
+    clearance: float
+    viscosity: float
+    wear_depth: float = 0.0
+    wear_angle: float = 0.0
+    cavitation_pressure: float = 0.0
+    groove_width: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("diameter", "length", "clearance", "viscosity"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"the {name} of a journal bearing is positive, not {getattr(self, name):g}")
+        if not 0 <= self.wear_depth < 2 * self.clearance:
+            raise ConfigError(
+                f"a wear of {self.wear_depth * 1e6:g} um does not fit a clearance of {self.clearance * 1e6:g} um",
+                hint="from zero to less than twice the radial clearance",
+            )
+        if not abs(self.wear_angle) <= np.pi:
+            raise ConfigError(f"a wear angle of {np.degrees(self.wear_angle):g} deg is none", hint="from -180 to 180 deg from the bottom")
+        if not -np.inf < self.cavitation_pressure <= 0:
+            raise ConfigError(
+                f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure", hint="give zero or less"
+            )
+
+        if not 0 <= self.groove_width <= WIDEST_GROOVE:
+            raise ConfigError(f"a groove of {np.degrees(self.groove_width):g} deg is none", hint="from 0 to 120 deg, one on either side")
+
+    def pressure_scale(self, speed: float) -> float:
+        """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]. Equation (jour-pressure-scale)."""
+        if not 0 < speed < np.inf:
+            raise ConfigError(f"an oil film needs a speed above zero, not {speed:g} rad/s")
+        return 6 * self.viscosity * speed * (self.diameter / (2 * self.clearance)) ** 2
+
+    def force_scale(self, speed: float) -> float:
+        """6 mu Omega (R / c)^2 R L [N]: unit of the dimensionless film force. Equation (jour-force-scale)."""
+        return self.pressure_scale(speed) * self.diameter / 2 * self.length
+
+    def at(self, point: OperatingPoint) -> BearingCoefficients:
+        """Coefficients (2, 2) in y and z [N/m, N.s/m]; an oil film's depend on load and speed, not on the frequency of the motion."""
+        film = journal_equilibrium(self, point.load, point.speed)
+        return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
+
+    def film(self, speed: float, mesh: FilmMesh) -> Film:
+        """The dimensionless film on a mesh."""
+        cavitation = self.cavitation_pressure / self.pressure_scale(speed)
+        return Film.of(mesh, self.diameter / self.length, self.wear_depth / self.clearance, self.wear_angle, cavitation, self.groove_width)
+
+
+@dataclass(frozen=True)
+class JournalEquilibrium:
+    """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
+
+    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, start value of a
+    neighbouring equilibrium. error: estimated mesh error of the coefficients relative to the largest; None where it was not estimated.
+    """
+
+    bearing: JournalBearing
+    speed: float
+    load: tuple[float, float]
+    mesh: FilmMesh
+    state: FilmState
+    error: float | None = None
+
+    @property
+    def position(self) -> FloatArray:
+        """Displacement of the journal's centre from the bearing's, (2,) [m]."""
+        return self.state.displacement * self.bearing.clearance
+
+    @property
+    def eccentricity_ratio(self) -> float:
+        """Displacement of the journal over the radial clearance [-]; above 1 only inside a worn arc."""
+        return float(np.hypot(*self.state.displacement))
+
+    @property
+    def attitude(self) -> float:
+        """Angle from the load to the displacement of the journal, positive with the spin [rad]. Equation (jour-attitude)."""
+        turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
+        return float(np.angle(turned))
+
+    @property
+    def sommerfeld(self) -> float:
+        """S = mu N L D / W (R / c)^2 with N in revolutions per second [-]. Equation (jour-sommerfeld)."""
+        return self.bearing.force_scale(self.speed) / (6 * np.pi * float(np.hypot(*self.load)))
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """K = -dF/dx [N/m], (2, 2). Equation (jour-stiffness)."""
+        return self.state.stiffness * (self.bearing.force_scale(self.speed) / self.bearing.clearance)
+
+    @property
+    def damping(self) -> FloatArray:
+        """C = -dF/dx' [N s/m], (2, 2), symmetric. Equation (jour-damping)."""
+        return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
+
+    def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
+        """A start value beside this equilibrium: its state moved as that of *second* differs from that of *first*, on the same mesh."""
+        return replace(self, state=self.state.moved(first.state, second.state))
+
+    @property
+    def coarser(self) -> JournalEquilibrium | None:
+        """Roughly the same equilibrium on half the cells each way, a start value; None where it was not needed."""
+        mesh = self.mesh.halved()
+        return None if self.state.coarse is None or mesh is None else replace(self, mesh=mesh, state=self.state.coarse, error=None)
+
+    @property
+    def theta(self) -> FloatArray:
+        """Angles of the cells [rad], (n_theta,)."""
+        return self.bearing.film(self.speed, self.mesh).grid.centre
+
+    @property
+    def axial(self) -> FloatArray:
+        """Axial positions of the cells from mid width [m], (n_axial,)."""
+        return ((np.arange(self.mesh.across) + 0.5) / self.mesh.across - 0.5) * self.bearing.length
+
+    @property
+    def pressure(self) -> FloatArray:
+        """Pressure against ambient [Pa], (n_theta, n_axial)."""
+        half = self.state.pressure * self.bearing.pressure_scale(self.speed)
+        return np.concatenate([half[:, ::-1], half], axis=1)
+
+    @property
+    def film_thickness(self) -> FloatArray:
+        """Film thickness [m], (n_theta,)."""
+        return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
+
+
+def journal_equilibrium(
+    bearing: JournalBearing,
+    load: tuple[float, float],
+    speed: float,
+    mesh: FilmMesh = DEFAULT_MESH,
+    near: JournalEquilibrium | None = None,
+    tolerance: float = TOLERANCE,
+) -> JournalEquilibrium:
+    """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
+
+    *near*: an equilibrium of a similar bearing on the same mesh as start value. *tolerance*: largest change of the displacement over
+    clearance [-] in Newton's last step. ConfigError for a load of zero, FitError when there is no equilibrium.
+    """
+    if not 0 < np.hypot(*load) < np.inf:
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
+    start = near.state if near is not None and near.mesh == mesh else None
+    scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
+    state = film_equilibrium(bearing.film(speed, mesh), scaled, start, tolerance)
+    return JournalEquilibrium(bearing, speed, (float(load[0]), float(load[1])), mesh, state)
+
+
+def film_force(
+    bearing: JournalBearing, position: FloatArray, velocity: FloatArray, speed: float, mesh: FilmMesh = DEFAULT_MESH
+) -> FloatArray:
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without linearisation."""
+    displacement = np.asarray(position) / bearing.clearance
+    state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))
+    return state.force * bearing.force_scale(speed)
+
+
+def converged_equilibrium(
+    bearing: JournalBearing, load: tuple[float, float], speed: float, tolerance: float = 0.01, mesh: FilmMesh = DEFAULT_MESH
+) -> JournalEquilibrium:
+    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below *tolerance*.
+
+    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells each way (second order).
+    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved. Equation (jour-mesh).
+    """
+    half = mesh.halved()
+    if half is None:
+        raise ConfigError(f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve", hint="start from 48 x 8 cells or more")
+    coarse = journal_equilibrium(bearing, load, speed, half)
+    while mesh.around <= MOST_CELLS_AROUND:
+        fine = journal_equilibrium(bearing, load, speed, mesh)
+        error = _change(coarse, fine) / 3
+        if error <= tolerance:
+            return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
+        coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
+    raise FitError(f"the oil film needs more than {MOST_CELLS_AROUND} cells around", hint=f"allow a larger error than {tolerance:g}")
+
+
+def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
+    pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
+    return max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs)
+
+
+# Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over
+# one half.
+
+
+def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
+    """Load [N] carried at an eccentricity ratio; f = pi D Omega mu L^3 e / (8 c^2 (1 - e^2)^2) sqrt((16/pi^2 - 1) e^2 + 1).
+
+    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-load).
+    """
+    e = eccentricity_ratio
+    scale = np.pi * bearing.diameter * speed * bearing.viscosity * bearing.length**3 / (8 * bearing.clearance**2)
+    return float(scale * e / (1 - e**2) ** 2 * np.sqrt((16 / np.pi**2 - 1) * e**2 + 1))
+
+
+def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
+    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e).
+
+    Equation (jour-short-attitude).
+    """
+    if not load > 0:
+        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
+    e = float(brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14))
+    return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
+
+
+def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
+    """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
+
+    Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-coefficients).
+    """
+    e, _ = short_bearing_equilibrium(bearing, load, speed)
+    p, rest = np.pi, 1 - e**2
+    root = e * np.sqrt(rest)
+    h = 1 / (p**2 * rest + 16 * e**2) ** 1.5
+    k_yy = 4 * (p**2 * (2 - e**2) + 16 * e**2)
+    k_yz = p * (p**2 * rest**2 - 16 * e**4) / root
+    k_zy = -p * (p**2 * rest * (1 + 2 * e**2) + 32 * e**2 * (1 + e**2)) / root
+    k_zz = 4 * (p**2 * (1 + 2 * e**2) + 32 * e**2 * (1 + e**2) / rest)
+    c_yy = 2 * p * np.sqrt(rest) * (p**2 * (1 + 2 * e**2) - 16 * e**2) / e
+    c_yz = -8 * (p**2 * (1 + 2 * e**2) - 16 * e**2)
+    c_zz = 2 * p * (p**2 * rest**2 + 48 * e**2) / root
+    per_length = load / bearing.clearance * h
+    return np.array([[k_yy, k_yz], [k_zy, k_zz]]) * per_length, np.array([[c_yy, c_yz], [c_yz, c_zz]]) * (per_length / speed)

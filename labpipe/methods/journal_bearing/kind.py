@@ -1,0 +1,137 @@
+"""Journal bearings as a kind of bearing: settings of their file, and coefficients from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, converged_equilibrium
+from labpipe.records.settings import Settings, setting
+
+JOURNAL = "journal-bearing"
+DOFS = ("y", "z")
+
+
+@dataclass(frozen=True)
+class Wear(Settings):
+    """Wear of the bushing after Dufrane: an arc of larger radius."""
+
+    depth: float = setting("value", "deepest wear", unit="m", default=0.0)
+    angle: float = setting("value", "angle of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalSettings(Settings):
+    """A journal bearing without load and speed, as in a rotor file."""
+
+    kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
+    name: str = setting("text", "name of the bearing", default="")
+    diameter: float = setting("value", "diameter of the journal", unit="m")
+    length: float = setting("value", "length of the bearing", unit="m")
+    clearance: float = setting("value", "radial clearance", unit="m")
+    viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
+    temperature: float | None = setting(
+        "value", "temperature of the film; default: that at which the viscosity is given", unit="K", default=None
+    )
+    viscosity_temperature: float | None = setting("value", "temperature at which the viscosity is given", unit="K", default=None)
+    viscosity_slope: float = setting("value", "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", unit="1/K", default=0.0)
+    cavitation_pressure: float = setting("value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0)
+    groove_width: float = setting("value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0)
+    wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
+
+    def __post_init__(self) -> None:
+        if self.temperature is not None and (self.viscosity_temperature is None or not self.viscosity_slope):
+            what = "temperature: the viscosity at it needs 'viscosity_temperature' and 'viscosity_slope'"
+            raise ConfigError(what, hint="viscosity_temperature: 40 degC, viscosity_slope: 3 %/K", field="temperature")
+        self.bearing()
+
+    @property
+    def film_viscosity(self) -> float:
+        """Viscosity at the film's temperature [Pa.s], eta exp(-b (T - T_0)) (Reynolds 1886)."""
+        if self.temperature is None or self.viscosity_temperature is None:
+            return self.viscosity
+        return self.viscosity * float(np.exp(-self.viscosity_slope * (self.temperature - self.viscosity_temperature)))
+
+    def bearing(self) -> JournalBearing:
+        """The bearing; ConfigError for impossible values."""
+        return JournalBearing(
+            diameter=self.diameter,
+            length=self.length,
+            clearance=self.clearance,
+            viscosity=self.film_viscosity,
+            wear_depth=self.wear.depth,
+            wear_angle=self.wear.angle,
+            cavitation_pressure=self.cavitation_pressure,
+            groove_width=self.groove_width,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalFile(JournalSettings):
+    """A journal-bearing file: the bearing at its load and speed."""
+
+    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
+    load: float = setting("value", "static load, downwards (-z)", unit="N")
+    side_load: float = setting("value", "static load in y (horizontal)", unit="N", default=0.0)
+    accuracy: float = setting("value", "mesh error allowed, of the largest coefficient", unit="1", default=0.01)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.speed > 0:
+            raise ConfigError(f"speed: an oil film needs a speed above zero, not {self.speed:g} Hz")
+        if not np.hypot(self.load, self.side_load) > 0:
+            raise ConfigError("load: a journal bearing needs a load for its equilibrium", hint="for example load: 58.82 N")
+        if not 1e-4 <= self.accuracy <= 0.5:
+            raise ConfigError("accuracy: must lie between 0.01 % and 50 %")
+
+
+def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:
+    """The coefficients of all settings, in order, each on the coarsest mesh of sufficient accuracy."""
+    return [_coefficients(entry) for entry in settings]
+
+
+def _coefficients(settings: JournalFile) -> BearingCoefficients:
+    load = (settings.side_load, -settings.load)
+    state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
+    film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
+    return BearingCoefficients(
+        dofs=DOFS, stiffness=state.stiffness, damping=state.damping, rest=_rest(state), notes=_notes(state), film=film
+    )
+
+
+def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
+    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement, thinnest film."""
+    y, z = state.position
+    return (
+        Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
+        Amount("attitude_angle", state.attitude, "rad"),
+        Amount("sommerfeld", state.sommerfeld, "1"),
+        Amount("y", float(y), "m"),
+        Amount("z", float(z), "m"),
+        Amount("film_thickness_min", float(state.film_thickness.min()), "m"),
+        Amount("pressure_max", float(state.pressure.max()), "Pa"),
+    )
+
+
+def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
+    """The mesh and its estimated error relative to the largest coefficient."""
+    assert state.error is not None
+    return (
+        Amount("cells_around", float(state.mesh.around), "1"),
+        Amount("cells_across", float(state.mesh.across), "1"),
+        Amount("mesh_error", state.error, "1"),
+    )
+
+
+def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
+    from labpipe.methods.journal_bearing.report import film_figure
+
+    return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
+
+
+JOURNAL_KIND = BearingKind(JournalFile, journal_coefficients, on_rotor=JournalSettings, mount=JournalSettings.bearing, figures=_figures)

@@ -1,0 +1,322 @@
+"""The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test.
+
+The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its slopes.
+
+Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not smooth; then exactly, with
+A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A) (T - |t|)) / sqrt(A) M^-1 K_i i(t) over -T ... T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
+from labpipe.records.recording import Channel
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import nearest
+from labpipe.spectra.bands import lines_in
+
+# Currents and displacements of the channels of a test, axis by axis, and the rigid rotor that they move.
+
+CURRENT, DISPLACEMENT = "current", "displacement"
+LEAST_LINES = 3
+# Relative distance of two places along the axis below which they are one.
+SAME_PLACE = 1e-9
+
+
+@dataclass(frozen=True)
+class Levitation:
+    """Spectra of currents and displacements on the lines of a fit, and the rotor that ties them.
+
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel, n_channel) [SI units];
+    to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m], are to_axes @ channels. mass (n, n) [kg] of the
+    rotor at the magnets. currents: their channels; planes: numbers of the axes of every plane.
+    labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for `Noise`.
+    """
+
+    omega: FloatArray
+    channels: ComplexArray
+    covariance: ComplexArray
+    to_axes: FloatArray
+    mass: FloatArray
+    currents: tuple[Channel, ...]
+    planes: tuple[tuple[int, ...], ...]
+    labels: tuple[str, ...]
+    bearing: tuple[int, ...]
+    spectra: ChannelSpectra
+    shared: float = 1.0
+    shared_power: float = 1.0
+
+    @property
+    def n_axis(self) -> int:
+        return len(self.labels)
+
+    @property
+    def axes(self) -> ComplexArray:
+        """(n_line, n_run, 2 n) [A, m]: currents, then displacements."""
+        return self.channels @ self.to_axes.T
+
+
+def levitation_of(
+    spectra: ChannelSpectra,
+    band: tuple[float, float] | None,
+    names: tuple[Sequence[str], Sequence[str]],
+    mass: FloatArray | float,
+    settings: MagnetSettings,
+) -> Levitation:
+    """The levitated rotor of a test in a band [Hz]; *mass* [kg], or (n, n).
+
+    *names* of the currents and of the displacements, all without names.
+    ConfigError for channels that do not pair or whose places are not known, FitError for too few lines.
+    """
+    currents = _chosen(spectra, CURRENT, ("input", "output"), names[0], "input")
+    displacements = _chosen(spectra, DISPLACEMENT, ("output",), names[1], "output")
+    displacements = _paired(spectra.channels, currents, displacements)
+    chosen = [spectra.channels[n] for n in currents]
+    lines: BoolArray = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    if np.count_nonzero(lines) < LEAST_LINES:
+        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
+    n = len(currents)
+    to_axes = np.zeros((2 * n, len(spectra.channels)))
+    to_axes[np.arange(n), currents] = 1.0
+    at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
+    to_axes[n:, displacements] = at_magnets
+    return Levitation(
+        omega=2 * np.pi * spectra.frequency[lines],
+        channels=spectra.vectors[lines],
+        covariance=spectra.covariance[lines],
+        to_axes=to_axes,
+        mass=mass_matrix(chosen, planes, mass, settings),
+        currents=tuple(chosen),
+        planes=planes,
+        labels=tuple(channel.dof for channel in chosen),
+        bearing=bearing,
+        spectra=spectra,
+        **_shared(spectra, int(np.count_nonzero(lines))),
+    )
+
+
+def _chosen(spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str) -> list[int]:
+    """Columns of a quantity in one of its roles that are named, or all."""
+    columns = [n for role in roles for n in spectra.columns(quantity, role)]
+    places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
+    for name in names:
+        if name not in places:
+            raise ConfigError(f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+    if names:
+        columns = [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
+    if not columns:
+        hint = f"quantity: {quantity}, role: {roles[0]}, dof: x in the rig file"
+        raise ConfigError(f"there is no {quantity} channel", hint=hint, field=key)
+    dofs = [spectra.channels[n].dof for n in columns]
+    if len(set(dofs)) < len(dofs):
+        dof = next(dof for dof in dofs if dofs.count(dof) > 1)
+        raise ConfigError(f"two {quantity} channels have the dof {dof}", hint=f"name one of them in `{key}`", field=key)
+    return columns
+
+
+def _paired(channels: Sequence[Channel], currents: Sequence[int], displacements: Sequence[int]) -> list[int]:
+    """The displacement of every current's axis, in the order of the currents."""
+    of_dof = {channels[n].dof: n for n in displacements}
+    missing = [channels[n] for n in currents if channels[n].dof not in of_dof]
+    if missing:
+        hint = f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis the same dof"
+        raise ConfigError(f"the current {missing[0].name} of dof {missing[0].dof} has no displacement", hint=hint, field="output")
+    return [of_dof[channels[n].dof] for n in currents]
+
+
+def _at_magnets(currents: Sequence[Channel], sensors: Sequence[Channel]) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
+    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of every axis, and the axes of every plane."""
+    planes: dict[float | str, list[int]] = {}
+    for number, channel in enumerate(currents):
+        planes.setdefault(_plane(channel), []).append(number)
+    matrix = np.eye(len(currents))
+    for axes in planes.values():
+        if len(axes) == 1:
+            continue
+        if len(axes) > 2:
+            raise ConfigError(f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}", field="input")
+        magnets, probes = (_places([channels[k] for k in axes]) for channels in (currents, sensors))
+        matrix[np.ix_(axes, axes)] = magnets @ np.linalg.inv(probes)
+    places = [channel.position for channel in currents]
+    ordered = sorted({place for place in places if place is not None})
+    bearing = tuple(0 if place is None else ordered.index(place) for place in places)
+    return matrix, bearing, tuple(tuple(axes) for axes in planes.values())
+
+
+def _plane(channel: Channel) -> float | str:
+    """What axes of one plane have in common: the angle, or the last letter of a name such as ax and bearing2.y."""
+    if channel.angle is not None:
+        return round(channel.angle, 9)
+    return AXIS_ANGLES.get(channel.dof[-1:], channel.dof)
+
+
+def _places(channels: Sequence[Channel]) -> FloatArray:
+    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope; ConfigError where they are not known."""
+    places = [channel.position for channel in channels]
+    for channel, place in zip(channels, places, strict=True):
+        if place is None:
+            hint = "position: 120 mm, along the axis"
+            raise ConfigError(f"two bearings act in one plane, and the place of channel '{channel.name}' is not known", hint=hint)
+    matrix = np.column_stack([np.ones(2), np.array(places, float)])
+    if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
+        raise ConfigError(f"channels {channels[0].name} and {channels[1].name} of one plane have one position", hint="two places")
+    return matrix
+
+
+def mass_matrix(
+    currents: Sequence[Channel], planes: Sequence[Sequence[int]], mass: FloatArray | float, settings: MagnetSettings
+) -> FloatArray:
+    """Mass (n, n) [kg] of the rigid rotor at the magnets, T^-T diag(m, J) T^-1 in a plane with two of them.
+
+    *mass* [kg] of the rotor, or the matrix itself. ConfigError without the moment of inertia.
+    """
+    n = len(currents)
+    if not isinstance(mass, float):
+        matrix: FloatArray = np.asarray(mass, float)
+        if matrix.shape != (n, n):
+            raise ConfigError(f"the mass has {matrix.shape[0]} axes, the currents {n}", hint="one number, or a row per axis", field="mass")
+        return matrix
+    matrix = np.zeros((n, n))
+    for axes in planes:
+        if len(axes) == 1:
+            matrix[axes[0], axes[0]] = mass
+            continue
+        if settings.inertia is None:
+            hint = "inertia: 0.02 kg.m^2 +- 1 %, about the centre of gravity"
+            raise ConfigError("a rotor on two bearings needs its moment of inertia", hint=hint, field="inertia")
+        back = np.linalg.inv(_places([currents[k] for k in axes]) @ np.array([[1.0, -settings.centre], [0.0, 1.0]]))
+        matrix[np.ix_(axes, axes)] = back.T @ np.diag(np.array([mass, settings.inertia.value])) @ back
+    return matrix
+
+
+def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
+    """Factor of the noise that neighbouring lines share on the variance of a sum over lines, and on that of a sum of powers."""
+    correlation = np.array(spectra.line_correlation, np.complex128)
+    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
+    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
+    return {"shared": shared, "shared_power": 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))}
+
+
+# The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
+# slopes.
+
+# Powers of A T^2, the square of the pole times the sampling interval, beyond which rounding is larger.
+POWERS = 6
+NODES = 24
+# Relative step of differences.
+STEP = 1e-5
+UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
+
+
+@dataclass(frozen=True)
+class Between:
+    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz] or at once."""
+
+    rate: float
+    bandwidth: float | None = None
+
+    def moments(self, omega: FloatArray) -> ComplexArray:
+        """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) / i_0 over -T ... T.
+
+        Equation (mag-moments).
+        """
+        interval = 1 / self.rate
+        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+        t, weights = interval * (nodes + 1) / 2, interval * weights / 2
+        later = np.zeros_like(t)
+        if self.bandwidth is not None:
+            corner = 2 * np.pi * self.bandwidth
+            later = np.expm1(-corner * t) / np.expm1(-corner * interval)
+        z = np.exp(1j * np.asarray(omega) * interval)[:, None]
+        ahead, behind = (1 - later) + z * later, (1 - later) / z + later
+        moments = []
+        for j in range(POWERS):
+            power = 2 * j + 1
+            moments.append((((interval - t) ** power * ahead + t**power * behind) @ weights) / factorial(power) * self.rate**2)
+        return np.array(moments)
+
+
+@dataclass(frozen=True)
+class MagnetModel:
+    """Parameters K_i, K_s and C by their places (row, column), in the order of *names*; *mass* (n, n) [kg].
+
+    places: (kind, row, column) of every parameter; *between* None for smooth currents.
+    """
+
+    names: tuple[str, ...]
+    places: tuple[tuple[str, int, int], ...]
+    mass: FloatArray
+    between: Between | None = None
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple(UNITS[kind] for kind, _, _ in self.places)
+
+    def matrices(self, values: FloatArray) -> dict[str, FloatArray]:
+        """K_i [N/A], K_s [N/m] and C [N.s/m], (n, n), of values (n_parameter,)."""
+        n = len(self.mass)
+        matrices: dict[str, FloatArray] = {kind: np.zeros((n, n)) for kind in UNITS}
+        for (kind, row, column), value in zip(self.places, values, strict=True):
+            matrices[kind][row, column] = value
+        return matrices
+
+    def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
+        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass* (n, n) [kg] in its place.
+
+        Equation (mag-balance).
+        """
+        mass = self.mass if mass is None else mass
+        matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]
+        if self.between is None:
+            current = np.broadcast_to(-matrices["k_i"].astype(np.complex128), (len(omega), *mass.shape))
+            return np.concatenate([current, matrices["k_s"] - w**2 * mass + 1j * w * matrices["c"]], axis=2)
+        interval = 1 / self.between.rate
+        a = np.linalg.solve(mass, matrices["k_s"])
+        powers = [np.linalg.matrix_power(-a, j) for j in range(POWERS + 1)]
+        moments = self.between.moments(omega)
+        pushed = mass @ sum(moments[j][:, None, None] * powers[j] for j in range(POWERS)) @ np.linalg.solve(mass, matrices["k_i"])
+        # 2 (cos(w T) - cos(sqrt(A) T)) / T^2, the one of both cosines taken from both series.
+        turned = 2 * sum(powers[j] * interval ** (2 * j - 2) / factorial(2 * j) for j in range(1, POWERS + 1))
+        moved = -4 * np.sin(w * interval / 2) ** 2 / interval**2 * mass - mass @ turned
+        return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
+
+    def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not linear."""
+        scale = np.maximum(np.abs(values), self._sizes(omega))
+        changes = []
+        for number in range(values.size):
+            step = STEP * scale[number] * np.eye(values.size)[number]
+            changes.append((self.rows(values + step, omega) - self.rows(values - step, omega)) / (2 * STEP * scale[number]))
+        return np.array(changes)
+
+    def _sizes(self, omega: FloatArray) -> FloatArray:
+        """Sizes of parameters that count [their units], from the inertia at the middle of the band."""
+        inertia = float(np.max(np.abs(self.mass))) * float(np.median(omega)) ** 2
+        return np.array([{"k_i": 1.0, "k_s": inertia, "c": inertia / float(np.median(omega))}[kind] for kind, _, _ in self.places])
+
+
+def magnet_model(
+    labels: tuple[str, ...], bearing: tuple[int, ...], mass: FloatArray, coupling: str, damping: bool, between: Between | None
+) -> MagnetModel:
+    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are estimated."""
+    n = len(labels)
+    pairs = [(row, column) for row in range(n) for column in range(n) if _estimated(coupling, row, column, bearing)]
+    kinds = [kind for kind in UNITS if kind != "c" or damping]
+    places = tuple((kind, row, column) for kind in kinds for row, column in pairs)
+    glue = "" if all(len(label) == 1 for label in labels) else "_"
+    names = tuple(kind if n == 1 else f"{kind}_{labels[row]}{glue}{labels[column]}" for kind, row, column in places)
+    return MagnetModel(names, places, mass, between)
+
+
+def _estimated(coupling: str, row: int, column: int, bearing: tuple[int, ...]) -> bool:
+    if coupling == DIRECT:
+        return row == column
+    return coupling != BEARING or bearing[row] == bearing[column]

@@ -1,0 +1,433 @@
+"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval.
+
+Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval, and a verdict.
+
+Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file its unknowns are fitted to
+all that was recorded, and what the fitted loop says holds between the lines and beyond the measured band as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import normal_quantile
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.budget import matrix_errors
+from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.measured import chosen_ports, measured_part
+from labpipe.methods.magnetic_bearing.bearing import MagneticFile
+from labpipe.methods.magnetic_bearing.limits import CertificateSettings, Limit, below, verdict_of, words
+from labpipe.methods.magnetic_bearing.loop import margins
+from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH, LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
+from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, with_unknowns
+from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, measured_margins, peak_of
+from labpipe.methods.magnetic_bearing.stability import (
+    ZONES,
+    Levitated,
+    closed_loop_poles,
+    open_loop,
+    sampled,
+    sampled_poles,
+    unstable_poles,
+    zone_of,
+)
+from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.uncertain import Budget, Doubt, MatrixError
+from labpipe.uncertainty.amounts import with_budget, with_error
+from labpipe.uncertainty.settings import CompareSettings
+
+# What a fitted loop says of its closed loop: margins, peak of the sensitivity, modes with their decrements,
+# each with its interval.
+
+# Step of differences in standard errors of the unknowns.
+STEP = 0.02
+# Upper end of the search without a sampling rate [Hz], and of modes as a share of the sampling rate.
+HIGHEST, NYQUIST = 20e3, 0.5
+# Amounts whose logarithm is nearer to a normal distribution than they are themselves.
+LOGARITHMIC = ("sensitivity_peak", "gain_margin_lower", "gain_margin_upper", "disk_margin", "delay_margin")
+UNITS = {"phase_margin": "rad", "delay_margin": "s", "sensitivity_frequency": "Hz", "f_n": "Hz", "pole_real": "1/s", "pole_imag": "rad/s"}
+
+
+# From values of the unknowns by name to the amounts by name.
+Amounts = Callable[[Mapping[str, float]], dict[str, float]]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Amounts by name at the fitted unknowns, their covariance by noise (n, n) [their units], in the same order; *unstable* poles.
+
+    changes (n_source, n) [their units]: by one standard uncertainty of each of the *sources*. bent: names of the amounts that do not
+    follow the unknowns in a straight line within their errors.
+    """
+
+    amounts: dict[str, float]
+    covariance: FloatArray
+    unstable: int
+    sources: tuple[Doubt, ...] = ()
+    changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    bent: tuple[str, ...] = ()
+
+    def error(self, name: str) -> float:
+        """Combined standard uncertainty of an amount [its unit]."""
+        place = list(self.amounts).index(name)
+        systematic = float(np.sum(self.changes[:, place] ** 2)) if len(self.changes) else 0.0
+        return float(np.sqrt(max(self.covariance[place, place], 0.0) + systematic))
+
+    def modes(self) -> list[str]:
+        """Names of the logarithmic decrements."""
+        return [name for name in self.amounts if name.startswith("log_decrement")]
+
+    def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their logarithm, and their budget."""
+        plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
+        return with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC) if self.sources else (tuple(plain), None)
+
+    def _parameter(self, number: int, name: str, quantile: float) -> Parameter:
+        value, error = self.amounts[name], float(np.sqrt(max(self.covariance[number, number], 0.0)))
+        unit = next((unit for start, unit in UNITS.items() if name.startswith(start)), "1")
+        ends = (value - quantile * error, value + quantile * error)
+        if name in LOGARITHMIC and value > 0:
+            reach = np.exp(quantile * error / value)
+            ends = (value / reach, value * reach)
+        return Parameter(name, value, unit, std_error=error, ci95=(float(ends[0]), float(ends[1])), derived=True)
+
+
+def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
+    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in the unknowns' errors.
+
+    Equation (comp-closed-loop).
+    """
+    values = fit.values()
+    plant = with_unknowns(file, values).levitated()
+    unstable = unstable_of(plant, rate)
+    poles = modes_of(loop_poles(plant, rate), highest_mode)
+
+    def at(changed: Mapping[str, float]) -> dict[str, float]:
+        other = with_unknowns(file, changed).levitated()
+        return _amounts(other, rate, _nearest(loop_poles(other, rate), poles), unstable == 0)
+
+    here = at(values)
+    slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(len(fit.parameters), len(here))
+    if not fit.usable:
+        return ClosedLoop(here, np.zeros((len(here), len(here))), unstable)
+    changes = fit.changes @ slopes
+    sources = () if fit.budget is None else fit.budget.sources
+    bent = _bent(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
+    return ClosedLoop(here, slopes.T @ fit.covariance @ slopes, unstable, sources, changes, bent)
+
+
+def _bent(at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray) -> tuple[str, ...]:
+    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard errors along an amount's slope."""
+    here = at(values)
+    errors = np.sqrt(np.maximum(np.einsum("ji,jk,ki->i", slopes, covariance, slopes), 0.0))
+    bent = []
+    for column, (name, error) in enumerate(zip(here, errors, strict=True)):
+        if not error > 0:
+            continue
+        away = REACH * covariance @ slopes[:, column] / error
+        for sign in (1.0, -1.0):
+            moved = {entry: value + sign * float(step) for (entry, value), step in zip(values.items(), away, strict=True)}
+            try:
+                reached = at(moved).get(name, np.nan)
+            except ConfigError:
+                reached = np.nan
+            if not abs(reached - here[name] - sign * REACH * error) <= BENT * REACH * error:
+                bent.append(name)
+                break
+    return tuple(bent)
+
+
+def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names: list[str]) -> FloatArray:
+    """Slopes (n,) of all amounts [their units] over one unknown."""
+    step = STEP * (parameter.std_error or 0.0) or 1e-6 * abs(parameter.value)
+    ahead, behind = (at({**values, parameter.name: parameter.value + sign * step}) for sign in (1, -1))
+    return np.array([(ahead.get(name, np.nan) - behind.get(name, np.nan)) / (2 * step) for name in names])
+
+
+def bent_findings(loop: ClosedLoop) -> list[Finding]:
+    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their errors."""
+    if not loop.bent:
+        return []
+    names = ", ".join(loop.bent)
+    what = f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted loop: their intervals are rough"
+    return [Finding("first-order", what)]
+
+
+def loop_poles(plant: Levitated, rate: float | None) -> ComplexArray:
+    """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
+    return closed_loop_poles(plant) if rate is None else sampled_poles(sampled(plant, rate), rate)
+
+
+def unstable_of(plant: Levitated, rate: float | None) -> int:
+    """Number of poles that grow."""
+    return unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
+
+
+def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
+    """The poles (n_mode,) [rad/s] of modes that swing, by their natural frequency up to *highest* [Hz]."""
+    chosen = poles[(poles.imag > 1e-9 * np.abs(poles)) & (np.abs(poles) <= 2 * np.pi * highest)]
+    return chosen[np.argsort(np.abs(chosen))]
+
+
+def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
+    return np.array([poles[np.argmin(np.abs(poles - mode))] for mode in modes], np.complex128)
+
+
+def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
+    """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
+    amounts: dict[str, float] = {}
+    if stable:
+        highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
+        of = margins(lambda omega: open_loop(plant, omega, rate).loop, highest)
+        named = {
+            "sensitivity_peak": of.peak,
+            "sensitivity_frequency": of.peak_frequency,
+            "gain_margin_lower": of.gain_lower,
+            "gain_margin_upper": of.gain_upper,
+            "phase_margin": of.phase,
+            "delay_margin": of.delay,
+            "disk_margin": of.disk,
+        }
+        # What the loop never reaches is no number.
+        amounts |= {name: value for name, value in named.items() if np.isfinite(value) and value > 0}
+    for number, pole in enumerate(modes, 1):
+        amounts[f"f_n_{number}"] = float(np.abs(pole) / (2 * np.pi))
+        amounts[f"log_decrement_{number}"] = float(-2 * np.pi * pole.real / pole.imag)
+        amounts[f"pole_real_{number}"], amounts[f"pole_imag_{number}"] = float(pole.real), float(pole.imag)
+    return amounts
+
+
+# Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
+# interval, and a verdict.
+
+# Modes are looked for up to this multiple of the measured band.
+BEYOND = 1.5
+
+
+def certificate(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
+    """The certificate of the loops of one test; with a bearing *file* by its fitted unknowns as well.
+
+    ConfigError for channels and settings that do not fit together, FitError without a covariance.
+    """
+    certificate_settings = resolved(settings)
+    matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
+    peaks = _peaks(matrix, response)
+    measured_amounts, budget = _measured_amounts(matrix, peaks)
+    amounts, budgets, limits = list(measured_amounts), [budget], []
+    worst = max(peaks, key=lambda peak: peak.value)
+    fit, loop = None, None
+    if file is not None:
+        fit, loop = _fitted(settings, certificate_settings, response, matrix, file)
+    if loop is None or loop.unstable or "sensitivity_peak" not in loop.amounts:
+        limits.append(_zone_limit(certificate_settings, worst.value, worst.combined, "measured"))
+    else:
+        limits.append(
+            _zone_limit(certificate_settings, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop")
+        )
+    if loop is not None:
+        of_loop, budget = loop.parameters(normal_quantile(0.975))
+        amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
+        limits += [_decrement_limit(certificate_settings, loop)] if loop.modes() and not loop.unstable else []
+    amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
+    if fit is not None:
+        amounts, budgets = [*amounts, *goodness(fit), *fit.parameters], [*budgets, fit.budget]
+    verdict = verdict_of(limits, certificate_settings.confidence)
+    return Comparison(
+        name=settings.name,
+        kind="certificate",
+        subject=f"closed loop by {', '.join(certificate_settings.after)}",
+        unit="1",
+        points=(),
+        amounts=tuple(amounts),
+        verdict=verdict,
+        statement=_statement(verdict, limits, worst, loop, fit),
+        curves=_curves(matrix, file, fit, certificate_settings),
+        correlations=() if fit is None else fit.correlations,
+        findings=_findings(worst, file, fit, loop),
+        budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
+    )
+
+
+def resolved(settings: CompareSettings) -> CertificateSettings:
+    """The settings of the certificate, with the points of the comparison where it names none behind the sums."""
+    certificate_settings: CertificateSettings = settings.kind_settings
+    return (
+        certificate_settings
+        if certificate_settings.after
+        else replace(certificate_settings, before=certificate_settings.before or (settings.before,), after=(settings.after,))
+    )
+
+
+def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]:
+    """The peak of |S_ii| of every loop."""
+    peaks = []
+    for number in range(len(matrix.loops)):
+        size, error = matrix.size(number)
+        phased = matrix.values[:, number, number]
+        above = np.maximum(error, 1e-15 * size)
+        peaks.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number))))
+    return peaks
+
+
+def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """Measured peaks and margins of all loops, and of several the largest singular value, with what systematic errors add."""
+    amounts: list[Parameter] = []
+    changes: list[FloatArray] = []
+    for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
+        suffix = f"_{loop}" if len(peaks) > 1 else ""
+        amounts += peak.amounts(matrix.quantile, suffix)
+        changes += [peak.changes, peak.frequency_changes]
+        transfer, moved = matrix.loop_transfer(number), matrix.transfer_changes(number)
+        for margin, change in measured_margins(matrix.frequency, transfer, moved, matrix.quantile, suffix):
+            amounts.append(margin)
+            changes.append(change)
+    if len(peaks) > 1:
+        size, error = matrix.largest()
+        top = int(np.argmax(size))
+        amounts.append(with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile))
+        amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
+        changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
+    dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
+    return with_budget(amounts, [error.doubt for error in matrix.errors], np.array(changes).T, dof)
+
+
+def _fitted(
+    settings: CompareSettings, own: CertificateSettings, response: FrequencyResponse, matrix: SensitivityMatrix, file: MagneticFile
+) -> tuple[LoopFit, ClosedLoop | None]:
+    """The fit of the file's unknowns to all recorded signals, and its closed loop; none where the fit has no intervals."""
+    if len(matrix.loops) != 1:
+        raise ConfigError("a bearing file describes one loop", hint="leave theory out, or certify one loop at a time")
+    rate = own.rate or file.loop.rate
+    fit = loop_fit([_observation(own, response, file, rate)], settings.estimate)
+    if not fit.usable and settings.estimate:
+        return fit, None
+    return fit, closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1]))
+
+
+def _observation(own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, rate: float | None) -> LoopObservation:
+    """All recorded signals and their prediction.
+
+    With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so that neither gain nor delay
+    of the recorded excitation counts; a quotient by the noisy difference of both sides would be biased.
+    """
+    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
+    named |= {"before": own.before[0]} if own.before else {}
+    signals = {signal: chosen_ports(response.outputs, (name,), "response")[0] for signal, name in named.items() if name}
+    if len(response.inputs) != 1:
+        raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint="role: input for the excitation alone")
+    lines = np.ones(response.frequency.size, bool)
+    measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
+    if measured.covariance is None:
+        raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
+    weights = np.linalg.inv(measured.covariance)
+
+    def per_added(changed: MagneticFile) -> ComplexArray:
+        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
+        return np.stack([signal[name] for name in signals], axis=1)
+
+    def along(per: ComplexArray, vectors: ComplexArray) -> ComplexArray:
+        """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
+        weighted = np.einsum("la,lab->lb", per.conj(), weights)
+        added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per, axis=1)
+        return np.asarray(per * added[:, None])
+
+    def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
+        per = per_added(changed)
+        return np.asarray((along(per, measured.matrix[:, :, 0]) if own.before else per)[:, :, None])
+
+    def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
+        if not own.before:
+            return matrix_errors(measured)
+        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
+        doubts = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        per = per_added(changed)
+        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in doubts]
+
+    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
+
+
+def _zone_limit(own: CertificateSettings, peak: float, error: float, whose: str) -> Limit:
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
+    end = dict(ZONES)[own.zone]
+    probability = below(np.log(peak), error / peak, np.log(end))
+    said = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose}); zone {own.zone} or better with {words(probability)}"
+    return Limit("zone", probability, said)
+
+
+def _decrement_limit(own: CertificateSettings, loop: ClosedLoop) -> Limit:
+    """Probability that the least damped mode has its decrement."""
+    least = min(loop.modes(), key=lambda name: loop.amounts[name])
+    value = loop.amounts[least]
+    probability = min(below(-loop.amounts[name], loop.error(name), -own.log_decrement) for name in loop.modes())
+    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.log_decrement:g} with {words(probability)}"
+    return Limit("log_decrement", probability, said)
+
+
+def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, loop: ClosedLoop | None, fit: LoopFit | None) -> str:
+    parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
+    if loop is not None and loop.unstable:
+        parts.append(f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one")
+    parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
+    model = "" if fit is None else f" {fit_statement(fit)}"
+    return f"{verdict.capitalize()}: {'; '.join(parts)}.{model}"
+
+
+def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> tuple[Curve, ...]:
+    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary part of L."""
+    curves = []
+    fitted = _fitted_size(matrix.frequency, file, fit, own)
+    several = len(matrix.loops) > 1
+    named = [(f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n)) for n, name in enumerate(matrix.loops)]
+    if several:
+        named.append(("largest singular value", matrix.combined_largest()))
+    for quantity, (size, error) in named:
+        reach = matrix.quantile * error
+        curves.append(_curve(matrix.frequency, quantity, size, (size - reach, size + reach), fitted))
+    for n, name in enumerate(matrix.loops):
+        label = f"L {name}" if several else "L"
+        transfer, _ = matrix.loop_transfer(n)
+        curves.append(_curve(matrix.frequency, f"{label} real", transfer.real))
+        curves.append(_curve(matrix.frequency, f"{label} imaginary", transfer.imag))
+    return tuple(curves)
+
+
+def _fitted_size(frequency: FloatArray, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> FloatArray:
+    if file is None or fit is None or not (fit.usable or not fit.parameters):
+        return np.empty(0)
+    plant = with_unknowns(file, fit.values()).levitated()
+    return np.abs(open_loop(plant, 2 * np.pi * frequency, own.rate or file.loop.rate).sensitivity)
+
+
+def _curve(
+    frequency: FloatArray, quantity: str, values: FloatArray, ends: tuple[FloatArray, ...] = (), fitted: FloatArray | None = None
+) -> Curve:
+    low, high = ends or (np.empty(0), np.empty(0))
+    matched = np.empty(0) if fitted is None else fitted
+    lists = [tuple(part.tolist()) for part in (frequency, matched, values, low, high)]
+    return Curve("", quantity, "1", frequency=lists[0], matched=lists[1], measured=lists[2], low=lists[3], high=lists[4])
+
+
+def _findings(worst: Peak, file: MagneticFile | None, fit: LoopFit | None, loop: ClosedLoop | None) -> tuple[Finding, ...]:
+    findings = []
+    if worst.at_edge:
+        what = f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be larger beyond"
+        findings.append(Finding("sensitivity-edge", what))
+    if loop is not None and loop.unstable:
+        findings.append(Finding("unstable-loop", f"the fitted loop is unstable: {loop.unstable} poles grow; check signs, mass and delay"))
+    if fit is not None:
+        findings += identifiability_findings(fit)
+        findings += [] if loop is None else bent_findings(loop)
+        if fit.chi2_p < MISMATCH_P:
+            excess = f"chi-square per degree of freedom {fit.chi2_reduced:.3g}"
+            what = f"the fitted loop leaves more than noise ({excess}): its intervals are too short"
+            findings.append(Finding("model-mismatch", what))
+    if file is not None:
+        findings.append(note("assumptions", file.assumptions()))
+    return tuple(findings)

@@ -1,0 +1,365 @@
+"""The virtual levitated rig: settings, and rotor, bearings and amplifiers in continuous time, the loop closed from step to step.
+
+M q'' + (C + W G) q' = B (k_i i - k_s B' q + ...) + Q, y = S q + n, i_c = -C(z) X (y + r_in) + r_out, held and one delay late. The
+coordinates q of a rotor on two bearings are x_c, y_c, dx/dz, dy/dz of its centre of gravity, then the bending mode in x and in y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing.sampled_loop import ROUNDING, integrals, linear_states, step_matrices, tustin
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.virtual_rigs import require_positive
+
+# Settings of the virtual levitated rig: rotor, magnetic bearings, controller, injection, and what disturbs
+# them.
+
+KIND = "virtual-levitated-rig"
+PLACES = ("output", "input")
+AXES = {"x": ("x",), "xy": ("x", "y")}
+ENDS = ("a", "b")
+# Runs in which all axes are excited at once, and the one without excitation; others are named after their axis, as multisine-x.
+RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
+
+
+@dataclass(frozen=True)
+class BendingMode(Settings):
+    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of shape times force."""
+
+    frequency: float = setting("value", "natural frequency w_0", unit="Hz")
+    at_bearings: tuple[float, ...] = setting("values", "its shape at both bearings, for a modal mass of 1 kg", unit="1")
+    at_sensors: tuple[float, ...] = setting("values", "its shape at both sensors", unit="1")
+    damping_ratio: float = setting("value", "damping ratio of the mode", unit="1", default=0.003)
+    at_unbalance: float = setting("value", "its shape at the unbalance", unit="1", default=0.0)
+
+    def __post_init__(self) -> None:
+        if not self.frequency > 0:
+            raise ConfigError("the natural frequency is positive", field="frequency")
+        for name in ("at_bearings", "at_sensors"):
+            if len(getattr(self, name)) != len(ENDS):
+                raise ConfigError(f"'{name}' needs a number for each of the two ends", field=name)
+
+
+@dataclass(frozen=True)
+class LongRotor(Settings):
+    """A rotor on two bearings: its inertias, and places along the axis from the centre of gravity on."""
+
+    inertia: float = setting("value", "transverse moment of inertia about the centre of gravity", unit="kg.m^2")
+    bearings: tuple[float, ...] = setting("values", "places of the two bearings", unit="m")
+    sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", unit="m")
+    polar_inertia: float = setting("value", "polar moment of inertia", unit="kg.m^2", default=0.0)
+    bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
+
+    def __post_init__(self) -> None:
+        if not self.inertia > 0:
+            raise ConfigError("the transverse moment of inertia is positive", field="inertia")
+        for name in ("bearings", "sensors"):
+            places = getattr(self, name)
+            if len(places) != len(ENDS) or places[0] == places[1]:
+                raise ConfigError(f"'{name}' needs two different places", field=name)
+
+
+@dataclass(frozen=True)
+class SampledPid(Settings):
+    """i = -(P + I / s + D s / (1 + s T)) X y by the bilinear transform, sampled and held at *rate*, *delay* intervals late.
+
+    y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
+    """
+
+    proportional: float = setting("value", "P, current per displacement", unit="A/m")
+    derivative: float = setting("value", "D, current per velocity", unit="A.s/m")
+    integral: float = setting("value", "I, current per displacement and time", unit="A/(m.s)", default=0.0)
+    derivative_time: float = setting("value", "time constant T of the differentiator", unit="s", default=2e-4)
+    rate: float = setting("value", "sampling rate of the controller", unit="Hz", default=10e3)
+    delay: int = setting("integer", "whole intervals from a reading to the output computed from it", default=1)
+    mixing: tuple[tuple[float, ...], ...] | None = setting(
+        "matrix", "X, from readings to axes of control (order of the axes)", unit="1", default=None
+    )
+
+    def __post_init__(self) -> None:
+        if not (self.rate > 0 and self.derivative_time > 0):
+            raise ConfigError("rate and derivative_time are positive")
+        if self.delay < 0:
+            raise ConfigError("'delay' must not be negative", field="delay")
+
+
+@dataclass(frozen=True)
+class Injection(Settings):
+    """What is added in the loop, at the controller's output (a current) or input (a displacement); its rms is that of one axis."""
+
+    rms: float = setting("value", "rms at the output [A]; at the input [m] it is this times `per_ampere`", unit="A", default=0.1)
+    place: str = setting("choice", "where it is added", choices=PLACES, default="output")
+    per_ampere: float = setting("value", "displacement added at the input for 1 A", unit="m/A", default=1e-4)
+    band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(5.0, 500.0))
+    spacing: float = setting("value", "spacing of the lines of a multisine", unit="Hz", default=1.0)
+    periods: int = setting("integer", "periods of a multisine recorded, all of them steady", default=20)
+    duration: float = setting("value", "length of the other runs", unit="s", default=20.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "rms", "per_ampere", "spacing", "periods", "duration")
+
+
+@dataclass(frozen=True)
+class LevitatedNoise(Settings):
+    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of the recording."""
+
+    displacement: float = setting("value", "position sensors; it is in the loop", unit="m", default=1e-7)
+    current: float = setting("value", "measured currents", unit="A", default=1e-4)
+    force: float = setting("value", "measured force of a shaker", unit="N", default=0.05)
+    disturbance: float = setting("value", "random force on the rotor at every bearing and axis", unit="N", default=1.0)
+    reference: float = setting("value", "recorded injection, of the unit in which it is recorded", unit="1", default=0.0)
+
+
+@dataclass(frozen=True)
+class LevitatedRig(Settings):
+    """A rotor in magnetic bearings under a sampled controller: a mass on one bearing, or a `rotor` on two."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    mass: float = setting("value", "mass of the rotor", unit="kg")
+    control: SampledPid = setting("section", "the controller", section=SampledPid)
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
+    axes: str = setting("choice", "directions", choices=tuple(AXES), default="x")
+    rotor: LongRotor | None = setting("section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None)
+    force_per_current: float = setting("value", "k_i of one bearing", unit="N/A", default=80.0)
+    negative_stiffness: float = setting("value", "pull of one bearing's bias field per displacement, -k_s", unit="N/m", default=2e5)
+    damping: float = setting("value", "passive damping at every bearing", unit="N.s/m", default=0.0)
+    cross_stiffness: float = setting("value", "k_xy = -k_yx at every bearing, as of a seal", unit="N/m", default=0.0)
+    amplifier_bandwidth: float = setting("value", "-3 dB bandwidth of the current amplifiers", unit="Hz", default=2000.0)
+    injection: Injection = setting("section", "what is added in the loop", section=Injection, default=Injection())
+    shaker: float = setting("value", "rms force of a shaker at every bearing and axis (run shaker)", unit="N", default=10.0)
+    speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
+    unbalance: float = setting("value", "mass times eccentricity", unit="kg.m", default=0.0)
+    unbalance_place: float = setting("value", "its place along the axis", unit="m", default=0.0)
+    runout: tuple[float, ...] = setting("values", "amplitudes of 1x, 2x, ... that the sensors see", unit="m", default=())
+    sample_rate: float = setting("value", "sampling rate of the recording: the controller's over a whole number", unit="Hz", default=2000.0)
+    force_recorded: bool = setting("flag", "the currents are recorded as the forces k_i i", default=False)
+    output_recorded: bool = setting("flag", "the controller's outputs, with what is added there, are recorded too (u_)", default=False)
+    noise: LevitatedNoise = setting("section", "noise", section=LevitatedNoise, default=LevitatedNoise())
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
+        if self.speed < 0:
+            raise ConfigError("the shaft speed must not be negative", hint="it turns from x to y", field="speed")
+        if self.axes == "x" and (self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)):
+            raise ConfigError("cross-coupling and gyroscopic moments need both axes", hint="axes: xy", field="axes")
+        _whole(self.control.rate / self.sample_rate, f"the recording's rate divides that of the controller, {self.control.rate:g} Hz")
+        _whole(self.sample_rate / self.injection.spacing, "a period of the injection holds no whole number of samples")
+        if not self.injection.band[1] < self.sample_rate / 2:
+            raise ConfigError(f"the injection's band must lie below {self.sample_rate / 2:g} Hz", field="injection")
+        n = len(self.labels)
+        if self.control.mixing is not None and np.shape(self.control.mixing) != (n, n):
+            raise ConfigError(f"control.mixing is not a {n} x {n} matrix", hint=f"its axes are {', '.join(self.labels)}", field="control")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the controlled axes: x, y of one bearing, ax, ay, bx, by of two."""
+        return AXES[self.axes] if self.rotor is None else tuple(end + axis for end in ENDS for axis in AXES[self.axes])
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """The names of all recordings that can be made."""
+        single = (f"{kind}-{label}" for kind in (MULTISINE, RANDOM) for label in self.labels)
+        return (RANDOM, *single, SHAKER, REST)
+
+    @property
+    def usual(self) -> tuple[str, ...]:
+        """All axes at random, and a multisine on each."""
+        return (RANDOM, *(f"{MULTISINE}-{label}" for label in self.labels))
+
+    @property
+    def decimation(self) -> int:
+        """Steps of the controller per recorded sample."""
+        return round(self.control.rate / self.sample_rate)
+
+
+def _whole(number: float, what: str) -> None:
+    if abs(number - round(number)) > 1e-9 * number or round(number) < 1:
+        raise ConfigError(what, field="sample_rate")
+
+
+# The virtual levitated rig as matrices: rotor, bearings and amplifiers in continuous time, the loop closed
+# from step to step.
+
+# Times in an interval of the controller at which motion and current are known.
+BETWEEN = 8
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q); tilts in kg.m^2 and so on.
+
+    at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance (n_direction, n_q).
+    """
+
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    at_bearings: FloatArray
+    at_sensors: FloatArray
+    at_unbalance: FloatArray
+
+
+def mechanics(rig: LevitatedRig) -> Mechanics:
+    """The rotor's matrices with the passive damping, without k_i and k_s."""
+    directions = np.eye(len(AXES[rig.axes]))
+    if rig.rotor is None:
+        masses, gyroscopic, stiffnesses, own_damping = [rig.mass], [0.0], [0.0], [0.0]
+        shapes: tuple[FloatArray, FloatArray, FloatArray] = np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))
+    else:
+        masses, gyroscopic, stiffnesses, own_damping = _inertias(rig.mass, rig.rotor)
+        shapes = _shapes(rig.rotor, rig.unbalance_place)
+    at_bearings, at_sensors, at_unbalance = (np.kron(shape, directions) for shape in shapes)
+    # Spin from x to y: J a'' - W J_p b' and J b'' + W J_p a' of the slopes b in x, a in y.
+    spin = np.array([[0.0, 1.0], [-1.0, 0.0]]) if directions.shape[0] == 2 else np.zeros((1, 1))
+    turning = 2 * np.pi * rig.speed * np.kron(np.diag(gyroscopic), spin)
+    passive = rig.damping * at_bearings.T @ at_bearings
+    return Mechanics(
+        mass=np.kron(np.diag(masses), directions),
+        damping=np.kron(np.diag(own_damping), directions) + turning + passive,
+        stiffness=np.kron(np.diag(stiffnesses), directions),
+        at_bearings=at_bearings,
+        at_sensors=at_sensors,
+        at_unbalance=at_unbalance,
+    )
+
+
+def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
+    """Masses, polar inertias, own stiffnesses and dampings of the coordinates of one plane."""
+    masses, gyroscopic, stiffnesses, damping = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+    if rotor.bending is not None:
+        natural = 2 * np.pi * rotor.bending.frequency
+        masses, gyroscopic = [*masses, 1.0], [*gyroscopic, 0.0]
+        stiffnesses, damping = [*stiffnesses, natural**2], [*damping, 2 * rotor.bending.damping_ratio * natural]
+    return masses, gyroscopic, stiffnesses, damping
+
+
+def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement in one plane per coordinate at bearings and sensors (2, n) and at the unbalance (1, n)."""
+    places = [np.array(rotor.bearings), np.array(rotor.sensors), np.array([unbalance])]
+    rigid = [np.column_stack([np.ones_like(place), place]) for place in places]
+    if rotor.bending is None:
+        return rigid[0], rigid[1], rigid[2]
+    bending = [rotor.bending.at_bearings, rotor.bending.at_sensors, (rotor.bending.at_unbalance,)]
+    bent = [np.column_stack([shape, np.array(values)]) for shape, values in zip(rigid, bending, strict=True)]
+    return bent[0], bent[1], bent[2]
+
+
+def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
+    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with y."""
+    n = len(rig.labels)
+    coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
+    return np.asarray(-rig.negative_stiffness * np.eye(n) + np.kron(np.eye(n // coupling.shape[0]), coupling))
+
+
+def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
+    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i.
+
+    Equation (sim-rotor).
+    """
+    of = mechanics(rig)
+    jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
+    dynamic = jw**2 * of.mass + jw * of.damping + of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
+    return np.asarray(of.at_sensors @ np.linalg.solve(dynamic, np.broadcast_to(of.at_bearings.T, (*jw.shape[:1], *of.at_bearings.T.shape))))
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a run of the loop gives: *output* of the controller (n_sample, n_axis) [A] with what is added there, at its rate.
+
+    motion at the sensors [m] and current [A], (n_sample * BETWEEN, n_axis): a held output leaves a current that is not smooth from step
+    to step, and a logger's filter sees it between them.
+    """
+
+    output: FloatArray
+    motion: FloatArray
+    current: FloatArray
+
+
+@dataclass(frozen=True)
+class LevitatedLoop:
+    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz].
+
+    w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m], injection at the controller's input
+    [m] and output [A]; z: output of the controller [A], then motion [m] and current [A] BETWEEN times in the interval; all but the
+    forces n_axis each. a (n_state, n_state), b (n_state, n_input), c (n_output, n_state), d (n_output, n_input). Equation (sim-step).
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    rate: float
+    n_axis: int
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of the closed loop (n_state,) [1/s], s = rate ln z; what a delay holds alone (z = 0) is left out. Equation (sim-poles)."""
+        values = np.linalg.eigvals(self.a)
+        values = values[np.abs(values) > ROUNDING]
+        return np.asarray(self.rate * np.log(values.astype(np.complex128)))
+
+    def run(self, inputs: FloatArray) -> Signals:
+        """The signals of *inputs* (n_sample, n_input) [N, m, m, A], from rest; ConfigError where unstable."""
+        growth = float(np.max(self.poles.real))
+        if growth > ROUNDING * self.rate:
+            message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
+            raise ConfigError(message, hint="raise proportional and derivative gain, or shorten the delay", field="control")
+        outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
+        fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
+        return Signals(outputs[:, : self.n_axis], fine[:, 0], fine[:, 1])
+
+
+def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
+    """The closed loop of a rig."""
+    of, control = mechanics(rig), rig.control
+    n_q, n_axis = of.mass.shape[0], len(rig.labels)
+    plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]
+    n_plant = plant[0][0].shape[0]
+    interval = 1 / control.rate
+    terms = [tustin(control.derivative, 0.0, control.derivative_time, interval), _integrator(control.integral, interval)]
+    mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
+
+    def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
+        forces, seen, added_in, added_out = np.split(inputs, [2 * n_q, 2 * n_q + n_axis, 2 * n_q + 2 * n_axis])
+        error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
+        parts = [b0 * error + stored for (b0, _, _), stored in zip(terms, memory.reshape(2, n_axis), strict=True)]
+        memories = [b1 * error - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
+        output = added_out - control.proportional * error - parts[0] - parts[1]
+        line = np.concatenate([waiting, output])
+        moved = [step @ motion + hold @ line[:n_axis] + force @ forces for step, hold, force in plant]
+        fine = [part for at in moved[:-1] for part in (of.at_sensors @ at[:n_q], at[2 * n_q :])]
+        return np.concatenate([moved[-1], *memories, line[n_axis:]]), np.concatenate([output, *fine])
+
+    n_state = n_plant + 2 * n_axis + control.delay * n_axis
+    return LevitatedLoop(*step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis)
+
+
+def _integrator(gain: float, interval: float) -> tuple[float, float, float]:
+    """(b0, b1, a1) of gain / s by the bilinear transform."""
+    return gain * interval / 2, gain * interval / 2, -1.0
+
+
+def _sampled_plant(rig: LevitatedRig, of: Mechanics, share: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, q' and currents after a *share* of the controller's interval: step, held outputs, generalised forces at its ends (straight)."""
+    n_q, n_axis = of.mass.shape[0], len(rig.labels)
+    n = 2 * n_q + n_axis
+    corner = 2 * np.pi * rig.amplifier_bandwidth
+    inverse = np.linalg.inv(of.mass)
+    stiffness = of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
+    slope, outputs, forces = np.zeros((n, n)), np.zeros((n, n_axis)), np.zeros((n, n_q))
+    slope[:n_q, n_q : 2 * n_q] = np.eye(n_q)
+    slope[n_q : 2 * n_q] = inverse @ np.hstack([-stiffness, -of.damping, rig.force_per_current * of.at_bearings.T])
+    slope[2 * n_q :, 2 * n_q :] = -corner * np.eye(n_axis)
+    outputs[2 * n_q :] = corner * np.eye(n_axis)
+    forces[n_q : 2 * n_q] = inverse
+    interval = 1 / rig.control.rate
+    step, hold, _ = integrals(slope, outputs, share * interval)
+    _, constant, rising = integrals(slope, forces, share * interval)
+    return step, hold, np.hstack([constant - rising / interval, rising / interval])

@@ -1,0 +1,222 @@
+"""A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with injection in the loop.
+
+Recorded are the currents, the readings of the sensors and what is injected. The force k_i i that moves the rotor is fed back from its
+displacement, so an FRF from current to displacement is that of the rotor only by way of the injection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import FloatArray
+from labpipe.methods.magnetic_bearing.levitated_loop import (
+    AXES,
+    BETWEEN,
+    MULTISINE,
+    RANDOM,
+    REST,
+    SHAKER,
+    LevitatedRig,
+    bearing_stiffness,
+    levitated_loop,
+    mechanics,
+)
+from labpipe.methods.magnetic_bearing.sampled_loop import straight
+from labpipe.raw_files.excitation import design_multisine
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.simulate.linear import TACHO, pulses
+from labpipe.simulate.virtual_rigs import Truth, kind_of_recordings, whole_numbers
+
+# Left out before a recording; that much of it, and as much after the recording, is for the logger's filter [s].
+SETTLING, MARGIN = 2.0, 0.05
+# Currents are small: stored in whole uA.
+FINE_CURRENT = ("uA", 1e6)
+
+
+def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
+    """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft that turns."""
+    n_sample, n_axis = _n_sample(rig, name), len(rig.labels)
+    length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
+    angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
+    added, push = _injected(rig, name, length, rng), _pushed(rig, name, length + 1, rng)
+    seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(rig, angle[:-1])
+    signals = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
+    fine = _logged(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
+    coarse: list[FloatArray] = [seen]
+    if rig.output_recorded:
+        coarse.append(signals.output)
+    if name != REST:
+        coarse.append(push[:-1] if name == SHAKER else added)
+    plain = _logged(rig, np.hstack(coarse), 1, n_sample)
+    samples = np.hstack([fine, plain[:, n_axis:]])
+    samples[:, n_axis : 2 * n_axis] += plain[:, :n_axis]
+    channels = _channels(rig, name)
+    samples = samples + rng.standard_normal(samples.shape) * [_measuring_noise(rig, channel) for channel in channels]
+    if rig.force_recorded:
+        samples[:, :n_axis] *= rig.force_per_current
+    if rig.speed > 0:
+        channels.append(TACHO)
+        samples = np.column_stack([samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])])
+    return Recording(tuple(channels), samples, rig.sample_rate, name)
+
+
+def _n_sample(rig: LevitatedRig, name: str) -> int:
+    period = round(rig.sample_rate / rig.injection.spacing)
+    return rig.injection.periods * period if name.startswith(MULTISINE) else round(rig.injection.duration * rig.sample_rate)
+
+
+def _inputs(
+    rig: LevitatedRig, angle: FloatArray, push: FloatArray, seen: FloatArray, added: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """What drives the loop (n_sample, n_input) [N, m, m, A]; noise that is stated for the recording has its density at the loop's rate."""
+    of, loudness = mechanics(rig), np.sqrt(rig.decimation)
+    directions = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(AXES[rig.axes])]
+    whirling = rig.unbalance * (2 * np.pi * rig.speed) ** 2 * directions
+    disturbing = rng.normal(0.0, loudness * rig.noise.disturbance, push.shape)
+    forces = (push + disturbing) @ of.at_bearings + whirling @ of.at_unbalance
+    nothing = np.zeros_like(added)
+    at_input, at_output = (added, nothing) if rig.injection.place == "input" else (nothing, added)
+    return np.hstack([forces[:-1], forces[1:], seen, at_input, at_output])
+
+
+def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
+    """What is added in the loop (length, n_axis) [A or m]: on the axis that the run is named after, or on all."""
+    n_axis, injection = len(rig.labels), rig.injection
+    added = np.zeros((length, n_axis))
+    level = injection.rms * (injection.per_ampere if injection.place == "input" else 1.0)
+    kind, _, label = name.partition("-")
+    if kind == MULTISINE:
+        period = design_multisine(injection.band, injection.spacing, level).samples(rig.control.rate, 1)
+        added[:, rig.labels.index(label)] = np.resize(period, length)
+    elif kind == RANDOM:
+        axes = [rig.labels.index(label)] if label else list(range(n_axis))
+        added[:, axes] = _random(rig, level, (length, len(axes)), rng, straight_lines=False)
+    return added
+
+
+def _pushed(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
+    """Forces of shakers at the bearings (length, n_axis) [N]."""
+    shape = (length, len(rig.labels))
+    return _random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)
+
+
+def _random(rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool) -> FloatArray:
+    """White in the injection's band, of this *rms*; with *straight_lines*, what is straight between its samples has this spectrum."""
+    frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
+    inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
+    spectrum = np.zeros((frequency.size, shape[1]), np.complex128)
+    draws = rng.standard_normal((int(np.sum(inside)), shape[1], 2)) @ np.array([1.0, 1j])
+    spectrum[inside] = draws * rms * shape[0] / np.sqrt(4 * draws.shape[0])
+    if straight_lines:
+        spectrum /= straight(2 * np.pi * frequency, rig.control.rate)[:, None]
+    return np.asarray(fft.irfft(spectrum, shape[0], axis=0))
+
+
+def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
+    """What sensors see of the turning surface (n_sample, n_axis) [m]; the sensor in y sees it a quarter of a turn later."""
+    quarters = np.resize(np.array([0.0, np.pi / 2])[: len(AXES[rig.axes])], len(rig.labels))
+    seen = np.zeros((angle.size, quarters.size))
+    for order, amplitude in enumerate(rig.runout, 1):
+        seen += amplitude * np.cos(order * (angle[:, None] - quarters))
+    return seen
+
+
+def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
+    """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by one filter without delay."""
+    # Loading scipy.signal takes longer than most runs.
+    from scipy import signal
+
+    before = round(MARGIN * rig.sample_rate)
+    steps = rig.decimation * per_step
+    steady = signals[round(SETTLING * rig.control.rate) * per_step - before * steps :]
+    filtered = steady if steps == 1 else signal.resample_poly(steady, 1, steps, axis=0)
+    return np.array(filtered[before : before + n_sample])
+
+
+def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
+    """Currents are what drives the rotor unless a shaker does; readings, injections."""
+    quantity, letter = ("force", "f") if rig.force_recorded else ("current", "i")
+    added = "current" if rig.injection.place == "output" else "displacement"
+    kinds = [(f"{letter}_", quantity, "reference" if name == SHAKER else "input"), ("", "displacement", "output")]
+    if rig.output_recorded:
+        kinds.append(("u_", "current", "reference"))
+    if name == SHAKER:
+        kinds.append(("s_", "force", "input"))
+    elif name != REST:
+        kinds.append(("r_", added, "reference"))
+    return [
+        Channel(f"{prefix}{label}", what, role, label, AXIS_ANGLES.get(label[-1])) for prefix, what, role in kinds for label in rig.labels
+    ]
+
+
+def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
+    """Standard deviation of what the logger adds to a channel [A, N, A or m]; the sensors' noise is in the loop already."""
+    if channel.name.startswith("r_"):
+        return rig.noise.reference
+    if channel.name.startswith("s_"):
+        return rig.noise.force
+    if channel.name.startswith("u_"):
+        return 0.0
+    return rig.noise.current if channel.role != "output" else 0.0
+
+
+def truth(rig: LevitatedRig) -> dict[str, Any]:
+    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the closed loop [SI, 1/s]."""
+    of = mechanics(rig)
+    poles = levitated_loop(rig).poles
+    slowest = poles[np.argsort(-poles.real)]
+    matrices = {
+        "mass_matrix": of.mass,
+        "damping_matrix": of.damping,
+        "rotor_stiffness": of.stiffness,
+        "at_bearings": of.at_bearings,
+        "at_sensors": of.at_sensors,
+        "bearing_stiffness": bearing_stiffness(rig),
+    }
+    return {
+        "mass": rig.mass,
+        "k_i": rig.force_per_current,
+        "k_s": -rig.negative_stiffness,
+        "negative_stiffness": rig.negative_stiffness,
+        "axes": list(rig.labels),
+        **{name: matrix.tolist() for name, matrix in matrices.items()},
+        "poles": [[float(pole.real), float(pole.imag)] for pole in slowest if pole.imag >= 0],
+    }
+
+
+def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
+    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ... of two axes of one bearing."""
+    values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
+    if rig.rotor is not None:
+        return values
+    values |= {"k": -rig.negative_stiffness, "c": rig.damping}
+    for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
+        term = f"{rig.labels[row]}_{rig.labels[column]}"
+        values |= {f"k_{term}": float(stiffness), f"c_{term}": rig.damping if row == column else 0.0}
+    return values
+
+
+def _magnets(rig: LevitatedRig) -> dict[str, float]:
+    """k_i_xx, k_s_xx, c_xx and so on of two axes, k_i_ax_ax of two bearings, as a magnet's fit names them."""
+    magnets: dict[str, float] = {}
+    glue = "" if rig.rotor is None else "_"
+    for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
+        term, direct = f"{rig.labels[row]}{glue}{rig.labels[column]}", float(row == column)
+        magnets |= {f"k_i_{term}": direct * rig.force_per_current, f"k_s_{term}": float(stiffness), f"c_{term}": direct * rig.damping}
+    return magnets
+
+
+LEVITATED_RIG = kind_of_recordings(
+    LevitatedRig,
+    runs=lambda rig: rig.runs,
+    usual=lambda rig: rig.usual,
+    record=_run,
+    logged=lambda run: whole_numbers(run, {"current": FINE_CURRENT}),
+    truth=truth,
+    parameters=_parameters,
+)

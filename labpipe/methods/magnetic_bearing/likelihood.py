@@ -1,0 +1,288 @@
+"""The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of given numbers do.
+
+Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the channels free of noise.
+
+With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines and runs of
+(B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient is that of L^-1 dB/dp z^ with z^ the
+channels without the noise that the residual tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import minimise
+from labpipe.estimation.regression import triangle_of
+from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information
+from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
+from labpipe.records.fit_details import GivenDoubt
+from labpipe.records.uncertain import Doubt
+
+# Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
+# channels free of noise.
+
+REWEIGHTED = 4
+
+
+@dataclass(frozen=True)
+class Residual:
+    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^ (n_line, n_run, n_channel)."""
+
+    plain: ComplexArray
+    lower: ComplexArray
+    white: ComplexArray
+    smoothed: ComplexArray
+
+    def whiten(self, errors: ComplexArray) -> ComplexArray:
+        """L^-1 of errors (..., n_line, n_run, n) [N]."""
+        return np.asarray(np.linalg.solve(self.lower, errors[..., None])[..., 0])
+
+
+class MagnetLikelihood:
+    """V of a magnet's model as a sum of squares."""
+
+    def __init__(self, rotor: Levitation, model: MagnetModel) -> None:
+        self.rotor, self.model = rotor, model
+        self._at: tuple[bytes, Residual] | None = None
+
+    @property
+    def size(self) -> float:
+        """Norm of the currents over their noise [1]: what rounding is relative to."""
+        axes, n = self.rotor.axes, self.rotor.n_axis
+        to_currents = self.rotor.to_axes[:n]
+        noise = np.einsum("ac,lrcd,ad->lra", to_currents, self.rotor.covariance, to_currents).real
+        power = np.abs(axes[..., :n]) ** 2
+        return float(np.sqrt(np.sum(np.divide(power, noise, out=np.zeros_like(power), where=noise > 0))))
+
+    def at(self, values: FloatArray) -> Residual:
+        """The whitened residual at *values* (n_parameter,) [parameter units]."""
+        key = values.tobytes()
+        if self._at is None or self._at[0] != key:
+            self._at = key, residual(self.rotor, self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
+        return self._at[1]
+
+    def residual(self, parameters: FloatArray) -> FloatArray:
+        """L^-1 e as real numbers (n_equation,) [1] at *parameters* (n_parameter,) [parameter units]."""
+        return real_rows(self.at(parameters).white.reshape(1, -1))[0]
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """L^-1 dB/dp z^ as real columns (n_equation, n_parameter) [1/parameter unit]."""
+        state = self.at(parameters)
+        slopes = self.model.slopes(parameters, self.rotor.omega) @ self.rotor.to_axes
+        changes = np.einsum("plac,lrc->plra", slopes, state.smoothed)
+        return real_rows(state.whiten(changes).reshape(len(slopes), -1)).T
+
+    def chi2(self, parameters: FloatArray) -> float:
+        """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is no number."""
+        try:
+            white = self.at(parameters).white
+        except np.linalg.LinAlgError:
+            return float("inf")
+        total = float(np.sum(np.abs(white) ** 2))
+        return total if np.isfinite(total) else float("inf")
+
+
+def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
+    """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its covariance is singular.
+
+    Equation (mag-likelihood).
+    """
+    b = rows[:, None]
+    e = (b @ rotor.channels[..., None])[..., 0]
+    of_channels = rotor.covariance @ b.conj().swapaxes(-1, -2)
+    lower = np.linalg.cholesky(b @ of_channels)
+    white = np.linalg.solve(lower, e[..., None])
+    weighted = np.linalg.solve(lower.conj().swapaxes(-1, -2), white)
+    smoothed = rotor.channels - (of_channels @ weighted)[..., 0]
+    return Residual(e, lower, white[..., 0], smoothed)
+
+
+def start(problem: MagnetLikelihood) -> FloatArray:
+    """Values (n_parameter,) [parameter units] to begin with: weighted least squares, repeated with the weights that it gives.
+
+    The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with k_i = 0, since the noise of
+    w^2 x grows with frequency. The best of all repeats counts.
+    """
+    rotor, model = problem.rotor, problem.model
+    smooth = MagnetModel(model.names, model.places, model.mass)
+    none = np.zeros(len(model.names))
+    slopes = smooth.slopes(none, rotor.omega) @ rotor.to_axes
+    columns = np.einsum("plac,lrc->plra", slopes, rotor.channels)
+    values, starts = none, []
+    for _ in range(REWEIGHTED):
+        state = residual(rotor, smooth.rows(values, rotor.omega) @ rotor.to_axes)
+        free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
+        design = real_rows(state.whiten(columns).reshape(len(none), -1)).T
+        side = real_rows(state.whiten(free[..., 0]).reshape(1, -1))[0]
+        scale = np.linalg.norm(design, axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        values = -np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale
+        starts.append(values)
+    return min(starts, key=problem.chi2)
+
+
+def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
+    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free of noise."""
+    smooth = MagnetModel(model.names, model.places, model.mass)
+    none = np.zeros(len(model.names))
+    columns = np.einsum("plac,lrc->plra", smooth.slopes(none, rotor.omega) @ rotor.to_axes, rotor.channels)
+    free = (smooth.rows(none, rotor.omega) @ rotor.to_axes)[:, None] @ rotor.channels[..., None]
+    design, side = real_rows(columns.reshape(len(none), -1)).T, real_rows(free[..., 0].reshape(1, -1))[0]
+    scale = np.linalg.norm(design, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    return np.asarray(-np.linalg.lstsq(design / scale, side, rcond=None)[0] / scale)
+
+
+def real_rows(rows: ComplexArray) -> FloatArray:
+    """Complex rows (n, m) [any unit] as real parts, then imaginary parts, (n, 2 m)."""
+    return np.concatenate([rows.real, rows.imag], axis=1)
+
+
+# The most likely K_i and K_s, what noise leaves of them, and what the doubts of given numbers do to them.
+
+NEAR, MOST_STEPS = 1e-4, 60
+# Relative noise below which a covariance is rounding.
+NOISE_FREE = 1e-20
+
+
+@dataclass(frozen=True)
+class MagnetEstimate:
+    """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for an estimated covariance.
+
+    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; doubts: what given numbers do.
+    """
+
+    model: MagnetModel
+    values: FloatArray
+    covariance: FloatArray
+    squares: float
+    dof: int
+    p_value: float
+    converged: bool
+    steps: int
+    design: FloatArray
+    doubts: tuple[GivenDoubt, ...] = ()
+    amplification: FloatArray | None = None
+
+    @property
+    def reduced(self) -> float:
+        """Chi-square per degree of freedom, 1 if the model is right."""
+        return self.squares / self.dof
+
+
+def noise_of(rotor: Levitation) -> Noise:
+    """How far the covariance of the channels is known, for as many equations as there are axes."""
+    return Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
+
+
+def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Doubt, FloatArray]] = ()) -> MagnetEstimate:
+    """The most likely parameters; *given*: doubts of the mass matrix with its change (n, n) [kg] by one standard deviation.
+
+    FitError for too few lines, a covariance from too few periods, channels without noise.
+    """
+    noise, n = noise_of(rotor), len(model.names)
+    n_equation = 2 * rotor.omega.size * rotor.channels.shape[1] * rotor.n_axis
+    if n_equation <= n:
+        raise FitError(f"{n_equation} real equations cannot determine {n} parameters", hint="widen the band, or `coupling: direct`")
+    _check_noise(rotor, noise)
+    problem = MagnetLikelihood(rotor, model)
+    try:
+        best = minimise(problem, start(problem), NEAR, MOST_STEPS)
+    except np.linalg.LinAlgError:
+        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise") from None
+    jacobian = problem.jacobian(best.values)
+    dof = n_equation - n
+    squares = 2 * problem.chi2(best.values) / noise.excess
+    doubts = _doubts(problem, best.values, jacobian, given)
+    squares -= _explained(problem, best.values, jacobian, doubts, given, noise.excess) if doubts else 0.0
+    information = inverse_information(jacobian)
+    return MagnetEstimate(
+        model=model,
+        values=best.values,
+        covariance=noise.inflation * information,
+        squares=squares,
+        dof=dof,
+        p_value=noise.p_value(squares, dof),
+        converged=best.converged,
+        steps=best.steps,
+        design=triangle_of(jacobian),
+        doubts=doubts,
+        amplification=problem.size * np.sqrt(2 * np.diag(information)),
+    )
+
+
+def _check_noise(rotor: Levitation, noise: Noise) -> None:
+    variance = np.einsum("lrcc->lrc", rotor.covariance).real
+    if np.sum(variance) <= NOISE_FREE * np.sum(np.abs(rotor.channels) ** 2):
+        raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint="measure several periods or blocks")
+    if noise.dof <= noise.least_dof:
+        raise FitError(
+            f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
+            hint="average more periods or blocks, or let neighbouring lines share their noise",
+        )
+
+
+def errors_by_given(
+    problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Doubt, FloatArray]]
+) -> list[tuple[Doubt, ComplexArray]]:
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each source once.
+
+    The mass, and numbers of the rig that stand in sums of channels or calibrate them.
+    """
+    rotor, model = problem.rotor, problem.model
+    smoothed = problem.at(values).smoothed
+    axes = smoothed @ rotor.to_axes.T
+    rows = model.rows(values, rotor.omega)
+    errors = []
+    for doubt, change in given:
+        changed = model.rows(values, rotor.omega, model.mass + change) - rows
+        errors.append((doubt, (changed[:, None] @ axes[..., None])[..., 0]))
+    to_balance, w = (rows @ rotor.to_axes)[:, None], rotor.omega[:, None, None]
+    for factor in rotor.spectra.factors:
+        error = w**factor.power * (to_balance @ (smoothed @ factor.derivative.T)[..., None])[..., 0]
+        if factor.std_error > 0 and np.any(error):
+            errors.append((Doubt(factor.source, factor.std_error, factor.unit), factor.std_error * error))
+    sources: dict[str, tuple[Doubt, ComplexArray]] = {}
+    for doubt, error in errors:
+        source = sources.get(doubt.source)
+        sources[doubt.source] = (doubt, error) if source is None else (source[0], source[1] + error)
+    return list(sources.values())
+
+
+def _doubts(
+    problem: MagnetLikelihood, values: FloatArray, jacobian: FloatArray, given: Sequence[tuple[Doubt, FloatArray]]
+) -> tuple[GivenDoubt, ...]:
+    """dp = -J^+ L^-1 de of every source."""
+    state = problem.at(values)
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    gain = -np.linalg.pinv(jacobian / scale) / scale[:, None]
+    doubts = []
+    for doubt, error in errors_by_given(problem, values, given):
+        changes = real_rows(state.whiten(error).reshape(1, -1)) @ gain.T
+        doubts.append(GivenDoubt(doubt.source, changes, std_error=doubt.std_error, unit=doubt.unit))
+    return tuple(doubts)
+
+
+def _explained(
+    problem: MagnetLikelihood,
+    values: FloatArray,
+    jacobian: FloatArray,
+    doubts: Sequence[GivenDoubt],
+    given: Sequence[tuple[Doubt, FloatArray]],
+    excess: float,
+) -> float:
+    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one."""
+    state = problem.at(values)
+    white = np.stack([state.whiten(error).reshape(-1) for _, error in errors_by_given(problem, values, given)])
+    changes = real_rows(white)
+    # What the parameters can follow is theirs already.
+    changes = changes + np.concatenate([doubt.changes for doubt in doubts]) @ jacobian.T
+    along = 2 * changes @ problem.residual(values) / excess
+    stiff = np.eye(len(changes)) + 2 * changes @ changes.T / excess
+    return float(excess * along @ np.linalg.solve(stiff, along))

@@ -1,0 +1,273 @@
+"""The position control of a magnetic bearing: stiffness and damping over frequency, and margins of its loop.
+
+Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
+
+A loop around an unstable plant has two gain margins: it becomes unstable by too much gain and by too little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
+from labpipe.records.settings import Settings, setting
+
+# Position control of a magnetic bearing: stiffness and damping of its loop over frequency, and each
+# element's share.
+
+# Entries of the PID, which a controller of blocks takes the place of.
+PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlLoop(Settings):
+    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
+
+    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag reduces damping below
+    21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; with -0.25 a static load is
+    released as in zero-power levitation: stiffness rises from its static value and damping is positive.
+    Delay: one sampling interval of 20 kHz for computation, half of one for the hold. Bandwidth and sign are a choice of this project.
+    A *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
+    """
+
+    proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
+    derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
+    derivative_time: float = setting("value", "time constant T_d of the differentiator", unit="s", default=1e-4)
+    lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
+    lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
+    sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
+    amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
+    force_per_current: float = setting("value", "force-current factor of one bearing", unit="N/A", default=5.8)
+    bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
+    delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
+    sensor_bandwidth: float | None = setting("value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None)
+    controller: tuple[ControllerBlock, ...] = setting(
+        "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
+    )
+    cross: CrossControl | None = setting("section", "the other elements of a controller matrix", section=CrossControl, default=None)
+
+    def __post_init__(self) -> None:
+        for name in ("derivative_time", "lag_time", "delay"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name}: must not be negative, not {getattr(self, name):g} s")
+        for name in ("bandwidth", "sensor_bandwidth"):
+            if getattr(self, name) is not None and not getattr(self, name) > 0:
+                raise ConfigError(f"{name}: must be above zero, not {getattr(self, name):g} Hz")
+        self._check_blocks()
+
+    def _check_blocks(self) -> None:
+        """ConfigError for gains of the PID beside blocks, a matrix without its first element, and blocks at two rates."""
+        if self.controller:
+            for name in PID:
+                if getattr(self, name) != self.__dataclass_fields__[name].default:
+                    hint = "leave it out, or put {form: pid, ...} among the blocks"
+                    raise ConfigError(f"{name}: belongs to the PID, and there is a controller of blocks", hint=hint, field=name)
+        elif self.cross is not None:
+            raise ConfigError("cross: needs the element x by x as controller", hint="controller: [{form: ...}]", field="cross")
+        _ = self.rate
+
+    def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
+        """The blocks of an element of the controller matrix; none for the PID, and for a coupling that is zero."""
+        if self.cross is None or (output, input) == ("x", "x"):
+            return self.controller if output == input else ()
+        return getattr(self.cross, output + input) or (self.controller if output == input else ())
+
+    @property
+    def rate(self) -> float | None:
+        """Sampling rate [Hz] of discrete blocks, None without one."""
+        others = () if self.cross is None else (*self.cross.xy, *self.cross.yx, *self.cross.yy)
+        return rate_of((*self.controller, *others))
+
+    @property
+    def at_rest(self) -> float:
+        """G(0) [1] of x by x, k_p + k_i of the PID; infinite for an integrator."""
+        if not self.controller:
+            return self.proportional + self.lag
+        continuous, discrete = in_series(self.controller)
+        return continuous.at_rest * discrete.at_rest
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Time constants of the amplifier's and, where it is limited, the probe's first-order lag [s]."""
+        limits = (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
+        return tuple(1 / (2 * np.pi * limit) for limit in limits)
+
+
+def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
+    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]; a controller of blocks is one term."""
+    if loop.controller:
+        return {"controller": _in_series(loop.controller, omega)}
+    s: ComplexArray = 1j * omega
+    return {
+        "proportional": np.full(omega.shape, loop.proportional, np.complex128),
+        "derivative": loop.derivative * s / (1 + s * loop.derivative_time),
+        "lag": loop.lag / (1 + s * loop.lag_time),
+    }
+
+
+def _in_series(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> ComplexArray:
+    continuous, discrete = in_series(blocks)
+    return continuous.response(omega) * discrete.response(omega)
+
+
+def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
+    """Factors of the loop besides the PID, by name: delay, amplifier and probe, each (n_line,) [1]."""
+    s: ComplexArray = 1j * omega
+    factors = {"delay": np.exp(-s * loop.delay)}
+    for name, corner in zip(("amplifier", "sensor"), loop.corners, strict=False):
+        factors[name] = 1 / (1 + s * corner)
+    return factors
+
+
+def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation (mag-controller)."""
+    total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+    for factor in chain_factors(loop, omega).values():
+        total = total * factor
+    return total
+
+
+def controller_matrix(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
+    """G(jw) of both directions with its cross-coupled elements, [output, input], (n_line, 2, 2) [1]."""
+    direct = controller(loop, omega)
+    matrix = np.zeros((direct.size, 2, 2), np.complex128)
+    matrix[:, 0, 0] = matrix[:, 1, 1] = direct
+    if loop.cross is not None:
+        chain = np.prod(list(chain_factors(loop, omega).values()), axis=0)
+        for row, column in ((0, 1), (1, 0), (1, 1)):
+            blocks = loop.blocks("xy"[row], "xy"[column])
+            matrix[:, row, column] = chain * _in_series(blocks, omega) if blocks else 0.0
+    return matrix
+
+
+def loop_stiffness(loop: ControlLoop) -> float:
+    """Force per displacement at unit controller gain, K = probe * amplifier * force-current factor [N/m]."""
+    return loop.sensor * loop.amplifier * loop.force_per_current
+
+
+def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError for an integrator.
+
+    Equation (mag-static).
+    """
+    if not np.isfinite(loop.at_rest):
+        hint = "give negative_stiffness"
+        raise ConfigError("static_stiffness: the controller integrates, so the loop is rigid at rest", hint=hint, field="static_stiffness")
+    return loop_stiffness(loop) * loop.at_rest - static
+
+
+def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
+    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
+    return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
+
+
+def stiffness_matrix(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
+    """K G(jw) - k_n I of both directions at *omega* [rad/s], (n_line, 2, 2) [N/m]."""
+    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(loop, omega) - negative_stiffness * np.eye(2)
+    return matrix
+
+
+def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> dict[str, ComplexArray]:
+    """Contribution of each element to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
+
+    The terms of the PID with an ideal chain; then the change by each element of the chain, in the order delay, amplifier, probe; the
+    negative stiffness of the bias field, -k_n. Equation (mag-shares).
+    """
+    shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
+    total: ComplexArray = np.sum(list(shares.values()), axis=0)
+    for name, factor in chain_factors(loop, omega).items():
+        shares[name] = total * (factor - 1)
+        total = total * factor
+    shares["bias_field"] = np.full(omega.shape, -negative_stiffness, np.complex128)
+    return shares
+
+
+# Margins of a loop transfer function: gain, phase, delay and disk, and the peak of the sensitivity.
+
+# Lines of the search, and its lowest frequency over the highest.
+LINES, LOWEST = 1201, 1e-6
+LoopTransfer = Callable[[FloatArray], ComplexArray]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Factors of the gain (1) down to and up to the border of stability, phase [rad], delay [s], disk [1], peak of |S| [1], its place [Hz].
+
+    gain_lower 0 and gain_upper, phase, delay infinite where the loop never gets there. disk: the balanced (symmetric) disk margin
+    1 / max|S - 1/2|: gain and phase may change together within it (Seiler, Packard and Gahinet 2020, IEEE Control Systems 40:78).
+    """
+
+    gain_lower: float
+    gain_upper: float
+    phase: float
+    delay: float
+    disk: float
+    peak: float
+    peak_frequency: float
+
+
+def margins(loop: LoopTransfer, highest: float) -> Margins:
+    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to *highest* [Hz].
+
+    Equation (mag-margins).
+    """
+    omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
+    values = loop(omega)
+    finite = np.isfinite(values)
+    omega, values = omega[finite], values[finite]
+    gains = _gains(loop, omega, values)
+    turns, delays = _phases(loop, omega, values)
+    sensitivity = 1 / (1 + values)
+    peak, at = _largest(lambda w: np.abs(1 / (1 + loop(w))), omega, np.abs(sensitivity))
+    widest, _ = _largest(lambda w: np.abs(1 / (1 + loop(w)) - 0.5), omega, np.abs(sensitivity - 0.5))
+    return Margins(
+        gain_lower=max((gain for gain in gains if gain < 1), default=0.0),
+        gain_upper=min((gain for gain in gains if gain > 1), default=float("inf")),
+        phase=min(turns, default=float("inf")),
+        delay=min(delays, default=float("inf")),
+        disk=1 / widest,
+        peak=peak,
+        peak_frequency=at / (2 * np.pi),
+    )
+
+
+def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
+    """Factors that bring L onto -1, where it crosses the negative real axis; at rest it lies on the real axis."""
+    gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
+    for place in _roots(lambda w: loop(w).imag, omega, values.imag):
+        at = loop(np.array([place]))[0].real
+        if at < 0:
+            gains.append(-1 / at)
+    return [float(gain) for gain in gains]
+
+
+def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:
+    """Distance of the phase from -180 deg to either side [rad], and the delay that takes it there [s], where |L| is 1."""
+    turns, delays = [], []
+    for place in _roots(lambda w: np.log(np.abs(loop(w))), omega, np.log(np.abs(values))):
+        angle = float(np.angle(-loop(np.array([place]))[0]))
+        turns.append(abs(angle))
+        delays.append(angle % (2 * np.pi) / place)
+    return turns, delays
+
+
+def _roots(function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray) -> list[float]:
+    """Places where a function of frequency changes its sign, between lines and none at rest."""
+    places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
+    return [float(optimize.brentq(lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12)) for n in places]
+
+
+def _largest(function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """The largest value and its place [rad/s], between the lines."""
+    top = int(np.argmax(values))
+    if top in (0, omega.size - 1):
+        return float(values[top]), float(omega[top])
+    ends, accuracy = (omega[top - 1], omega[top + 1]), {"xatol": 1e-9 * omega[top]}
+    maximum = optimize.minimize_scalar(lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy)
+    return float(-maximum.fun), float(maximum.x)

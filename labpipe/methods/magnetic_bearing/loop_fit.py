@@ -1,0 +1,444 @@
+"""Fit of a control loop's unknowns to measured responses, its end at an edge, and goodness of fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.descent import Minimum, linearised, minimise
+from labpipe.estimation.diagnostics import COLLINEAR_CONDITION
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.statistics import correlation, explained, steps_by, student_limit
+from labpipe.estimation.weights import has_noise, weight_doubt
+from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.uncertain import Budget, Doubt
+from labpipe.uncertainty.amounts import chance, with_budget, with_error
+
+# The end of a loop's fit at the edge of what a bearing can have: an unknown that fits best at zero.
+
+# An unknown less than this share of its start value above zero stands at the edge where no bearing can have one below.
+NEAR = 1e-2
+# The share of its start value that makes an unknown zero.
+ZERO = -1.0
+
+
+@dataclass(frozen=True)
+class HeldProblem:
+    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,) [1]."""
+
+    problem: LoopProblem
+    u: FloatArray
+    free: BoolArray
+
+    @property
+    def size(self) -> float:
+        return self.problem.size
+
+    def whole(self, values: FloatArray) -> FloatArray:
+        """All parameters (n_parameter,) [1] from the free ones."""
+        u = self.u.copy()
+        u[self.free] = values
+        return u
+
+    def residual(self, values: FloatArray) -> FloatArray:
+        """(n_equation,) [1] at the free parameters [1]."""
+        return self.problem.residual(self.whole(values))
+
+    def jacobian(self, values: FloatArray) -> FloatArray:
+        """(n_equation, n_free) [1] of the free parameters."""
+        return self.problem.jacobian(self.whole(values))[:, self.free]
+
+    def chi2(self, values: FloatArray) -> float:
+        """Sum of squares [1] at the free parameters (n_free,) [1]; infinite for values that no bearing can have."""
+        return self.problem.chi2(self.whole(values))
+
+
+def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
+    """(n_parameter,): the unknowns that would go below zero if a bearing could have that; u (n_parameter,) [1]."""
+    gradient = problem.jacobian(u).T @ problem.residual(u)
+    at_zero = np.zeros(u.size, dtype=bool)
+    for number in range(len(problem.unknowns)):
+        falling = u[number] < ZERO + NEAR and gradient[number] > 0
+        below = u.copy()
+        below[number] = ZERO - NEAR
+        at_zero[number] = falling and problem.residual_within(below) is None
+    return at_zero
+
+
+def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
+    """The minimum with the unknowns at zero that a descent stopped at; *minimum* as it is where it stopped for another reason."""
+    if minimum.converged:
+        return minimum
+    at_zero = at_edge(problem, minimum.values)
+    if not at_zero.any():
+        return minimum
+    start = np.where(at_zero, ZERO, minimum.values)
+    if problem.residual_within(start) is None:
+        return minimum
+    along = HeldProblem(problem, start, ~at_zero)
+    end = Minimum(start[~at_zero], True, 0) if at_zero.all() else minimise(along, start[~at_zero])
+    values = along.whole(end.values)
+    # Left to itself an unknown that is held must still want to go below zero.
+    stays = bool(np.all(at_edge(problem, values)[at_zero]))
+    return Minimum(values, end.converged and stays, minimum.steps + end.steps)
+
+
+# The end of a loop's fit: what noise and systematic sources leave of its parameters, to first order and
+# where that bends.
+
+# Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
+UNDETERMINED = 1e6
+# Second order is looked for so many combined standard errors away.
+REACH = 2.0
+# An end of an interval is known to this share of a combined standard error, in so many steps, each halved so often to stay possible.
+# It is approached in stages, so that none is far.
+CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
+
+
+@dataclass(frozen=True)
+class LoopMinimum:
+    """The problem at the end *u* (n_parameter,) [1] of its descent.
+
+    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1] of J^T J; sources and
+    their changes (n_source, n_equation) [1] of the residual.
+    """
+
+    problem: LoopProblem
+    u: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    inverse: FloatArray
+    sources: tuple[Doubt, ...]
+    changes: FloatArray
+
+    @classmethod
+    def of(cls, problem: LoopProblem, u: FloatArray) -> LoopMinimum:
+        """The problem at u (n_parameter,) [1]."""
+        jacobian = problem.jacobian(u)
+        length = np.linalg.norm(jacobian, axis=0)
+        length[length == 0] = 1.0
+        _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
+        # What the responses do not tell has no step.
+        determined = singular > singular.max(initial=0.0) / UNDETERMINED
+        inverse = (turn[determined].T / singular[determined] ** 2) @ turn[determined] / np.outer(length, length)
+        return cls(problem, u, problem.residual(u), jacobian, inverse, *problem.changes(u))
+
+    def chi2(self, excess: float) -> float:
+        """Chi-square for weights that are too large by *excess*, without what systematic errors explain of it."""
+        scale = np.sqrt(excess)
+        # At the edge of what a bearing can have, the residual still has a part that the unknowns would take away.
+        across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
+        by_doubts = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
+        return float(self.residual @ self.residual) / excess - by_doubts
+
+    @property
+    def steps(self) -> FloatArray:
+        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source, those of the support the last."""
+        n = len(self.problem.unknowns)
+        return np.vstack([steps_by(self.changes, self.jacobian, self.inverse), self.inverse[n:]])
+
+    def random(self, inflation: float) -> FloatArray:
+        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the support's doubt adds."""
+        of_support = self.inverse[:, len(self.problem.unknowns) :]
+        return np.asarray(inflation * (self.inverse - of_support @ of_support.T))
+
+    def combined(self, inflation: float) -> FloatArray:
+        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by all sources."""
+        steps = self.steps
+        return self.random(inflation) + steps.T @ steps
+
+    def end(self, column: int, distance: float, inflation: float) -> float | None:
+        """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance* combined standard errors away.
+
+        None where none is found. The step of Gauss-Newton from the truth to its estimate is normal whatever the course of the response
+        between the two. Equation (comp-end).
+        """
+        here: LoopMinimum = self
+        for stage in range(1, STAGES + 1):
+            here, ended = here.at_distance(column, distance * stage / STAGES, inflation)
+        aside = (here.u[column] - self.u[column]) * distance < 0
+        return None if aside or not ended else float(here.u[column])
+
+    def at_distance(self, column: int, distance: float, inflation: float) -> tuple[LoopMinimum, bool]:
+        """The problem where the step to its estimate is *distance* combined standard errors of a parameter long, begun from here.
+
+        At the edge of what a bearing can have, the problem there. False where the search did not end.
+        """
+        here: LoopMinimum = self
+        for _ in range(MOST_STEPS):
+            covariance = here.combined(inflation)
+            error = float(np.sqrt(covariance[column, column]))
+            move = steps_by(here.residual[None], here.jacobian, here.inverse)[0] + distance * covariance[:, column] / error
+            there = here.moved(move)
+            if there is None or abs(there.u[column] - here.u[column]) < CLOSE * error:
+                return here, True
+            here = there
+        return here, False
+
+    def moved(self, move: FloatArray) -> LoopMinimum | None:
+        """The problem *move* (n_parameter,) [1] away, as much of it as is possible; None where nothing is."""
+        for halving in range(MOST_HALVINGS):
+            try:
+                return LoopMinimum.of(self.problem, self.u + move / 2**halving)
+            except ConfigError:
+                continue
+        return None
+
+    def bent(self, covariance: FloatArray) -> FloatArray:
+        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors away.
+
+        covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
+        """
+        bends: FloatArray = np.zeros(len(self.problem.unknowns))
+        errors = np.sqrt(np.diag(covariance))
+        for column in range(bends.size):
+            for sign in (1.0, -1.0):
+                away = sign * REACH * covariance[:, column] / errors[column]
+                try:
+                    beyond = self.problem.residual(self.u + away) - self.residual - self.jacobian @ away
+                except ConfigError:
+                    return np.full(bends.size, np.inf)
+                shift = steps_by(beyond[None], self.jacobian, self.inverse)[0]
+                bends = np.maximum(bends, np.abs(shift / errors)[: bends.size] / REACH)
+        return bends
+
+
+# Fit of a control loop's unknowns to measured responses, and goodness of fit of the loop.
+
+# Distance to the minimum in standard errors at which a descent that can go no further has ended.
+SETTLED = 0.5
+# Shares of first order above which second order is followed by intervals, and above which it is said.
+CURVED, BENT = 0.1, 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopFit:
+    """Unknowns with standard errors, goodness of fit, and identifiability.
+
+    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value) by noise and sources;
+    *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors explain; *condition_number* of the scaled
+    Jacobian; *alike*: unknowns that are not separately identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget:
+    of the unknowns, None where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best there.
+    """
+
+    parameters: tuple[Parameter, ...]
+    correlations: tuple[tuple[str, str, float], ...]
+    chi2_reduced: float
+    chi2_p: float
+    lines: int
+    condition_number: float
+    alike: tuple[str, ...]
+    converged: bool
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    budget: Budget | None = None
+    bent: tuple[tuple[str, float], ...] = ()
+    at_zero: tuple[str, ...] = ()
+
+    @property
+    def determined(self) -> bool:
+        return self.condition_number < UNDETERMINED
+
+    @property
+    def usable(self) -> bool:
+        """True if there are unknowns with determined, converged values."""
+        return bool(self.parameters) and self.determined and self.converged
+
+    @property
+    def changes(self) -> FloatArray:
+        """Changes (n_source, n) [units of the unknowns] by the sources of the budget; (0, n) without one."""
+        return np.zeros((0, len(self.parameters))) if self.budget is None else self.budget.changes
+
+    def values(self) -> dict[str, float]:
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+
+def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
+    """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its uncertainty.
+
+    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for responses without noise
+    estimate. Equation (comp-loop).
+    """
+    if not all(has_noise(observation.measured) for observation in observations):
+        hint = "average several periods or blocks"
+        raise FitError("the noise of the response is not known, so a loop cannot be compared with it", hint=hint)
+    unknowns = tuple(unknown(observations[0].file, name) for name in names)
+    support = observations[0].support
+    errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))
+    problem = LoopProblem(tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0))
+    start = np.zeros(len(unknowns) + len(problem.support))
+    # An unknown without influence on the response has no gradient.
+    idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
+    return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, along_the_edge(problem, minimise(problem, start))))
+
+
+def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
+    """Converged as well where the descent ended within SETTLED standard errors.
+
+    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square further.
+    """
+    if minimum.converged:
+        return minimum
+    linear = linearised(problem, minimum.values)
+    left = float(np.linalg.norm(linear.projected)) / np.sqrt(linear.chi2 / linear.n_equation)
+    return Minimum(minimum.values, left < SETTLED, minimum.steps)
+
+
+def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
+    """Unknowns without influence on the response."""
+    lengths = np.linalg.norm(jacobian, axis=0)
+    return tuple(entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
+
+
+def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
+    equations = sum(observation.measured.n_equation - observation.nuisance for observation in problem.observations)
+    dof = equations - len(problem.unknowns)
+    doubt = weight_doubt(_weighed(problem.observations[0]), dof)
+    at_end = LoopMinimum.of(problem, minimum.values)
+    reduced = at_end.chi2(doubt.excess) / dof
+    lines = sum(observation.measured.omega.size for observation in problem.observations)
+    identifiable = _identifiable(problem, at_end.jacobian) if problem.unknowns else (1.0, ())
+    whole = LoopFit(
+        parameters=_last_step(problem, minimum),
+        correlations=(),
+        chi2_reduced=reduced,
+        chi2_p=doubt.p_value(reduced, dof),
+        lines=lines,
+        condition_number=identifiable[0],
+        alike=identifiable[1],
+        converged=minimum.converged,
+        at_zero=tuple(entry.name for entry, share in zip(problem.unknowns, minimum.values, strict=False) if share == ZERO),
+    )
+    return _with_errors(whole, at_end, doubt.inflation, dof) if whole.usable else whole
+
+
+def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
+    """The condition number of the scaled Jacobian, and the unknowns that cause it."""
+    idle = _without_influence(problem, jacobian)
+    if idle:
+        return float("inf"), idle
+    _, singular, turn = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
+    condition = float(singular[0] / max(singular[-1], 1e-300))
+    return condition, tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
+
+
+def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) -> LoopFit:
+    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both."""
+    problem = at_end.problem
+    n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
+    random, steps = at_end.random(inflation), at_end.steps
+    whole = at_end.combined(inflation)
+    covariance = np.outer(values, values) * random[:n, :n]
+    limit = student_limit(dof)
+    plain = [
+        with_error(parameter.name, parameter.unit, parameter.value, float(error), limit)
+        for parameter, error in zip(fit.parameters, np.sqrt(np.diag(covariance)), strict=True)
+    ]
+    sources, changes = (*at_end.sources, *problem.support_sources), steps[:, :n] * values
+    parameters, budget = with_budget(plain, *_by_name(sources, changes), dof)
+    related = correlation(np.outer(values, values) * whole[:n, :n])
+    pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
+    bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
+    if max(size for _, size in bent) > CURVED:
+        parameters = tuple(
+            _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
+        )
+    parameters = tuple(replace(one, at_bound=True) if one.name in fit.at_zero else one for one in parameters)
+    return replace(fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent)
+
+
+def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool) -> Parameter:
+    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*: an unknown is held there."""
+    factor = parameter.coverage_factor or limit
+    ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
+    if ends[0] is None or ends[1] is None:
+        return parameter
+    start = at_end.problem.unknowns[number].value
+    low, high = sorted(start * (1 + end) for end in ends if end is not None)
+    if at_zero:
+        # Beyond what a bearing can have no truth gives such data, and the ends meet: no less is stated than to first order.
+        reach = factor * (parameter.combined or parameter.full_error or 0.0)
+        low, high = min(low, parameter.value - reach if parameter.value else 0.0), max(high, parameter.value + reach)
+    return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
+
+
+def _by_name(sources: Sequence[Doubt], changes: FloatArray) -> tuple[list[Doubt], FloatArray]:
+    """Sources of one name as one, their changes (n_source, n) added up."""
+    first = {source.source: source for source in reversed(sources)}
+    rows = [changes[[origin.source == name for origin in sources]].sum(axis=0) for name in first]
+    return list(first.values()), np.array(rows).reshape(len(first), changes.shape[1])
+
+
+def _weighed(observation: LoopObservation) -> Measured:
+    """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
+    taken = observation.nuisance // (2 * observation.measured.omega.size)
+    return replace(observation.measured, matrix=observation.measured.matrix[:, taken:]) if taken else observation.measured
+
+
+def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
+    """The values of the last step without standard errors."""
+    return tuple(
+        Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
+        for number, entry in enumerate(problem.unknowns)
+    )
+
+
+def goodness(fit: LoopFit) -> list[Parameter]:
+    """chi-square of all lines with its p-value, and the condition number of the unknowns."""
+    amounts = [Parameter("chi2_reduced", fit.chi2_reduced, "1", derived=True), chance("chi2_p", fit.chi2_p)]
+    return [*amounts, Parameter("condition_number", fit.condition_number, "1", derived=True)] if fit.parameters else amounts
+
+
+def identifiability_findings(fit: LoopFit) -> list[Finding]:
+    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or errors beyond first order."""
+    if not fit.parameters:
+        return []
+    together = " and ".join(fit.alike)
+    if not fit.determined:
+        what = (
+            f"{together} cannot be told apart by this response (condition number {fit.condition_number:.2g}): standard errors are omitted"
+        )
+        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
+    if not fit.converged:
+        return [Finding("no-convergence", "the fit of the loop's unknowns did not converge; its values are those of the last step")]
+    findings = []
+    if fit.condition_number > COLLINEAR_CONDITION:
+        what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
+        findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
+    return [*findings, *_edge_findings(fit), *_bent_findings(fit)]
+
+
+def _edge_findings(fit: LoopFit) -> list[Finding]:
+    """A warning where an unknown fits best at zero."""
+    if not fit.at_zero:
+        return []
+    names = " and ".join(fit.at_zero)
+    what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
+    return [Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their doubts")]
+
+
+def _bent_findings(fit: LoopFit) -> list[Finding]:
+    """A warning where the response bends within the errors of the unknowns."""
+    names = [name for name, size in fit.bent if size > BENT]
+    if not names:
+        return []
+    largest = max(size for _, size in fit.bent)
+    size = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else "since such values are none that a bearing can have"
+    what = (
+        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: standard errors, and what the fitted "
+        "loop says, are rough; intervals of the unknowns follow the response as far as it tells their ends"
+    )
+    return [Finding("first-order", what)]
+
+
+def fit_statement(fit: LoopFit) -> str:
+    """Goodness of fit of all lines as a sentence."""
+    chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
+    statement = f"All {fit.lines} lines against the loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
+    if fit.parameters and not fit.determined:
+        statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."
+    return statement

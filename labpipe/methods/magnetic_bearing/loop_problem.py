@@ -1,0 +1,410 @@
+"""Measured responses of a control loop beside the prediction of a bearing file, over its unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.estimation.budget import across_ports, mass_doubt, matrix_errors, support_doubts, turned
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
+from labpipe.estimation.weights import whitened, whitener
+from labpipe.methods.magnetic_bearing.bearing import Magnet, MagneticFile
+from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.settings import settings_of
+from labpipe.records.uncertain import Doubt, MatrixError
+from labpipe.registry import nearest
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.convert import receptance_factor
+
+# Unknowns of a magnetic-bearing file by name: their values in the file, and the file with other values.
+
+ALIASES = {"gain": "amplifier"}
+FACTORS = ("force_per_current", "negative_stiffness")
+_LOOP = {name: entry.unit for name, (entry, _) in settings_of(ControlLoop).items() if entry.kind == "value"}
+_MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() if entry.kind == "value"}
+
+
+# An entry of the controller's blocks, "controller.2.frequency"; they count from 1.
+BLOCK = "controller."
+_BLOCK_ENTRIES = {name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"}
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An entry of the file to be fitted: its *name* as written, *value* in the file and *unit* [SI]."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def unknown(file: MagneticFile, name: str) -> Unknown:
+    """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
+    field = ALIASES.get(name, name)
+    value_and_unit: tuple[float | None, str] | None
+    if field.startswith(BLOCK):
+        value_and_unit = _block_entry(file, name)
+    elif field == "static_stiffness":
+        value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
+    elif field in FACTORS:
+        plant = file.levitated()
+        value_and_unit = (plant.loop.force_per_current, "N/A") if field == "force_per_current" else (plant.negative_stiffness, "N/m")
+    elif field in _LOOP:
+        value_and_unit = (getattr(file.loop, field), _LOOP[field])
+    elif field in _MAGNET:
+        value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
+    else:
+        entries = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
+        raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries))
+    if value_and_unit is None or value_and_unit[0] is None:
+        where = "static_stiffness" if field == "static_stiffness" else f"magnet: {{{field}: ...}}" if field in _MAGNET else f"loop.{field}"
+        raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
+    if value_and_unit[0] == 0:
+        raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint="a value near the expected one is needed to start from")
+    return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
+
+
+def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
+    """Value and unit of an entry of a block; ConfigError where there is no such block or entry."""
+    place, _, entry = name.removeprefix(BLOCK).partition(".")
+    count = len(file.loop.controller)
+    if not place.isdigit() or not 1 <= int(place) <= count:
+        hint = f"controller.1 to controller.{count}" if count else ""
+        raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
+    if entry not in _BLOCK_ENTRIES:
+        raise ConfigError(f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES)))
+    return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
+
+
+def _with_block(blocks: tuple[ControllerBlock, ...], name: str, value: float) -> tuple[ControllerBlock, ...]:
+    place, _, entry = name.removeprefix(BLOCK).partition(".")
+    number = int(place) - 1
+    return (*blocks[:number], replace(blocks[number], **{entry: value}), *blocks[number + 1 :])  # type: ignore[arg-type]
+
+
+def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
+    """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
+    loop: dict[str, Any] = {}
+    magnet: dict[str, float] = {}
+    factors: dict[str, float] = {}
+    for name, value in values.items():
+        field = ALIASES.get(name, name)
+        if field.startswith(BLOCK):
+            loop["controller"] = _with_block(loop.get("controller", file.loop.controller), name, value)
+        elif field in (*FACTORS, "static_stiffness"):
+            factors[field] = value
+        elif field in _LOOP:
+            loop[field] = value
+        else:
+            magnet[field] = value
+    # An explicit negative stiffness replaces the one inferred from the static stiffness.
+    freed = {"static_stiffness": None} if "negative_stiffness" in factors else {}
+    changed = replace(file, loop=replace(file.loop, **loop), **freed, **factors)  # type: ignore[arg-type]
+    return replace(changed, magnet=replace(file.magnet, **magnet)) if magnet and file.magnet is not None else changed  # type: ignore[arg-type]
+
+
+# Systematic errors of a recorded loop: what the doubts of its channels and of sums of channels do to its
+# responses.
+
+
+def response_errors(response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) [unit of the response] of the chosen part by one standard uncertainty of every source.
+
+    Gain, delay and phase of the channels, and sums of channels; a direction, which another channel of the same quantity would have to
+    tell, is left out.
+    """
+    part = np.ix_(range(response.n_frequency), rows, columns)
+    return matrix_errors(
+        Measured(
+            omega=2 * np.pi * response.frequency,
+            matrix=response.matrix[part],
+            covariance=None,
+            noise_dof=np.inf,
+            noise_lines=1.0,
+            outputs=tuple(response.outputs[row] for row in rows),
+            inputs=tuple(response.inputs[column] for column in columns),
+            errors=tuple(replace(error, change=error.change[part]) for error in response.errors),
+        )
+    )
+
+
+def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
+    """The errors with those of one source added up."""
+    by_source: dict[str, MatrixError] = {}
+    for error in errors:
+        before = by_source.get(error.doubt.source)
+        by_source[error.doubt.source] = error if before is None else replace(before, change=before.change + error.change)
+    return tuple(by_source.values())
+
+
+def directions_left_out(ports: Iterable[Port]) -> list[str]:
+    """Labels of the ports whose direction has a doubt."""
+    return list(dict.fromkeys(port.label for port in ports if any(doubted.effect == "direction" for doubted in port.doubts)))
+
+
+# Measured responses of a control loop beside the prediction of a bearing file: the residual over its
+# unknowns, and what moves it.
+
+STEP = 1e-5
+
+# Predicted response of a file on the measured lines, with the (stiffness, damping) of the support.
+Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]
+# What one standard uncertainty of every source does to measured less predicted, at the same.
+Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
+
+
+@dataclass(frozen=True)
+class LoopObservation:
+    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings.
+
+    *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of numbers that the prediction rests
+    on; the support is no part of them.
+    """
+
+    measured: Measured
+    predict: Predict
+    file: MagneticFile
+    support: Support = Support()
+    nuisance: int = 0
+    errors: Errors = lambda *_: ()
+
+
+@dataclass(frozen=True)
+class LoopProblem:
+    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's deviations in standard errors.
+
+    *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that has one.
+    """
+
+    observations: tuple[LoopObservation, ...]
+    unknowns: tuple[Unknown, ...]
+    support: tuple[tuple[int, float], ...]
+
+    @cached_property
+    def weights(self) -> list[ComplexArray]:
+        """Whitener of every observation, (n_line, n, n) [1/unit of the response] each."""
+        return [whitener(observation.measured) for observation in self.observations]
+
+    @property
+    def size(self) -> float:
+        pairs = zip(self.observations, self.weights, strict=True)
+        return float(np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs])))
+
+    def file_values(self, u: FloatArray) -> dict[str, float]:
+        """The unknowns by name at u (n_parameter,) [1]."""
+        return {entry.name: entry.value * (1 + float(share)) for entry, share in zip(self.unknowns, u, strict=False)}
+
+    def residual(self, u: FloatArray) -> FloatArray:
+        """(n_equation,) [1]: measured minus predicted, then the support's deviations from its nominal values."""
+        residuals = []
+        for observation, weight in zip(self.observations, self.weights, strict=True):
+            predicted = observation.predict(*self._at(observation, u))
+            residuals.append(whitened(weight, observation.measured.matrix - predicted))
+        return np.concatenate([*residuals, u[len(self.unknowns) :]])
+
+    def _at(self, observation: LoopObservation, u: FloatArray) -> tuple[MagneticFile, tuple[float, float]]:
+        """The file of an observation with its unknowns, and stiffness and damping of its support."""
+        support = [observation.support.stiffness.value, observation.support.damping.value]
+        for (which, error), deviation in zip(self.support, u[len(self.unknowns) :], strict=True):
+            support[which] += error * float(deviation)
+        return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
+
+    def changes(self, u: FloatArray) -> tuple[tuple[Doubt, ...], FloatArray]:
+        """All sources but the support, and the change (n_source, n_equation) [1] of the residual by one standard uncertainty of each.
+
+        A source of several responses changes all of them.
+        """
+        doubts: dict[str, Doubt] = {}
+        parts: list[dict[str, FloatArray]] = []
+        for observation, weight in zip(self.observations, self.weights, strict=True):
+            errors = merged(observation.errors(*self._at(observation, u)))
+            doubts = {**{error.doubt.source: error.doubt for error in errors}, **doubts}
+            parts.append({error.doubt.source: whitened(weight, error.change) for error in errors})
+        sizes = [observation.measured.n_equation for observation in self.observations]
+        rows = [
+            np.concatenate([*(part.get(source, np.zeros(n)) for part, n in zip(parts, sizes, strict=True)), np.zeros(len(self.support))])
+            for source in doubts
+        ]
+        return tuple(doubts.values()), np.array(rows).reshape(len(doubts), sum(sizes) + len(self.support))
+
+    @property
+    def support_sources(self) -> tuple[Doubt, ...]:
+        """Doubts of the support, in the order of its deviations."""
+        return tuple(doubt for _, doubt in support_doubts(self.observations[0].support))
+
+    def jacobian(self, u: FloatArray) -> FloatArray:
+        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by one-sided ones."""
+        if not u.size:
+            return np.zeros((self.residual(u).size, 0))
+        return np.column_stack([self._slope(u, step) for step in STEP * np.eye(u.size)])
+
+    def _slope(self, u: FloatArray, step: FloatArray) -> FloatArray:
+        ahead, behind = (self.residual_within(u + sign * step) for sign in (1.0, -1.0))
+        if ahead is None or behind is None:
+            middle = self.residual(u)
+            return (ahead - middle if ahead is not None else middle - behind if behind is not None else 0 * middle) / STEP
+        return (ahead - behind) / (2 * STEP)
+
+    def residual_within(self, u: FloatArray) -> FloatArray | None:
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None for values that no bearing can have."""
+        try:
+            return self.residual(u)
+        except ConfigError:
+            return None
+
+    def chi2(self, u: FloatArray) -> float:
+        """Sum of squares [1] at u (n_parameter,) [1]; infinite for values that no bearing can have."""
+        residual = self.residual_within(u)
+        return float("inf") if residual is None else float(residual @ residual)
+
+
+# Response of a rig with a magnetic bearing: mass, support and bearings as in a fit, from the bearing's
+# prediction.
+
+
+@dataclass(frozen=True)
+class View:
+    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass, support and share."""
+
+    test: str
+    response: FrequencyResponse
+    settings: FitSettings
+    fits: tuple[Fit, ...]
+    file: MagneticFile
+
+    @property
+    def support(self) -> Support:
+        return self.settings.subtract or Support()
+
+    @property
+    def ports(self) -> tuple[list[int], list[int]]:
+        return select_ports(self.response, self.settings.input, self.settings.output)
+
+    @property
+    def measured(self) -> Measured:
+        """The lines of all bands, without repetition."""
+        lines = np.any([lines_in(self.response.frequency, fit.band_hz) for fit in self.fits], axis=0)
+        return measured_part(self.response, *self.ports, lines)
+
+    @property
+    def observation(self) -> LoopObservation:
+        """The lines with the prediction of a file."""
+        measured = self.measured
+        return LoopObservation(
+            measured,
+            lambda file, support: receptance(self, file, measured.omega, support),
+            self.file,
+            self.support,
+            errors=lambda file, support: view_errors(self, measured, file, support),
+        )
+
+
+def checked_view(view: View) -> View:
+    """The view; ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known mass."""
+    name = view.settings.name
+    if not view.settings.kind.one_direction:
+        able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
+        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {able}")
+    if not isinstance(view.settings.mass, float):
+        raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
+    if view.file.loop.cross is not None:
+        what = "a cross-coupled controller couples x and y; a fit of one direction is not compared with it"
+        raise ConfigError(what, hint="leave cross out")
+    _directions(view)
+    return view
+
+
+def _directions(view: View) -> FloatArray:
+    """cos of the angle between output and force, (n_output, n_input): all directions are equal and uncoupled."""
+    rows, columns = view.ports
+    outputs, inputs = [view.response.outputs[row] for row in rows], [view.response.inputs[column] for column in columns]
+    return np.array([[_cosine(output, force) for force in inputs] for output in outputs])
+
+
+def _cosine(output: Port, force: Port) -> float:
+    if output.dof == force.dof:
+        return 1.0
+    if output.angle is None or force.angle is None:
+        hint = "give dof: 45 deg (or x, y) in the rig file"
+        raise ConfigError(f"the angle between {output.label} and {force.label} is unknown", hint=hint)
+    return float(np.cos(output.angle - force.angle))
+
+
+def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None) -> ComplexArray:
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: nominal."""
+    stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
+    matrix: ComplexArray = _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
+    return matrix
+
+
+def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
+    """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
+    plant = file.levitated()
+    bearings: ComplexArray = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    assert isinstance(view.settings.mass, float)
+    total: ComplexArray = support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
+    return total
+
+
+def view_errors(view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard uncertainty of every source.
+
+    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction, unless other sensors tell
+    the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
+    """
+    total = _total(view, file, measured.omega, support)[:, None, None]
+    errors = [*matrix_errors(measured), *_direction_errors(measured, total)]
+    mass = mass_doubt(view.settings)
+    if mass is not None:
+        errors.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
+    return merged(errors)
+
+
+def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
+    """What directions that are written too large do to measured less predicted cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
+    across = across_ports(measured.outputs)
+    for number, port in enumerate(measured.outputs):
+        for error in _doubts_of_direction(port):
+            if across is not None and np.any(across[number]):
+                yield MatrixError(error, error.std_error * turned(measured.matrix, number, across, of_forces=False))
+            else:
+                yield MatrixError(error, error.std_error * _sines(measured, port) / total)
+    for force in measured.inputs:
+        for error in _doubts_of_direction(force):
+            yield MatrixError(error, -error.std_error * _sines(measured, force) / total)
+
+
+def _doubts_of_direction(port: Port) -> list[Doubt]:
+    return [doubted.doubt for doubted in port.doubts if doubted.effect == "direction" and port.angle is not None]
+
+
+def _sines(measured: Measured, turned_port: Port) -> FloatArray:
+    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are known; else zero."""
+    sines = np.zeros((len(measured.outputs), len(measured.inputs)))
+    for row, output in enumerate(measured.outputs):
+        for column, force in enumerate(measured.inputs):
+            if turned_port in (output, force) and output.angle is not None and force.angle is not None:
+                sines[row, column] = np.sin(output.angle - force.angle)
+    return sines
+
+
+def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
+    """The same fits of the predicted response, on the same lines with the same weights, for comparison with the measured fits."""
+    frequency = view.response.frequency
+    rows, columns = view.ports
+    matrix = view.response.matrix.copy()
+    form = receptance_factor(view.response.form, frequency)[:, None, None]
+    matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(view, file, 2 * np.pi * frequency)
+    plain = replace(view.settings, bootstrap=0, compare=False, eliminate=False)
+    return identify(replace(view.response, matrix=matrix), plain, judging=False)

@@ -1,0 +1,298 @@
+"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that samples, computes and holds.
+
+The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a sampling interval of delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing.loop import ControlLoop
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
+
+# Controller of Lim et al. (2009), section 4: sampled at 20 kHz.
+CONTROL_RATE = 20e3
+ROUNDING = 1e-9
+# Steps of one piece in which a loop is run.
+PIECE = 512
+INPUTS = ("force", "next_force", "noise", "injection")
+OUTPUTS = ("reading", "before", "after", "output", "current")
+
+
+@dataclass(frozen=True)
+class Suspended:
+    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides [N.s/m] in parallel."""
+
+    loop: ControlLoop
+    negative_stiffness: float
+    mass: float
+    bearings: int = 1
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m, V, V, V, A].
+
+    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples, *injection* is added between the
+    probe ("before") and the controller ("after").
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    rate: float
+
+    def run(self, inputs: FloatArray) -> FloatArray:
+        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m, V], from rest.
+
+        ConfigError for an unstable loop.
+        """
+        largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
+        if largest > 1 + ROUNDING:
+            rate = np.log(largest) * self.rate
+            message = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
+            raise ConfigError(message, hint="`labpipe bearing` shows the poles of its bearing file")
+        driven = inputs @ self.b.T
+        states = np.stack([linear_states(self.a, driven[:, direction]) for direction in range(inputs.shape[1])], axis=1)
+        return states @ self.c.T + inputs @ self.d.T
+
+    def response(self, omega: FloatArray) -> ComplexArray:
+        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3); the force as `straight` feeds it."""
+        z = np.exp(1j * omega / self.rate)[:, None, None]
+        inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
+        whole = self.c @ inverse @ self.b + self.d
+        force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
+        joined: ComplexArray = np.concatenate([force, whole[:, :, 2:]], axis=2)
+        return joined
+
+
+def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
+    """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A = *step* (n_state, n_state).
+
+    All pieces at once from rest, then what each inherits from the one before: as many products as a piece has steps and there are pieces.
+    """
+    n_sample, n = driven.shape
+    n_piece = -(-n_sample // PIECE)
+    pieces = np.zeros((n_piece * PIECE, n))
+    pieces[:n_sample] = driven
+    pieces = pieces.reshape(n_piece, PIECE, n)
+    states = np.zeros((n_piece, PIECE + 1, n))
+    for number in range(PIECE):
+        states[:, number + 1] = states[:, number] @ step.T + pieces[:, number]
+    over = np.linalg.matrix_power(step, PIECE)
+    start = np.zeros((n_piece, n))
+    for number in range(1, n_piece):
+        start[number] = over @ start[number - 1] + states[number - 1, PIECE]
+    for number in range(PIECE):
+        states[:, number] += start
+        start = start @ step.T
+    return np.asarray(states[:, :PIECE].reshape(-1, n)[:n_sample])
+
+
+def straight(omega: FloatArray, rate: float) -> FloatArray:
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]; samples are divided by it."""
+    shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
+    return shape
+
+
+@dataclass(frozen=True)
+class SampledPlant:
+    """Motion, current and probe over one sampling interval, exact for a held voltage and a straight force.
+
+    step (n, n), hold and ramp (n, 2) [SI units of the states m, m/s, A, m, per V and per N];
+    hold: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
+    """
+
+    step: FloatArray
+    hold: FloatArray
+    ramp: FloatArray
+
+
+def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
+    """The closed loop of one direction as matrices; ConfigError for what cannot be sampled, see `sampled_matrix`."""
+    if plant.loop.cross is not None:
+        raise ConfigError("a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross")
+    law = sampled_law(plant.loop, rate, plant.loop.blocks())
+    motion, whole = sampled_plant(plant, rate)
+
+    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return _step(plant.loop, motion, law, state, inputs)
+
+    return SampledLoop(*step_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1, len(INPUTS)), rate)
+
+
+def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
+    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its eigenvalues are z of the closed loop.
+
+    ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
+    """
+    motion, whole = sampled_plant(plant, rate)
+    n, line = motion.step.shape[0], whole + 1
+    laws = [[sampled_law(plant.loop, rate, plant.loop.blocks(o, i), zero=o != i) for i in "xy"] for o in "xy"]
+    sizes = [len(law.a) for row in laws for law in row]
+    ends = 2 * (n + line) + np.cumsum([0, *sizes])
+
+    def step(state: FloatArray) -> FloatArray:
+        moved = np.empty_like(state)
+        before = [plant.loop.sensor * state[k * n + (3 if n == 4 else 0)] for k in range(2)]
+        for k in range(2):
+            output = 0.0
+            for j in range(2):
+                law, memory = laws[k][j], slice(ends[2 * k + j], ends[2 * k + j + 1])
+                output += law.c @ state[memory] + law.d * before[j]
+                moved[memory] = law.a @ state[memory] + law.b * before[j]
+            waiting = slice(2 * n + k * line, 2 * n + (k + 1) * line)
+            voltages = np.append(state[waiting], output)
+            part = slice(k * n, (k + 1) * n)
+            moved[part] = motion.step @ state[part] + motion.hold @ voltages[:2]
+            moved[waiting] = voltages[1:]
+        return moved
+
+    return np.column_stack([step(unit) for unit in np.eye(ends[-1])])
+
+
+@dataclass(frozen=True)
+class SampledLaw:
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples; a (n, n), b and c (n,), d [1]."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: float
+
+
+def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False) -> SampledLaw:
+    """The PID or *blocks* at *rate* [Hz]: those of s by the bilinear transform, those of z as they are; *zero*: no PID without blocks.
+
+    ConfigError for a PID without time constants, blocks at another rate, and more zeros than poles.
+    """
+    if not blocks:
+        return SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
+    continuous, discrete = in_series(blocks)
+    if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
+        raise ConfigError(f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller")
+    if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
+        hint = "add a low-pass, or a derivative_time"
+        raise ConfigError("controller: more zeros than poles cannot be sampled", hint=hint, field="controller")
+    # A second of imports that few runs need.
+    from scipy import signal
+
+    zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
+    zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
+    sections = signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
+    # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of delay away: [z^-1] each.
+    late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))
+    return _in_sections(np.vstack([sections, *late]))
+
+
+def _in_sections(sections: FloatArray) -> SampledLaw:
+    """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
+    law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
+    for b0, b1, b2, _, a1, a2 in sections:
+        section = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
+        n = len(law.a)
+        a = np.zeros((n + 2, n + 2))
+        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, section.a, np.outer(section.b, law.c)
+        law = SampledLaw(a, np.append(law.b, section.b * law.d), np.append(section.d * law.c, section.c), section.d * law.d)
+    return law
+
+
+def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
+    if loop.derivative_time <= 0 or loop.lag_time <= 0:
+        raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
+    terms = [tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
+    b0, b1, a1 = np.array(terms).T
+    return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
+
+
+@lru_cache(maxsize=16)
+def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
+    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]; ConfigError for one shorter than the hold."""
+    loop = plant.loop
+    intervals = loop.delay * rate - 0.5
+    if intervals < -1e-9:
+        message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
+        raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
+    whole = int(np.floor(intervals + 1e-9))
+    motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
+    # A search for margins asks for the same plant at one frequency after the other.
+    for matrix in (motion.step, motion.hold, motion.ramp):
+        matrix.flags.writeable = False
+    return motion, whole
+
+
+def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
+    n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
+    motion, memory, waiting = state[:n], state[n:end], state[end:]
+    position = motion[3] if n == 4 else motion[0]
+    reading = position + inputs[2]
+    before = loop.sensor * reading
+    after = before + inputs[3]
+    output = float(law.c @ memory + law.d * after)
+    # The voltage that arrives within this interval takes over from the one before it.
+    line = np.append(waiting, output)
+    moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
+    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array([reading, before, after, output, motion[2]])
+
+
+def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s].
+
+    Equation (mag-tustin).
+    """
+    fast = 2 / interval
+    whole = 1 + fast * time
+    return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole
+
+
+def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
+    """Exact solution over one *interval* [s]; the newest voltage arrives after *late* of it."""
+    loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
+    slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    slope[0, 1] = 1.0
+    slope[1, :3] = -plant.stiffness + plant.bearings * plant.negative_stiffness, -plant.damping, -plant.bearings * loop.force_per_current
+    slope[1] /= plant.mass
+    slope[2, 2], voltage[2] = -1 / loop.corners[0], loop.amplifier / loop.corners[0]
+    if n == 4:
+        slope[3, 0], slope[3, 3] = 1 / loop.corners[1], -1 / loop.corners[1]
+    force[1] = 1 / plant.mass
+    step, _, _ = integrals(slope, voltage[:, None], interval)
+    rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
+    _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
+    _, constant, rising = integrals(slope, force[:, None], interval)
+    return SampledPlant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
+
+
+def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time* [s] (Van Loan, 1978).
+
+    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
+    """
+    n, m = inputs.shape
+    joint = np.zeros((n + 2 * m, n + 2 * m))
+    joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
+    whole = linalg.expm(joint * time)
+    return whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
+
+
+def step_matrices(
+    step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column: (n_state, n_state), ..."""
+    still = np.zeros(n_input)
+    by_state = [step(unit, still) for unit in np.eye(n_state)]
+    by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]
+    a, c = (np.column_stack([column[part] for column in by_state]) for part in (0, 1))
+    b, d = (np.column_stack([column[part] for column in by_input]) for part in (0, 1))
+    return a, b, c, d

@@ -1,0 +1,96 @@
+"""The models magnet and block: their settings, and their entries in the table of models."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.settings import Settings, setting
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import Uncertain
+from labpipe.spectra.settings import SPECTRA
+
+# Settings of the fits of a magnet and of a block: their sections `magnet:` and `block:`.
+
+DIRECT, BEARING, FULL = "direct", "bearing", "full"
+AUTO = "auto"
+ORDERS = (AUTO, "0", "1", "2", "3")
+
+
+@dataclass(frozen=True)
+class MagnetSettings(Settings):
+    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between samples."""
+
+    coupling: str = setting(
+        "choice", "terms of K_i and K_s: all; those of one bearing; none but direct ones", choices=(BEARING, FULL, DIRECT), default=BEARING
+    )
+    _: KW_ONLY
+    passive_damping: bool = setting("flag", "estimate the damping at the magnets as well", default=False)
+    inertia: Uncertain | None = setting(
+        "uncertain", "rigid rotor on two bearings: transverse moment of inertia about its centre of gravity", unit="kg.m^2", default=None
+    )
+    centre: float = setting("value", "place of the centre of gravity, from where the channels' positions are", unit="m", default=0.0)
+    hold: float | None = setting(
+        "value",
+        "rate of the recording, where no filter stands between the held output of a controller and the samples; default: a smooth current",
+        unit="Hz",
+        default=None,
+    )
+    amplifier_bandwidth: float | None = setting(
+        "value", "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited", unit="Hz", default=None
+    )
+
+    band_confidence: float = setting(
+        "value", "probability that the band for robust control design holds the true plant at all lines", unit="1", default=0.95
+    )
+
+    def __post_init__(self) -> None:
+        if not 0 < self.band_confidence < 1:
+            raise ConfigError("'band_confidence' must lie between 0 and 100 %", field="band_confidence")
+        for name in ("hold", "amplifier_bandwidth"):
+            value: float | None = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ConfigError(f"'{name}' must be above zero", field=name)
+        if self.amplifier_bandwidth is not None and self.hold is None:
+            raise ConfigError("'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth")
+        if self.inertia is not None and not self.inertia.value > 0:
+            raise ConfigError("'inertia' must be above zero", field="inertia")
+
+
+@dataclass(frozen=True)
+class BlockSettings(Settings):
+    """The order of the low-pass: of one real pole (1), a pair (2), both (3)."""
+
+    order: str = setting("choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO)
+
+
+# The models magnet and block as entries of the table of models. What fits is imported by the first fit.
+
+
+def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.methods.magnetic_bearing.fit import magnet_fits
+
+    return magnet_fits(spectra, settings)
+
+
+def _fit_block(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.methods.magnetic_bearing.block import block_fits
+
+    return block_fits(response, settings)
+
+
+MAGNET = ModelKind(
+    _fit_magnet,
+    "magnet",
+    MagnetSettings,
+    "magnet: {coupling: direct}",
+    optional=True,
+    of=SPECTRA,
+    estimators=("ml",),
+)
+BLOCK = ModelKind(
+    _fit_block, "block", BlockSettings, "block: {order: auto}", optional=True, keys=("input", "output", "bands"), estimators=("ml",)
+)

@@ -1,0 +1,321 @@
+"""Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the loop cut open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.methods.magnetic_bearing.loop import (
+    ControlLoop,
+    chain_factors,
+    controller,
+    controller_matrix,
+    controller_terms,
+    loop_stiffness,
+    stiffness_matrix,
+)
+from labpipe.methods.magnetic_bearing.sampled_loop import SampledLaw, Suspended, sampled_law, sampled_loop, sampled_matrix, sampled_plant
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
+
+# Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the sensitivity
+# with its zone.
+
+PADE_ORDER = 4
+# Sizes of z: of what is no state but an empty place in a delay line, and beyond 1 of a pole that grows.
+EMPTY, MARGINAL = 1e-6, 1e-9
+# Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
+ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
+# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed or 2 kHz.
+SEARCH = (1e-3, 2000.0, 20_001)
+TURNING = (1e-5, 1e7, 400_001)
+
+
+@dataclass(frozen=True)
+class Levitated:
+    """A *mass* [kg] on one loop with the bias field's *negative_stiffness* [N/m]."""
+
+    loop: ControlLoop
+    negative_stiffness: float
+    mass: float
+
+
+@dataclass(frozen=True)
+class SensitivityPeak:
+    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3; at 0 Hz where the static value is the largest."""
+
+    value: float
+    frequency: float
+    zone: str
+
+
+def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
+    """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! / ((2n)! k! (n-k)!) (s tau)^k.
+
+    Equation (mag-pade).
+    """
+    terms = [
+        factorial(2 * order - k) * factorial(order) / (factorial(2 * order) * factorial(k) * factorial(order - k)) * delay**k
+        for k in range(order + 1)
+    ]
+    return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
+
+
+def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
+    """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the coefficients are of equal magnitude.
+
+    Of one direction unless the controller is a matrix. Equation (mag-characteristic).
+    """
+    loop = plant.loop
+    ahead, behind = pade(loop.delay / time, order if loop.delay > 0 else 0)
+    for corner in loop.corners:
+        behind = behind * Polynomial([1.0, corner / time])
+    ahead = loop_stiffness(loop) * ahead
+    rotor = Polynomial([-plant.negative_stiffness, 0.0, plant.mass / time**2])
+    above, below = _controller_polynomials(loop, time)
+    x = rotor * below * behind + above * ahead
+    if loop.cross is None:
+        return x
+    above, below = _polynomials(loop.blocks("y", "y"), time)
+    y = rotor * below * behind + above * ahead
+    (xy, below_xy), (yx, below_yx) = (_polynomials(loop.blocks(*pair), time) for pair in ("xy", "yx"))
+    x_below = _controller_polynomials(loop, time)[1]
+    return x * y * below_xy * below_yx - xy * yx * ahead**2 * x_below * below
+
+
+def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial, Polynomial]:
+    """Numerator and denominator of the controller x by x in s * *time*."""
+    if loop.controller:
+        return _polynomials(loop.controller, time)
+    differentiator, lag = Polynomial([1.0, loop.derivative_time / time]), Polynomial([1.0, loop.lag_time / time])
+    pid = loop.proportional * differentiator * lag + Polynomial([0.0, loop.derivative / time]) * lag + loop.lag * differentiator
+    return pid, differentiator * lag
+
+
+def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polynomial, Polynomial]:
+    """Numerator and denominator of blocks of s in series in s * *time*; no blocks are zero."""
+    if not blocks:
+        return Polynomial([0.0]), Polynomial([1.0])
+    continuous, _ = in_series(blocks)
+    above, below = (Polynomial(_from_roots(np.array(roots) * time)) for roots in (continuous.zeros, continuous.poles))
+    return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
+
+
+def _from_roots(roots: NDArray[Any]) -> FloatArray:
+    """Coefficients (n + 1,) [1] of prod(s - root), roots in conjugate pairs."""
+    return np.asarray(Polynomial.fromroots(roots).coef.real if roots.size else np.ones(1))
+
+
+def sampled(plant: Levitated, rate: float) -> FloatArray:
+    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the controller is a matrix."""
+    suspended = Suspended(plant.loop, plant.negative_stiffness, plant.mass)
+    return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
+
+
+def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of *order*.
+
+    With discrete blocks s = f_s ln z of the sampled loop, without approximation.
+    """
+    rate = plant.loop.rate
+    if rate is not None:
+        return ordered_poles(sampled_poles(sampled(plant, rate), rate))
+    time = 1e-3
+    return ordered_poles(np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time)
+
+
+def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
+    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty memory, are left out.
+
+    Equation (mag-sampled).
+    """
+    z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
+    return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
+
+
+def ordered_poles(poles: ComplexArray) -> ComplexArray:
+    """Least damped first, (n_pole,) [rad/s]."""
+    ordered: ComplexArray = poles[np.lexsort((np.abs(poles.imag), -poles.real))]
+    return ordered
+
+
+def unstable_poles(plant: Levitated) -> int:
+    """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w = 0 ... inf) / pi.
+
+    Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the controller, n = 2 + d per
+    direction (the lags of amplifier and probe are stable and cancel). Of discrete blocks the eigenvalues z beyond the unit circle.
+    Equation (mag-unstable).
+    """
+    loop = plant.loop
+    if loop.rate is not None:
+        return int(np.sum(np.abs(np.linalg.eigvals(sampled(plant, loop.rate))) > 1 + MARGINAL))
+    omega = 2 * np.pi * np.geomspace(*TURNING)
+    dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[:, None, None] ** 2 * np.eye(2)
+    curve: ComplexArray = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
+    poles = np.array([pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128)
+    # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones of a damped loop.
+    turned = curve
+    for pole in poles:
+        turned = turned * (1j * omega - pole)
+    # From 0 Hz, where D is real, to the frequencies where the mass dominates.
+    angle = np.unwrap(np.angle(turned))
+    first = np.angle(turned[0]) - (0.0 if turned[0].real > 0 else np.pi)
+    change = float(angle[-1] - angle[0] + np.angle(np.exp(1j * first)))
+    degree = 2 * (1 if loop.cross is None else 2) + poles.size
+    return round((degree - 2 * change / np.pi) / 2)
+
+
+def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
+    """The blocks of every element of the controller that is not zero."""
+    pairs = ["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"]
+    return [blocks for blocks in (loop.blocks(*pair) for pair in pairs) if blocks]
+
+
+def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
+    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3. Of a controller matrix that of x."""
+    if plant.loop.cross is not None:
+        return sensitivity_matrix(plant, omega)[:, 0, 0]
+    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
+    # An integrator at rest: S = 0.
+    # At a pole on the axis it is infinite, and says so.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: ComplexArray = rotor / (rotor + controlled)
+    return np.where(np.isfinite(controlled), ratio, 0.0)
+
+
+def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
+    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes the largest |S_ii|.
+
+    Equation (mag-sensitivity).
+    """
+    rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
+    ratio: ComplexArray = rotor[:, None, None] * np.linalg.inv(
+        rotor[:, None, None] * np.eye(2) + loop_stiffness(plant.loop) * controller_matrix(plant.loop, omega)
+    )
+    return ratio
+
+
+def zone_of(peak: float) -> str:
+    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above. Equation (mag-zone)."""
+    return next((zone for zone, end in ZONES if peak < end), "D")
+
+
+def sensitivity_peak(plant: Levitated) -> SensitivityPeak:
+    """The largest |S| from 0 Hz to 2 kHz and its zone; meaningful for a stable loop only."""
+    frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
+    if plant.loop.cross is None:
+        size = np.abs(sensitivity(plant, 2 * np.pi * frequency))
+    else:
+        frequency = frequency[1:]
+        size = np.max(np.abs(np.einsum("fii->fi", sensitivity_matrix(plant, 2 * np.pi * frequency))), axis=1)
+    place = int(np.argmax(size))
+    return SensitivityPeak(float(size[place]), float(frequency[place]), zone_of(float(size[place])))
+
+
+# A magnetic-bearing loop cut open: controller, and motion and current per command, in continuous time or
+# sampled with its hold.
+
+# Signals of a loop that an injection e moves; the units are per volt at either place.
+SIGNALS = ("before", "after", "output", "displacement", "current")
+INPUT, OUTPUT = "input", "output"
+# Distance of z from a pole of the controller below which it is there.
+AT_A_POLE = 1e-12
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command, (n_line,) each.
+
+    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign. recorded_motion: what a logger
+    with a filter sees of X, None where it is X.
+    """
+
+    sensor: float
+    controller: ComplexArray
+    motion: ComplexArray
+    current: ComplexArray
+    recorded_motion: ComplexArray | None = None
+
+    @property
+    def loop(self) -> ComplexArray:
+        """L (n_line,) [1]."""
+        # Of an integrator at rest no number, though L is infinite.
+        with np.errstate(invalid="ignore"):
+            return -self.sensor * self.motion * self.controller
+
+    @property
+    def sensitivity(self) -> ComplexArray:
+        """S = 1 / (1 + L) (n_line,) [1]."""
+        return np.asarray(1 / (1 + self.loop))
+
+    def signals(self, place: str) -> dict[str, ComplexArray]:
+        """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it (output).
+
+        before and after are the two sides of the sum where it is added; output is the command behind it.
+        """
+        s = self.sensitivity
+        command = self.controller * s if place == INPUT else s
+        motion = self.motion if self.recorded_motion is None else self.recorded_motion
+        sides = {"before": s - 1, "after": s}
+        return {**sides, "output": command, "displacement": motion * command, "current": self.current * command}
+
+
+def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False) -> OpenLoop:
+    """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time, the hold as delay.
+
+    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller samples them. ConfigError for
+    what cannot be sampled.
+    """
+    loop = plant.loop
+    if rate is None:
+        chain = chain_factors(loop, omega)
+        current: ComplexArray = loop.amplifier * chain["delay"] * chain["amplifier"]
+        motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
+        law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
+        return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
+    motion, current = _sampled_motion(Suspended(loop, plant.negative_stiffness, plant.mass), omega, rate)
+    law_at = law_response(_own_law(loop, rate), omega, rate)
+    if not filtered:
+        return OpenLoop(loop.sensor, law_at, motion, current)
+    # The delay holds half an interval for the hold already.
+    delayed = (
+        loop.amplifier * chain_factors(loop, omega)["amplifier"] * np.exp(-1j * omega * loop.delay) * np.sinc(omega / (2 * np.pi * rate))
+    )
+    moved = -loop.force_per_current * delayed / (-plant.mass * omega**2 - plant.negative_stiffness)
+    return OpenLoop(loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0))
+
+
+@lru_cache(maxsize=16)
+def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
+    return sampled_law(loop, rate, loop.blocks())
+
+
+def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole, as of an integrator at rest."""
+    if not len(law.a):
+        return np.full(np.shape(omega), law.d, np.complex128)
+    z = np.exp(1j * np.asarray(omega) / rate)
+    values = np.full(z.shape, np.inf, np.complex128)
+    away = np.min(np.abs(z[:, None] - np.linalg.eigvals(law.a)), axis=1) > AT_A_POLE
+    shifted = z[away, None, None] * np.eye(len(law.a)) - law.a
+    states = np.linalg.solve(shifted, np.broadcast_to(law.b[:, None], (len(shifted), len(law.b), 1)))
+    values[away] = law.c @ states[..., 0].T + law.d
+    return values
+
+
+def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
+    """Reading of the probe and current per command, with computing delay and hold."""
+    motion, whole = sampled_plant(plant, rate)
+    z = np.exp(1j * np.asarray(omega) / rate)
+    late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (-float(whole))
+    n = motion.step.shape[0]
+    states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
+    return states[:, 3 if n == 4 else 0], states[:, 2]

@@ -1,0 +1,292 @@
+"""Runs on the virtual magnetic-bearing rig: recordings and tables with their truth. RUNS by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
+from labpipe.methods.magnetic_bearing.virtual_loop import LOOP_RUNS, slow_noise
+from labpipe.methods.magnetic_bearing.virtual_mechanics import PERIODS, Timing, VirtualMagneticRig
+from labpipe.raw_files.excitation import Multisine, design_multisine
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.registry import nearest
+from labpipe.simulate import linear
+from labpipe.simulate.virtual_rigs import (
+    LoggedTable,
+    SimulatedRun,
+    Truth,
+    chosen_runs,
+    generator,
+    kind_of_tests,
+    one_mass_truth,
+    whole_numbers,
+)
+
+# Runs of one force and one displacement: excitation, duration, Cramer-Rao errors of k and c. ONE_DOF by
+# name.
+
+# Forces [N rms] by which pedestal and rotor stay within 40 um.
+PEDESTAL_FORCE, AXIAL_FORCE = 0.3, 0.3
+
+
+@dataclass(frozen=True)
+class OneDofRun:
+    """Mass [kg] on spring [N/m] and damper [N.s/m] along *dof*, under a multisine."""
+
+    force: Multisine
+    timing: Timing
+    dof: str
+    mass: float
+    stiffness: float
+    damping: float
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """k, c, mass, f_n and zeta [SI, Hz]."""
+        return one_mass_truth(self.mass, self.stiffness, self.damping)
+
+
+def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
+    """The pedestal alone: 1-100 Hz every 0.5 Hz."""
+    force = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE)
+    return OneDofRun(force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping)
+
+
+def axial(rig: VirtualMagneticRig) -> OneDofRun:
+    """The axial direction: 1-50 Hz every 0.5 Hz."""
+    force = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE)
+    return OneDofRun(force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping)
+
+
+ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
+
+
+def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, float]) -> dict[str, float]:
+    """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz], mass known.
+
+    With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 = 4 sigma^2 / n over
+    n averaged samples is the variance of a complex amplitude. Information: 2 sum Re(dH^* dH^T) |F|^2 / variance, with
+    dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's force is small beside the force. ConfigError for a run that is
+    not of one degree of freedom, a band without lines, or a rig without noise. Equation (sim-bound).
+    """
+    if name not in ONE_DOF:
+        raise ConfigError(f"run '{name}' has no single k and c", hint=nearest(name, ONE_DOF))
+    run = ONE_DOF[name](rig)
+    frequency = run.force.spacing * run.force.lines
+    omega = 2 * np.pi * frequency[(frequency >= band[0] - 1e-9) & (frequency <= band[1] + 1e-9)]
+    if not omega.size:
+        raise ConfigError(f"no line of run '{name}' lies in {band[0]:g}-{band[1]:g} Hz")
+    if rig.noise.displacement == 0 and rig.noise.force == 0:
+        raise ConfigError("a rig without noise has no standard errors")
+    receptance = 1 / linear.dynamic_stiffness(run.mass, run.stiffness, run.damping, omega)
+    line_variance = 4 / (PERIODS * run.timing.n_sample)
+    variance = line_variance * (rig.noise.displacement**2 + np.abs(receptance) ** 2 * rig.noise.force**2)
+    amplitude = linear.line_amplitude(run.force)
+    slopes = np.array([-(receptance**2), -1j * omega * receptance**2]) * amplitude / np.sqrt(variance)
+    std_error = np.sqrt(np.diag(np.linalg.inv(2 * (slopes.conj() @ slopes.T).real)))
+    return {"k": float(std_error[0]), "c": float(std_error[1])}
+
+
+# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
+RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
+TEXT_RUNS = ("pedestal", "axial")
+ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
+GAIN_CORNER = 0.4
+STATIC_BEND = 300e-6
+
+
+def simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
+    """The named runs, all of `run_names` unless named; the same rig and seed give the same samples, whatever other runs are made."""
+    by_name = {**RUNS, **_loop_runs(rig)}
+    return tuple(by_name[name](rig, name, generator(seed, name)) for name in chosen_runs(rig, runs))
+
+
+def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
+    """All of RUNS; of a rig under its control loop also those that close the loop in the time domain, LOOP_RUNS."""
+    return tuple({**RUNS, **_loop_runs(rig)})
+
+
+def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
+    """What is made unless runs are named: of a rig under its control loop the time-domain runs."""
+    return tuple(_loop_runs(rig) or RUNS)
+
+
+def _loop_runs(rig: VirtualMagneticRig) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]]:
+    return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
+
+
+def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArray:
+    return clean + rng.normal(0.0, std, clean.shape)
+
+
+def _recording(name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float) -> Recording:
+    return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
+
+
+def _force_channel(dof: str, angle: float | None) -> Channel:
+    return Channel("f", "force", "input", dof, angle)
+
+
+def _displacement_channel(name: str) -> Channel:
+    return Channel(name, "displacement", "output", name, AXIS_ANGLES.get(name))
+
+
+def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """One force and one displacement that starts at rest: the runs of ONE_DOF."""
+    run = ONE_DOF[name](rig)
+    timing = run.timing
+    receptance = 1 / linear.dynamic_stiffness(run.mass, run.stiffness, run.damping, linear.line_frequencies(run.force))
+    steady = linear.steady_state(run.force, receptance, timing.n_sample, timing.periods)
+    clean = steady + linear.free_decay(steady, timing.sample_rate, run.truth["f_n"], run.truth["zeta"])
+    samples = [
+        _noisy(run.force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng),
+        _noisy(clean, rig.noise.displacement, rng),
+    ]
+    channels = [_force_channel(run.dof, AXIS_ANGLES.get(run.dof)), _displacement_channel(run.dof)]
+    return SimulatedRun(name, run.truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric; 1-250 Hz every 1 Hz."""
+    rotating = name.endswith("rpm") and not name.endswith("-0rpm")
+    force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
+    omega = linear.line_frequencies(force)
+    receptance = np.cos(np.pi / 4) / mechanics.levitated(rig, omega)
+    timing = Timing(2000.0, 1.0, 1)
+    clean = linear.steady_state(force, receptance, timing.n_sample, timing.periods)
+    clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
+    samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
+    for quarter in (0.0, np.pi / 2):
+        displacement = clean + _hover(rig, timing, rng)
+        if rotating:
+            displacement = displacement + _rotation(rig, timing, quarter)
+        samples.append(_noisy(displacement, rig.noise.displacement, rng))
+    bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
+    truth: dict[str, Any] = {
+        "mass": rig.rotor_mass,
+        "speed_hz": rig.speed if rotating else 0.0,
+        "forcing_angle": np.pi / 4,
+        "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
+        "frequency_hz": (omega / (2 * np.pi)).tolist(),
+        "k_per_bearing": bearing.real.tolist(),
+        "c_per_bearing": (bearing.imag / omega).tolist(),
+    }
+    if rig.levitation.law == "control-loop":
+        truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)
+    channels = [_force_channel("45 deg", np.pi / 4), _displacement_channel("x"), _displacement_channel("y")]
+    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def _hover(rig: VirtualMagneticRig, timing: Timing, rng: np.random.Generator) -> FloatArray:
+    """Slow random wander of the levitated rotor, with the stated rms."""
+    wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[timing.n_sample :]
+    return rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
+
+
+def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatArray:
+    """1x of the unbalance and cogging lines at 2x and 4x of speed; speed is no multiple of the spacing."""
+    t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
+    angle = 2 * np.pi * rig.speed * t - quarter
+    motion: FloatArray = rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
+    return motion
+
+
+def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs together."""
+    dof = name[-1]
+    column = "xy".index(dof)
+    force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
+    omega = linear.line_frequencies(force)
+    receptance = np.linalg.inv(mechanics.coupled(rig, omega))[:, :, column]
+    timing = Timing(2000.0, 1.0, 1)
+    samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
+    for row in range(2):
+        clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
+        samples.append(_noisy(clean, rig.noise.displacement, rng))
+    matrices = (("k", mechanics.COUPLED_STIFFNESS), ("c", mechanics.COUPLED_DAMPING))
+    truth: dict[str, Any] = {"mass": rig.rotor_mass}
+    for letter, matrix in matrices:
+        truth.update({f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)})
+    channels = [_force_channel(dof, AXIS_ANGLES[dof]), _displacement_channel("x"), _displacement_channel("y")]
+    return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
+
+
+def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """Force over control voltage at seven levels and seven eccentricities; the gain falls as 1 / (1 + (e / 0.4)^4)."""
+    levels = np.linspace(0.08, 0.56, 7)
+    gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
+    eccentricity = np.repeat(ECCENTRICITIES, levels.size)
+    voltage = np.tile(levels, len(ECCENTRICITIES))
+    force = _noisy(np.repeat(gains, levels.size) * voltage, rig.noise.force, rng)
+    table = {"eccentricity [%]": 100 * eccentricity, "voltage [V]": voltage, "force [N]": force}
+    within = [e for e, gain in zip(ECCENTRICITIES, gains, strict=True) if abs(gain / gains[0] - 1) <= 0.2]
+    truth = {"eccentricity": list(ECCENTRICITIES), "gain": gains, "linear_range_20_percent": max(within)}
+    return SimulatedRun(name, truth, table=table)
+
+
+def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
+    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45 um."""
+    displacement = np.arange(0, 91, 3) * 1e-6
+    k_0 = rig.levitation.static
+    force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
+    return SimulatedRun(name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force})
+
+
+RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {
+    "pedestal": single,
+    "radial-0rpm": radial,
+    "radial-8000rpm": radial,
+    "two-directions-x": two_directions,
+    "two-directions-y": two_directions,
+    "axial": single,
+    "actuator-gain": actuator_gain,
+    "static": static,
+}
+
+
+def logged(recording: Recording) -> LoggedTable:
+    """A run as the logger stores it: short runs as text, runs under the control loop as whole numbers."""
+    if recording.name in LOOP_RUNS:
+        return whole_numbers(recording)
+    columns = _recorded_columns(recording)
+    if recording.name not in TEXT_RUNS:
+        return LoggedTable({title: column.astype(np.float32) for title, column in columns.items()})
+    return LoggedTable({"t [s]": np.arange(recording.n_sample) / recording.sample_rate, **columns}, text=True)
+
+
+def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
+    """The channels as the logger records them: "force [N]", "x [um]", "y [V]"."""
+    columns = {}
+    for number, channel in enumerate(recording.channels):
+        unit, per_si = RECORDED[channel.name]
+        title = "force" if channel.name == "f" else channel.name
+        columns[f"{title} [{unit}]"] = recording.samples[:, number] * per_si
+    return columns
+
+
+def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> Truth:
+    (first,) = simulate(rig, 0, runs[:1])
+    return {name: float(number) for name, number in first.truth.items() if isinstance(number, (int, float))}
+
+
+def _std_errors(rig: VirtualMagneticRig, runs: Sequence[str], band: tuple[float, float]) -> Truth:
+    """Of k and c of a one-dof run whose mass is known; none for others."""
+    return expected_std_error(rig, runs[0], band) if runs[0] in ONE_DOF else {}
+
+
+MAGNETIC_RIG = kind_of_tests(
+    VirtualMagneticRig,
+    runs=run_names,
+    usual=usual_runs,
+    tests=simulate,
+    logged=logged,
+    parameters=_parameters,
+    std_errors=_std_errors,
+)

@@ -1,0 +1,400 @@
+"""Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.budget import Source, changes_by, mass_source, matrix_errors, with_sources
+from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
+from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import determination
+from labpipe.estimation.weights import equal_weights, has_noise, whitener
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
+from labpipe.methods.modal.number import Completed, LineNoise, completed, kept_modes, refine_with_terms, with_real_modes
+from labpipe.methods.modal.poles import Diagram, NormalEquations, Poles, damping_ratio, nearest_modes, normal_equations, stabilisation
+from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
+from labpipe.methods.modal.shapes import DrivingPoint, frequency_correlation, modal_parameters, shape_record, strongest_points
+from labpipe.methods.modal.whole_covariance import MOST_ENTRIES, ModalEstimate, ModalReceptance, whole_covariance_fit
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.fit_details import StabilisationDiagram
+from labpipe.records.identification import Fit, FittedCurve, Goodness
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.convert import DERIVATIVES, receptance_factor
+
+# What systematic errors of sensors and of a given mass do to modes.
+
+
+def modal_sources(
+    measured: Measured,
+    terms: ResidualTerms,
+    refined: Refined,
+    parameters: Callable[[Refined], tuple[Parameter, ...]],
+    *,
+    real: bool = False,
+) -> list[Source]:
+    """Changes of the *parameters* of refined modes by every source in the FRFs' sensors and sums, (n_parameter,) [parameter units] each.
+
+    Directions count where two points or more of known direction tell the motion in their plane, likewise two forces.
+
+    One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is repeated. None where the
+    Jacobian is too large to be held in memory.
+    """
+    errors = matrix_errors(measured, directions=True)
+    model = ModalReceptance.of(terms, refined, measured, real=real)
+    if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
+        return []
+    values = model.joined(refined, measured)
+    problem = OutputError(measured, model, _weights(measured))
+    jacobian = problem.jacobian(values)
+    step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
+
+    def changed(change: ComplexArray) -> FloatArray:
+        poles, participation, shapes, _ = model.split(values - step @ problem.whitened(change))
+        again = replace(refined, poles=poles, participation=participation, shapes=shapes)
+        return np.array([parameter.value for parameter in parameters(again)])
+
+    return changes_by(errors, changed)
+
+
+def _weights(measured: Measured) -> ComplexArray:
+    """Those of the fit; equal ones where the covariance is not known or cannot be used."""
+    if not has_noise(measured):
+        return equal_weights(measured)
+    try:
+        return whitener(measured)
+    except FitError:
+        return equal_weights(measured)
+
+
+# Findings and notes of a modal identification.
+
+# Lines in the half-power width below which a window is as wide as the mode.
+LEAST_LINES = 2.0
+# Standard errors beyond which a mass counts as negative.
+SURE = 3.0
+
+
+def mismatch(estimate: ModalEstimate) -> float | None:
+    """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
+    if estimate.chi2_reduced is None or estimate.chi2_p is None or estimate.chi2_p >= MISMATCH_P:
+        return None
+    return float(np.sqrt(estimate.chi2_reduced))
+
+
+def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
+    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval would be."""
+    return estimate.chi2_reduced is None and p_noise < MISMATCH_P
+
+
+def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ...]:
+    """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on neighbouring lines."""
+    warnings = []
+    if not estimate.refined.converged:
+        message = f"the refinement of the modes did not converge in {estimate.refined.steps} steps; its numbers are not a result"
+        warnings.append(Finding("no-convergence", message))
+    unstable = estimate.refined.poles[estimate.refined.poles.real >= 0]
+    if unstable.size:
+        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in unstable)
+        warnings.append(
+            Finding("unphysical", f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the structure")
+        )
+    factor = mismatch(estimate)
+    if factor is not None:
+        message = (
+            f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
+            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g}): a mode is missing, or the structure is not linear. The "
+            f"intervals that are printed are {factor:.3g} times those of noise alone, since the excess counts as noise. Name the missing "
+            "mode in `poles`, or narrow the band."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    elif unexplained(estimate, p_noise):
+        message = (
+            f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g}). A mode is missing, the structure is not "
+            "linear, or its modes differ from point to point (a sensor that loads it). So no interval is given. Name the missing mode in "
+            "`poles`, or narrow the band."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    return tuple(warnings)
+
+
+def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tuple[Finding, ...]:
+    """A warning for modes hardly wider than a line unless noise or window of the FRFs is known.
+
+    Half-power width -2 Re lambda over the distance of the lines [1].
+    """
+    width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
+    narrow = [] if window_known else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
+    if not narrow:
+        return ()
+    places = ", ".join(f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow)
+    message = (
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how much leaked, decide such a "
+        "peak: its damping, and whether a second mode seems to stand beside it. No standard error shows that. Say `window:` in the entry "
+        "under frfs:, or measure with finer lines"
+    )
+    return (Finding("leakage", message),)
+
+
+def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
+    """A warning for every modal mass that is negative by more than its doubt: at a driving point no structure has one."""
+    negative = [
+        parameter
+        for parameter in parameters
+        if parameter.name.startswith("m_") and parameter.std_error is not None and parameter.value < -SURE * parameter.std_error
+    ]
+    modes = [mode.name.removeprefix("m_") for mode in negative]
+    if not modes:
+        return ()
+    named = f"mode {modes[0]} has" if len(modes) == 1 else f"modes {', '.join(modes)} have"
+    message = (
+        f"{named} a negative mass at the driving point: force and response are not at one place and in one direction, a sign is wrong, or "
+        "the pole stands for a part of its neighbours"
+    )
+    return (Finding("unphysical", message),)
+
+
+def modal_notes(estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool) -> tuple[str, ...]:
+    """What a reader must know: where the noise comes from, residual terms, a single reference, moved forces."""
+    terms = whole.terms
+    notes = [f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} for modes above it, by AIC."]
+    if estimate.unused:
+        notes.append(f"modal: the measured covariance is not used: {estimate.unused}.")
+    if estimate.chi2_reduced is None:
+        notes.append(
+            "modal: the size of the noise comes from the residual of every FRF, its course along the lines from a measured covariance "
+            "(without one it is the same at all lines); the chi-square test of the model is not possible."
+        )
+    if whole.added:
+        notes.append(f"modal: {whole.added} mode(s) were added that the diagram did not show, since the residual was not noise.")
+    if n_reference == 1:
+        notes.append("modal: with one reference a mode with a node there is not seen, and modes of the same frequency are one.")
+    if forces_move:
+        notes.append("modal: the forces are the points of the shapes, the responses the references (reciprocity is assumed).")
+    return tuple(notes)
+
+
+# Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
+# likelihood.
+
+# Lines per order of the denominator below which a polynomial follows the noise.
+LINES_PER_ORDER = 4
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """The FRFs with the smaller side, the references, as columns: as receptance, and in the measured form, whose noise is the more even.
+
+    forces_move: the larger side are the forces (a roving hammer).
+    """
+
+    measured: Measured
+    lines: Lines
+    forces_move: bool
+
+    @property
+    def points(self) -> tuple[Port, ...]:
+        return self.measured.outputs
+
+    @property
+    def references(self) -> tuple[Port, ...]:
+        return self.measured.inputs
+
+    @property
+    def driving_points(self) -> tuple[DrivingPoint, ...]:
+        """The points that are references as well."""
+        dofs = [port.dof for port in self.references]
+        return tuple(DrivingPoint(row, dofs.index(port.dof), port.dof) for row, port in enumerate(self.points) if port.dof in dofs)
+
+
+def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
+    """The modes of the settings' band as one Fit.
+
+    ConfigError where settings and response do not fit together, FitError where no mode is found or the lines are too few.
+    """
+    if not isinstance(settings.mass, float | str):
+        raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
+    modal: ModalSettings = settings.model_settings
+    rows, columns = select_ports(response, settings.input, settings.output)
+    band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
+    chosen = lines_in(response.frequency, band) & (response.frequency > 0)
+    sides = _sides(measured_part(response, rows, columns, chosen), response.form)
+    if modal.structure is not None:
+        modal.structure.check([port.dof for port in sides.points])
+    highest = _highest_order(sides.lines, modal)
+    equations = normal_equations(sides.lines.omega, sides.lines.matrix, highest)
+    edges = float(sides.lines.omega[0]), float(sides.lines.omega[-1])
+    diagram = stabilisation(equations, edges, highest)
+    start = _by_hand(equations, modal, edges, highest) if modal.poles else diagram.modes
+    _check_start(start, sides.lines, highest)
+    refined, terms = refine_with_terms(sides.lines, start.values, start.participation)
+    refined, terms, dropped = kept_modes(sides.lines, refined, terms)
+    # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would need.
+    line_noise = LineNoise(response.line_correlation)
+    whole = completed(sides.lines, refined, terms, line_noise, adding=not modal.poles)
+    real = modal.shapes == "real"
+    if real:
+        whole = with_real_modes(sides.lines, whole, line_noise)
+    terms = whole.terms
+    estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
+    fit = _reported(settings, band, sides, whole, estimate)
+    fit = with_sources(fit, _sources(settings, sides, terms, estimate))
+    window_known = has_noise(sides.measured) or bool(response.line_correlation)
+    narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
+    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
+    quality = quality_findings(response, rows, columns, chosen)
+    modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))
+    driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
+    modes = replace(modes, driving_points=driving, geometry=modal.structure)
+    curve = _curve(response.form, sides, estimate)
+    return replace(fit, findings=(*fit.findings, *quality), curve=curve, details=(modes,))
+
+
+def _sides(measured: Measured, form: str) -> _Sides:
+    forces_move = len(measured.inputs) > len(measured.outputs)
+    turned = _turned(measured) if forces_move else measured
+    factor = receptance_factor(form, measured.omega / (2 * np.pi))
+    matrix = turned.matrix * factor[:, None, None]
+    return _Sides(turned, Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor)), forces_move)
+
+
+def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
+    """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each relative to its mean; else 1."""
+    if not has_noise(measured):
+        return np.ones(measured.omega.size)
+    assert measured.covariance is not None
+    variance = np.einsum("lii->li", measured.covariance).real * np.abs(factor[:, None]) ** 2
+    return np.asarray(1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1)))
+
+
+def _turned(measured: Measured) -> Measured:
+    """Outputs and inputs exchanged: a linear structure answers alike (Maxwell and Betti)."""
+    _, n_output, n_input = measured.matrix.shape
+    order = np.arange(n_output * n_input).reshape(n_output, n_input).T.ravel()
+    covariance = None if measured.covariance is None else measured.covariance[:, order][:, :, order]
+    return replace(
+        measured,
+        matrix=measured.matrix.swapaxes(1, 2),
+        errors=tuple(replace(error, change=error.change.swapaxes(1, 2)) for error in measured.errors),
+        covariance=covariance,
+        outputs=measured.inputs,
+        inputs=measured.outputs,
+    )
+
+
+def _highest_order(lines: Lines, modal: ModalSettings) -> int:
+    """The settings' order, less where the lines are few; FitError where they are too few for any choice."""
+    highest = min(modal.order, lines.omega.size // LINES_PER_ORDER)
+    if highest < LEAST_ORDER:
+        raise FitError(
+            f"{lines.omega.size} lines are too few for a stabilisation diagram",
+            hint=f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more",
+        )
+    return highest
+
+
+def _by_hand(equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int) -> Poles:
+    """The poles nearest to the named frequencies; ConfigError for one outside the band."""
+    frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
+    outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
+    if outside.size:
+        inside = f"{edges[0] / (2 * np.pi):g} to {edges[1] / (2 * np.pi):g} Hz"
+        what = f"the pole {outside[0] / (2 * np.pi):g} Hz lies outside the band"
+        raise ConfigError(what, hint=f"the lines go from {inside}", field="poles")
+    return nearest_modes(equations, frequencies, highest)
+
+
+def _check_start(start: Poles, lines: Lines, highest: int) -> None:
+    if not start.values.size:
+        raise FitError(
+            f"no pole returns in a quarter of the orders up to {highest}: no mode stands out of the noise of this band",
+            hint="choose another band, or name `poles` by hand",
+        )
+    if np.unique(start.values).size < start.values.size:
+        raise FitError("two of the named poles are one and the same pole of the data", hint="name each mode once")
+    if lines.omega.size < LINES_PER_ORDER * start.values.size:
+        raise FitError(f"{lines.omega.size} lines cannot hold {start.values.size} modes", hint="widen the band")
+
+
+def _parameters(settings: FitSettings, sides: _Sides, estimate: ModalEstimate, refined: Refined) -> tuple[Parameter, ...]:
+    mass = settings.mass if isinstance(settings.mass, float) else None
+    return modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
+
+
+def _sources(settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate) -> list[Source]:
+    """What the sensors, sums of channels and a given mass make doubtful."""
+    parameters = partial(_parameters, settings, sides, estimate)
+    of_matrix = modal_sources(sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real")
+    return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]
+
+
+def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate) -> Fit:
+    """The Fit without shapes and curve."""
+    refined, measured = estimate.refined, sides.measured
+    matrix = frequency_correlation(refined)
+    parameters = _parameters(settings, sides, estimate, refined)
+    r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof)
+    return Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator="ml",
+        band_hz=band,
+        lines=measured.omega.size,
+        equations=measured.n_equation,
+        dof=estimate.dof,
+        gof=Goodness(r2, adjusted, estimate.chi2_reduced, estimate.chi2_p),
+        parameters=without_intervals(parameters) if unexplained(estimate, whole.p_noise) else parameters,
+        condition_number=float(np.sqrt(np.linalg.cond(matrix))),
+        correlation=matrix,
+        converged=refined.converged,
+        iterations=refined.steps,
+        findings=(*modal_findings(estimate, whole.p_noise), *mass_findings(parameters)),
+        notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
+    )
+
+
+def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
+    """The diagram in Hz, with the singular values of the FRFs on the lines."""
+    poles = diagram.poles
+    return StabilisationDiagram(
+        np.abs(poles.values) / (2 * np.pi),
+        damping_ratio(poles.values),
+        poles.orders,
+        diagram.group,
+        indicator_frequency=lines.omega / (2 * np.pi),
+        indicator=np.linalg.svd(lines.matrix, compute_uv=False),
+    )
+
+
+def _curve(form: str, sides: _Sides, estimate: ModalEstimate) -> FittedCurve:
+    """Measured and fitted FRF in the measured form, with outputs as rows again."""
+    measured = sides.measured
+    frequency = measured.omega / (2 * np.pi)
+    fitted, outputs, inputs = estimate.fitted, measured.outputs, measured.inputs
+    factor = receptance_factor(form, frequency)[:, None, None]
+    variance = None
+    if measured.covariance is not None:
+        variance = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape) * np.abs(factor) ** 2
+    shown, fitted = measured.matrix * factor, fitted * factor
+    if sides.forces_move:
+        shown, fitted, outputs, inputs = shown.swapaxes(1, 2), fitted.swapaxes(1, 2), inputs, outputs
+        variance = None if variance is None else variance.swapaxes(1, 2)
+    return FittedCurve(
+        frequency,
+        shown,
+        fitted,
+        variance=variance,
+        outputs=tuple(port.label for port in outputs),
+        inputs=tuple(port.label for port in inputs),
+        form=form,
+    )

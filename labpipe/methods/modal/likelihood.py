@@ -1,0 +1,389 @@
+"""Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
+
+Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
+
+H(s) = s^p (sum over modes of psi l^T / (s - lambda) + conj. + sum over terms of C rho(s)), p = 0, 1, 2 for receptance, mobility and
+accelerance. Given lambda and l everything else is linear, separately for each output, and is eliminated; the Gram matrix of
+u = a + b, v = j (a - b) with a = s^p / (s - lambda), b = s^p / (s - conj lambda), of their derivatives and of the residual terms, and
+its products with the data are all that an iteration needs of the lines.
+
+Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is psi_real l^T / (2 j w_d).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+
+# What modes outside the band leave inside it: a few smooth terms with complex factors for every FRF.
+
+
+@dataclass(frozen=True)
+class Lines:
+    """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF], *power* p of s of their form.
+
+    weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over lines are weighted with it.
+    """
+
+    omega: FloatArray
+    matrix: ComplexArray
+    power: int
+    weight: FloatArray
+
+    @property
+    def s(self) -> ComplexArray:
+        """j omega (n_line,) [rad/s]."""
+        return 1j * self.omega
+
+    @property
+    def n_element(self) -> int:
+        return self.matrix.shape[1] * self.matrix.shape[2]
+
+    @property
+    def weighted(self) -> ComplexArray:
+        """The FRFs times the weight, (n_line, n_output, n_input) [unit of the FRF]."""
+        return np.asarray(self.matrix * self.weight[:, None, None])
+
+
+@dataclass(frozen=True)
+class ResidualTerms:
+    """Smooth terms and the FRFs that they are taken out of, both times the weight of the *lines*:
+
+    *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times s^power.
+
+    The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers' likeness. Their error falls
+    like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the band is [-1, 1]. Equation (modal-terms).
+    """
+
+    lines: Lines
+    lower: int
+    upper: int
+
+    @property
+    def count(self) -> int:
+        return self.lower + self.upper
+
+    @cached_property
+    def basis(self) -> ComplexArray:
+        """Orthonormal columns (n_line, n_term) [1]."""
+        omega, power = self.lines.omega, self.lines.power
+        square = omega**2
+        middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
+        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))[:, : self.upper]
+        lower = (square[0] / square)[:, None] ** np.arange(1, self.lower + 1)
+        columns = np.hstack([lower, upper]) * ((1j * omega / omega[-1]) ** power * self.lines.weight)[:, None]
+        return np.asarray(np.linalg.qr(columns)[0])
+
+    def without(self, values: ComplexArray) -> ComplexArray:
+        """*values* (n_line, n) [any unit] less what the terms can make of them with complex factors."""
+        return np.asarray(values - self.basis @ (self.basis.conj().T @ values))
+
+    @cached_property
+    def remainder(self) -> ComplexArray:
+        """The data (n_line, n_output, n_input) [unit of the FRF] without the terms."""
+        weighted = self.lines.weighted
+        return self.without(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """Sum over the lines of |remainder|^2, (n_output, n_input) [square of the FRF's unit]."""
+        return np.asarray(np.sum(np.abs(self.remainder) ** 2, axis=0))
+
+
+# Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
+
+MOST_STEPS = 40
+# A step below this part of every standard error ends the descent.
+NEGLIGIBLE = 1e-3
+# Part of a standard error within which a point counts as the minimum where rounding lets no step lower the misfit.
+NEAR = 0.1
+# Relative size of eigenvalues of scaled normal matrices that rounding leaves of zero.
+ROUNDING = 1e-13
+MOST_HALVINGS = 12
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Modes with covariance: *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) with largest entry 1, *shapes* (n_output,
+    n_mode) such that psi l^T is the residue.
+
+    covariance (n, n) of the parameters: Re and Im of the poles in turn, then those of the participation other than the largest entry.
+    shape_covariance (n_output, 2 n_mode, 2 n_mode) of Re and Im of psi in turn; crossed (n_output, 2 n_mode, n) of both.
+    noise (n_output, n_input): variance E|n|^2 of an element. information: 2 n_line times the sum of ln(residual) over the elements.
+    Equation (modal-likelihood).
+    """
+
+    poles: ComplexArray
+    participation: ComplexArray
+    shapes: ComplexArray
+    covariance: FloatArray
+    shape_covariance: FloatArray
+    crossed: FloatArray
+    noise: FloatArray
+    information: float
+    converged: bool
+    steps: int
+
+    def place(self, mode: int, reference: int) -> int | None:
+        """Place of the real part of an entry of the participation among the parameters; None for the fixed one."""
+        rows, columns = _free(self.participation)
+        match = np.flatnonzero((rows == mode) & (columns == reference))
+        return 2 * self.poles.size + 2 * int(match[0]) if match.size else None
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Gram matrix (f, f) of the pole functions and their derivatives and its products (f, n_output, n_input) with the data, both after
+    elimination of the residual terms; *size* (n_output, n_input): sum of squares of the data after it.
+    """
+
+    gram: FloatArray
+    data: FloatArray
+    size: FloatArray
+
+
+def refine(
+    lines: Lines,
+    terms: ResidualTerms,
+    poles: ComplexArray,
+    participation: ComplexArray,
+    most_steps: int = MOST_STEPS,
+    *,
+    real: bool = False,
+) -> Refined:
+    """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1]; *real*: real modes.
+
+    The noise of every element, the same at all lines, is estimated from its residual after each step. Equation (modal-model).
+    """
+    start = _normalised(participation)
+    state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
+    for steps in range(1, most_steps + 1):
+        step, std_errors = state.step()
+        if np.all(np.abs(step) <= NEGLIGIBLE * std_errors):
+            return state.result(True, steps)
+        moved = _moved(state, step)
+        if moved is None:
+            return state.result(bool(np.all(np.abs(step) <= NEAR * std_errors)), steps)
+        state = moved.with_noise()
+    return state.result(False, most_steps)
+
+
+def _moved(state: _State, step: FloatArray) -> _State | None:
+    """The state after the largest of the halved steps that lowers the misfit; None without one."""
+    before = state.chi2
+    for halving in range(MOST_HALVINGS):
+        other = state.after(step / 2**halving)
+        if other is not None and other.chi2 < before:
+            return other
+    return None
+
+
+@dataclass(frozen=True)
+class _State:
+    """Poles and participation with the sums there and the shapes that fit them best."""
+
+    lines: Lines
+    terms: ResidualTerms
+    sums: _Sums
+    poles: ComplexArray
+    participation: ComplexArray
+    variance: FloatArray
+    real: bool = False
+
+    @property
+    def n_mode(self) -> int:
+        return int(self.poles.size)
+
+    @classmethod
+    def at(cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool) -> _State:
+        """The state at start values; shapes of equal weights give the first estimate of the noise."""
+        even = np.ones(lines.matrix.shape[1:])
+        return cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real).with_noise().with_noise()
+
+    def with_noise(self) -> _State:
+        """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that it has for itself."""
+        psi, _ = self._shapes()
+        n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
+        return replace(self, variance=_rss(self.sums, self.participation, psi) / max(self.lines.omega.size - n_per_element, 1.0))
+
+    def after(self, step: FloatArray) -> _State | None:
+        """The state at the parameters moved by *step* (n,); None with an unstable pole."""
+        poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
+        if np.any(poles.real >= 0) or np.any(poles.imag <= 0):
+            return None
+        participation = self.participation.copy()
+        change = step[2 * self.n_mode :]
+        rows, columns = _free(self.participation)
+        participation[rows, columns] += change[0::2] + 1j * change[1::2]
+        sums = _sums(self.lines, self.terms, poles)
+        return replace(self, sums=sums, poles=poles, participation=participation)
+
+    def _shapes(self) -> tuple[ComplexArray, FloatArray]:
+        return shapes_of(self.sums, self.participation, self.variance, real=self.real)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of |residual|^2 over the variance, all elements."""
+        psi, _ = self._shapes()
+        return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
+
+    def step(self) -> tuple[FloatArray, FloatArray]:
+        """Gauss-Newton step (n,) of the parameters and their standard errors (n,)."""
+        normal, gradient, *_ = self._schur()
+        inverse = _pseudo_inverse(normal)
+        return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
+
+    def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
+        """Normal matrix (n, n) and gradient (n,) with the shapes eliminated, A^-1 and A^-1 B of the outputs, and the shapes."""
+        psi, inverse = self._shapes()
+        of_shapes = _shape_columns(self.participation)
+        weight = 1 / self.variance[:, :, None, None]
+        by_theta = _theta_columns(self.participation, psi)
+        if self.real:
+            by_theta[..., 2 * self.n_mode + 1 :: 2] = 0.0
+        gram, k, n = self.sums.gram, 2 * self.n_mode, by_theta.shape[-1]
+        weighted = weight * np.matmul(gram, by_theta)
+        d = by_theta.reshape(-1, n).T @ weighted.reshape(-1, n)
+        b = np.sum(np.matmul(of_shapes.swapaxes(1, 2), weighted[:, :, :k]), axis=1)
+        residual = self.sums.data.transpose(1, 2, 0) - _coefficients(self.participation, psi) @ gram[:k]
+        gradient = by_theta.reshape(-1, n).T @ (weight[..., 0] * residual).ravel()
+        eliminated = inverse @ b
+        return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
+
+    def result(self, converged: bool, steps: int) -> Refined:
+        normal, _, inverse, eliminated, psi = self._schur()
+        covariance = _pseudo_inverse(normal) / 2
+        crossed = -eliminated @ covariance
+        shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
+        n_line = self.lines.omega.size
+        rss = _rss(self.sums, self.participation, psi)
+        information = 2 * n_line * float(np.sum(np.log(rss)))
+        return Refined(
+            self.poles, self.participation, psi, covariance, shape_covariance, crossed, self.variance, information, converged, steps
+        )
+
+
+def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
+    """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
+    pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
+    return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes)))
+
+
+def _pseudo_inverse(normal: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix (n, n) without the directions that rounding alone determines (two modes on one place)."""
+    diagonal = np.diag(normal)
+    scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
+    values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
+    keep = values > ROUNDING * values[-1]
+    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale))
+
+
+def _normalised(participation: ComplexArray) -> ComplexArray:
+    """Rows with their largest entry 1."""
+    rows, largest = np.arange(participation.shape[0]), np.argmax(np.abs(participation), axis=1)
+    scaled = participation / participation[rows, largest][:, None]
+    # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
+    scaled[rows, largest] = 1.0
+    return np.asarray(scaled)
+
+
+def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the entries that are estimated: all but the 1 of each row."""
+    rows, columns = np.nonzero(participation != 1)
+    return rows, columns
+
+
+def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
+    """u, v of every mode in turn, then their counterparts with squared denominators, (n_line, 4 n_mode)."""
+    s = lines.s[:, None]
+    a, b = 1 / (s - poles), 1 / (s - poles.conj())
+    first = np.stack([a + b, 1j * (a - b)], axis=-1).reshape(s.size, -1)
+    second = np.stack([a**2 + b**2, 1j * (a**2 - b**2)], axis=-1).reshape(s.size, -1)
+    return np.hstack([first, second]) * s**lines.power * lines.weight[:, None]
+
+
+def _sums(lines: Lines, terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+    functions = terms.without(_functions(lines, poles))
+    gram = (functions.conj().T @ functions).real
+    flat = terms.remainder.reshape(lines.omega.size, -1)
+    data = (functions.conj().T @ flat).real.reshape(-1, *lines.matrix.shape[1:])
+    return _Sums(gram, data, terms.size)
+
+
+def _shape_columns(participation: ComplexArray) -> FloatArray:
+    """Coefficients of (u, v) of every mode per Re and Im of psi, (n_input, 2 n_mode, 2 n_mode): R = psi l."""
+    n_mode, n_input = participation.shape
+    columns = np.zeros((n_input, 2 * n_mode, 2 * n_mode))
+    for mode in range(n_mode):
+        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turned(participation[mode])
+    return columns
+
+
+def _turned(factor: ComplexArray) -> FloatArray:
+    """The product with complex factors (...,) as real matrices (..., 2, 2)."""
+    matrices = np.empty((*factor.shape, 2, 2))
+    matrices[..., 0, 0] = matrices[..., 1, 1] = factor.real
+    matrices[..., 1, 0] = factor.imag
+    matrices[..., 0, 1] = -factor.imag
+    return matrices
+
+
+def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
+    """Coefficients of all functions per parameter, (n_output, n_input, 4 n_mode, n)."""
+    n_mode, n_input = participation.shape
+    rows, columns = _free(participation)
+    n = 2 * n_mode + 2 * len(rows)
+    values = np.zeros((psi.shape[0], n_input, 4 * n_mode, n))
+    residue = psi[:, None, :] * participation.T[None]
+    for mode in range(n_mode):
+        # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
+        at = 2 * n_mode + 2 * mode
+        values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turned(residue[:, :, mode])
+    for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
+        at = 2 * n_mode + 2 * number
+        values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turned(psi[:, mode])
+    return values
+
+
+def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False) -> tuple[ComplexArray, FloatArray]:
+    """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2 n_mode, 2 n_mode).
+
+    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real* modes: shapes are
+    imaginary, and the inverse is zero for their real parts.
+    """
+    k = 2 * participation.shape[0]
+    chosen = slice(1, None, 2) if real else slice(None)
+    columns = _shape_columns(participation)[:, :, chosen]
+    single = columns.swapaxes(1, 2) @ sums.gram[:k, :k] @ columns
+    normal = np.tensordot(1 / variance, single, 1)
+    right_side = np.sum((sums.data[:k] / variance).transpose(2, 1, 0) @ columns, axis=0)
+    scale = np.sqrt(np.einsum("omm->om", normal))
+    scaled = normal / (scale[:, :, None] * scale[:, None, :])
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(scaled, rcond=ROUNDING, hermitian=True)
+    whole = np.zeros((normal.shape[0], k, k))
+    whole[:, chosen, chosen] = inverse / (scale[:, :, None] * scale[:, None, :])
+    values = np.zeros((normal.shape[0], k))
+    values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
+    return values[:, 0::2] + 1j * values[:, 1::2], whole
+
+
+def _coefficients(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
+    """Coefficients (n_output, n_input, 2 n_mode) of u, v: real and imaginary part of the residues in turn."""
+    residue = psi[:, None, :] * participation.T[None]
+    return np.stack([residue.real, residue.imag], axis=-1).reshape(*residue.shape[:2], -1)
+
+
+def _rss(sums: _Sums, participation: ComplexArray, psi: ComplexArray) -> FloatArray:
+    """Sum of |residual|^2 of every element, (n_output, n_input)."""
+    coefficients = _coefficients(participation, psi)
+    k = coefficients.shape[-1]
+    fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
+    square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
+    return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)

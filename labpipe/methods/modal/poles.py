@@ -1,0 +1,294 @@
+"""Poles of all orders by p-LSCF, and the choice of the physical ones by stabilisation.
+
+Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of sums over the lines.
+
+H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input, n_input): Guillaume, Verboven,
+Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are Toeplitz in the powers of z, so that the sums of z^m, z^m H
+and z^m H^H H over the lines are all that the data contribute.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+
+# Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set
+# of sums over the lines.
+
+# Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay apart.
+TOP_OF_PERIOD = 0.95
+# Largest part of the frequencies that may lie below the band without a new origin.
+MOST_BELOW = 0.2
+# Distance of a new origin from the band, as part of its width.
+BELOW_BAND = 0.1
+# Relative size of eigenvalues of the normal matrix that rounding leaves of zero (noise-free FRFs of few modes).
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class Poles:
+    """Stable poles: *values* (n,) [rad/s] with positive imaginary part, *participation* (n, n_input) [1] of length 1, *orders* (n,)."""
+
+    values: ComplexArray
+    participation: ComplexArray
+    orders: IntArray
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Normal matrices M of the denominator for every order, from order 1 up to the highest: (n_order, blocks, blocks), blocks = (order +
+    1) n_input filled. z = exp(-(s - j origin) T): *origin* [rad/s], *period* T [s]; *scale* (n_input,) of the references.
+    """
+
+    matrices: tuple[FloatArray, ...]
+    origin: float
+    period: float
+    scale: FloatArray
+
+    @property
+    def n_input(self) -> int:
+        return int(self.scale.size)
+
+    def poles(self, order: int, *, stable_noise: bool = False) -> Poles:
+        """Poles of a model of *order*; *stable_noise*: constraint A_0 = I in place of A_n = I.
+
+        With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias is least, and poles of
+        noise are stable too. Equation (modal-poles).
+        """
+        n = self.n_input
+        matrix = self.matrices[order - 1]
+        if stable_noise:
+            coefficients = _solved(matrix[n:, n:], -matrix[n:, :n]).reshape(order, n, n)[::-1]
+        else:
+            coefficients = _solved(matrix[:-n, :-n], -matrix[:-n, -n:]).reshape(order, n, n)
+        roots, vectors = _roots(coefficients)
+        with np.errstate(divide="ignore"):
+            values = np.asarray(np.log(roots) * (1 if stable_noise else -1) / self.period, np.complex128)
+        keep = (values.real < 0) & (values.imag > 0)
+        participation = vectors[:, keep].T / self.scale
+        lengths = np.linalg.norm(participation, axis=1, keepdims=True)
+        return Poles(values[keep] + 1j * self.origin, participation / lengths, np.full(int(np.sum(keep)), order))
+
+
+def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> NormalEquations:
+    """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega* (n_line,) [rad/s].
+
+    Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T of the highest order, order
+    n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that one factor serves all orders. Equation (modal-lscf).
+    """
+    n_line, _n_output, n_input = matrix.shape
+    scale = 1 / np.sqrt(np.mean(np.abs(matrix) ** 2, axis=(0, 1)))
+    scaled = matrix * scale
+    scaled = scaled / np.sqrt(np.mean(np.abs(scaled) ** 2, axis=(0, 2)))[None, :, None]
+    # From a band far above 0 Hz z would see an arc only, and its powers be alike; a new origin makes the band half the circle again. It
+    # lies below the band, since real coefficients make the FRF real there.
+    lowest, top = float(omega[0]), float(omega[-1])
+    origin = lowest - BELOW_BAND * (top - lowest) if lowest > MOST_BELOW * top else 0.0
+    period = TOP_OF_PERIOD * np.pi / (top - origin)
+    lags = np.exp(-1j * period * (omega - origin)[:, None] * np.arange(highest + 1))
+    gram = np.matmul(scaled.conj().swapaxes(1, 2), scaled).reshape(n_line, -1)
+    of_z = np.sum(lags, axis=0).real
+    of_h = _both_lags(lags, scaled.reshape(n_line, -1)).reshape(2 * highest + 1, *matrix.shape[1:])
+    of_g = _both_lags(lags, gram).reshape(2 * highest + 1, n_input, n_input)
+    difference = np.arange(highest + 1)[None, :] - np.arange(highest + 1)[:, None]
+    factor = np.linalg.cholesky(of_z[np.abs(difference)])
+    right = -of_h[difference + highest].transpose(0, 2, 1, 3).reshape(highest + 1, -1)
+    rows = np.linalg.solve(factor, right).reshape(highest + 1, -1, (highest + 1) * n_input)
+    total = of_g[difference + highest].transpose(0, 2, 1, 3).reshape((highest + 1) * n_input, -1)
+    matrices = []
+    for order in range(highest + 1):
+        size = (order + 1) * n_input
+        total = total - rows[order].T @ rows[order]
+        matrices.append((total[:size, :size] + total[:size, :size].T) / 2)
+    return NormalEquations(tuple(matrices[1:]), origin, period, scale)
+
+
+def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
+    """Real part of the sums over lines of z^m *values* (n_line, n) for m = -highest ... highest, (2 highest + 1, n)."""
+    forward = (lags.T @ values).real
+    backward = (lags.conj().T @ values).real
+    return np.concatenate([backward[:0:-1], forward])
+
+
+def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
+    """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix singular."""
+    try:
+        factor = np.linalg.cholesky(matrix)
+        diagonal = np.diag(factor)
+        if diagonal.min() ** 2 > ROUNDING * diagonal.max() ** 2:
+            return np.asarray(np.linalg.solve(matrix, right_side))
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(matrix)
+    keep = values > ROUNDING * values[-1]
+    return np.asarray(vectors[:, keep] @ ((vectors[:, keep].T @ right_side) / values[keep, None]))
+
+
+def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Roots (n,) of det(I z^order + sum A_k z^k) and the left null vectors (n_input, n) of the matrix polynomial there.
+
+    *coefficients* (order, n_input, n_input), A_0 first: eigenvalues of the block companion matrix of the A_k^T, whose eigenvectors begin
+    with the null vector.
+    """
+    order, n, _ = coefficients.shape
+    companion = np.zeros((order * n, order * n))
+    companion[:-n, n:] = np.eye((order - 1) * n)
+    companion[-n:] = -coefficients.transpose(2, 0, 1).reshape(n, -1)
+    roots, vectors = np.linalg.eig(companion)
+    # The block of the largest modulus has the most digits: z^k of large roots buries the first one.
+    blocks = vectors.reshape(order, n, -1)
+    largest = np.argmax(np.sum(np.abs(blocks) ** 2, axis=1), axis=0)
+    return roots.astype(np.complex128), blocks[largest, :, np.arange(roots.size)].T.astype(np.complex128)
+
+
+# Choice of the physical poles from those of all orders: the poles of the structure return at every order,
+# those of noise do not.
+
+# Two poles of different orders are one mode where they differ by less than half the decay rate and a share of the frequency, and act on
+# the references alike.
+SHARE_OF_DECAY, SHARE_OF_FREQUENCY, ALIKE = 0.5, 2e-4, 0.7
+# A mode returns in this share of the orders from FIRST_ORDER on; lower orders cannot hold all modes of the band.
+LEAST_SHARE, FIRST_ORDER = 0.25, 10
+# Damping ratio above which a pole describes the background of the band.
+MOST_DAMPING = 0.5
+# Of more orders than this one in two shows as much.
+MANY_ORDERS = 40
+# Number of highest orders whose poles with least bias are averaged.
+HIGH_ORDERS = 8
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """Poles of all orders [rad/s], and the modes chosen from them: *poles*; *group* (n_pole,): index of the mode, -1 for none.
+
+    *modes*: one row per mode, ascending in frequency; *share* (n_mode,): share of the orders in which the mode appears.
+    """
+
+    poles: Poles
+    group: IntArray
+    modes: Poles
+    share: FloatArray
+
+
+def stabilisation(equations: NormalEquations, band: tuple[float, float], highest: int) -> Diagram:
+    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many orders every second one.
+
+    Equation (modal-stable).
+    """
+    orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
+    poles = _joined([_inside(equations.poles(order), band) for order in orders])
+    counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
+    group, share = _groups(poles, counted)
+    modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
+    return Diagram(poles, group, modes, share)
+
+
+def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: int) -> Poles:
+    """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower order where that has none.
+
+    FitError where no order has a pole.
+    """
+    of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
+    poles = next((poles for poles in of_orders if poles.values.size), None)
+    if poles is None:
+        raise FitError(f"no order up to {order} has a pole: no mode stands out of the noise of this band", hint="choose another band")
+    index = [int(np.argmin(np.abs(np.abs(poles.values) - frequency))) for frequency in frequencies]
+    return Poles(poles.values[index], poles.participation[index], poles.orders[index])
+
+
+def damping_ratio(poles: ComplexArray) -> FloatArray:
+    """-Re / |pole| [1] of *poles* (n,)."""
+    return -poles.real / np.abs(poles)
+
+
+def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
+    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1] (Allemang and Brown 1982).
+
+    Equation (modal-mac).
+    """
+    product = np.abs(a.conj() @ b.T) ** 2
+    return np.asarray(product / (np.sum(np.abs(a) ** 2, axis=1)[:, None] * np.sum(np.abs(b) ** 2, axis=1)))
+
+
+def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
+    frequency = np.abs(poles.values)
+    keep = (frequency >= band[0]) & (frequency <= band[1]) & (damping_ratio(poles.values) < MOST_DAMPING)
+    return Poles(poles.values[keep], poles.participation[keep], poles.orders[keep])
+
+
+def _joined(parts: list[Poles]) -> Poles:
+    return Poles(
+        np.concatenate([part.values for part in parts]),
+        np.concatenate([part.participation for part in parts]),
+        np.concatenate([part.orders for part in parts]),
+    )
+
+
+def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
+    """Whether each of *values* (n,) is the mode of each pole, (n, n_pole)."""
+    limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
+    return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (similarity(participation, poles.participation) > ALIKE)
+
+
+def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
+    """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough orders."""
+    group = np.full(poles.values.size, -1)
+    near = _near(poles, poles.values, poles.participation)
+    position = {order: n for n, order in enumerate(counted)}
+    column = np.array([position.get(int(order), -1) for order in poles.orders], np.intp)
+    centres: list[int] = []
+    shares: list[float] = []
+    while True:
+        free = near & (group < 0) & (group < 0)[:, None] & (column >= 0)
+        present = np.zeros((poles.values.size, len(counted)), np.bool_)
+        rows, members = np.nonzero(free)
+        present[rows, column[members]] = True
+        count = np.sum(present, axis=1)
+        if count.size == 0 or count.max() < LEAST_SHARE * len(counted):
+            break
+        # Of the poles with the most neighbours the one nearest to their median.
+        best = np.flatnonzero(count == count.max())
+        middle = np.median(poles.values[best].real) + 1j * np.median(poles.values[best].imag)
+        centre = int(best[np.argmin(np.abs(poles.values[best] - middle))])
+        group[near[centre] & (group < 0)] = len(centres)
+        centres.append(centre)
+        shares.append(float(count.max()) / len(counted))
+    order = np.argsort(np.abs(poles.values[centres])) if centres else np.empty(0, np.intp)
+    rank = np.empty(len(centres), np.intp)
+    rank[order] = np.arange(len(centres))
+    named = np.where(group >= 0, rank[group] if centres else -1, -1)
+    return named.astype(np.intp), np.array(shares)[order]
+
+
+def _least_biased(equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]) -> Poles:
+    """The modes with the poles of the constraint of least bias: at each high order the nearest one, then the median."""
+    n_mode = int(group.max(initial=-1)) + 1
+    centre = np.array([_median(poles.values[group == mode]) for mode in range(n_mode)], np.complex128)
+    participation = np.array(
+        [_middle(poles.participation[group == mode], poles.values[group == mode]) for mode in range(n_mode)], np.complex128
+    ).reshape(n_mode, equations.n_input)
+    if not n_mode:
+        return Poles(centre, participation, np.empty(0, np.intp))
+    near_poles: list[list[complex]] = [[] for _ in range(n_mode)]
+    for order in orders:
+        refined = _inside(equations.poles(order, stable_noise=True), (0.9 * band[0], 1.1 * band[1]))
+        alike = _near(refined, centre, participation)
+        for mode in range(n_mode):
+            index = np.flatnonzero(alike[mode])
+            if index.size:
+                near_poles[mode].append(refined.values[index[np.argmin(np.abs(refined.values[index] - centre[mode]))]])
+    values = np.array([_median(np.array(near_poles[mode])) if near_poles[mode] else centre[mode] for mode in range(n_mode)])
+    return Poles(values, participation, np.full(n_mode, max(orders)))
+
+
+def _median(values: ComplexArray) -> complex:
+    return complex(np.median(values.real), np.median(values.imag))
+
+
+def _middle(participation: ComplexArray, values: ComplexArray) -> ComplexArray:
+    """The participation of the pole nearest to the median."""
+    return np.asarray(participation[np.argmin(np.abs(values - _median(values)))])

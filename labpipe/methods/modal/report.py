@@ -1,0 +1,103 @@
+"""The figures and tables of modal fits: the stabilisation diagram, the shapes with their doubt, and their likeness."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.records.fit_details import FitDetailKind, Modes, StabilisationDiagram
+from labpipe.records.identification import Fit
+from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, Series, cells, curve, dots, level, look, named_ticks, stacked, upright
+from labpipe.report.document import Block, Figure, Table
+from labpipe.report.figures import FREQUENCY
+from labpipe.report.shapes import shape_figures
+from labpipe.report.wording import fit_title
+
+# Largest number of points whose names stand below the panels of the shapes.
+MOST_NAMES = 12
+COLUMNS = 3
+# Limits of 95 % of a standard normal value.
+TWO_SIGMA = 1.96
+
+
+def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
+    """Table of the modes, stabilisation diagram, shapes and MAC."""
+    diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
+    alike = [mac_figure(fit, modes)] if modes.frequency.size > 1 and len(modes.points) > 1 else []
+    shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
+    return [modes_table(fit, modes), *diagram, *shape_figures(fit_title(fit), modes), *shapes, *alike]
+
+
+def modes_table(fit: Fit, modes: Modes) -> Table:
+    """One row per mode: where it moves most and how far its points move in one phase."""
+    largest = np.argmax(np.abs(modes.shapes), axis=0)
+    strongest = np.argmax(np.abs(modes.participation), axis=1)
+    rows = tuple(
+        (
+            str(n + 1),
+            f"{modes.frequency[n]:.6g}",
+            f"{100 * modes.damping_ratio[n]:.4g}",
+            modes.points[largest[n]],
+            modes.references[strongest[n]],
+            f"{modes.collinearity[n]:.4f}",
+            modes.driving_points[n] if modes.driving_points else "",
+        )
+        for n in range(modes.frequency.size)
+    )
+    header = ("mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity", "m, k, c at")
+    return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5))
+
+
+def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
+    """Complex mode indicator function above, the stable poles of all orders below; chosen modes as upright lines."""
+    names = [f"singular value {n + 1}" for n in range(diagram.indicator.shape[1])]
+    indicators = [curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n)) for n, name in enumerate(names)]
+    chosen = diagram.mode >= 0
+    poles: list[Series] = [upright(float(frequency), line=":") for frequency in modes.frequency]
+    poles.append(dots("pole of noise", diagram.frequency[~chosen], diagram.order[~chosen], GREY, size=3.0))
+    poles.append(dots("pole of a mode", diagram.frequency[chosen], diagram.order[chosen], 0, size=4.0))
+    panels = [
+        Panel(FREQUENCY, Axis("CMIF", "", logarithmic=True), tuple(indicators)),
+        Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
+    ]
+    caption = (
+        f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the stable poles of all orders. Poles "
+        "that return at the same place are modes of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; "
+        "the line `poles:` for the section `modal:` then stands below."
+    )
+    return Figure(stacked(panels, 5.0), caption, f"Stabilisation diagram of fit {fit_title(fit)}")
+
+
+def shapes_figure(fit: Fit, modes: Modes) -> Figure:
+    """The shapes, turned to be as real as they can be, real part with 95 % interval over the points."""
+    few = len(modes.points) <= MOST_NAMES
+    axis = Axis("point", ticks=named_ticks(modes.points) if few else ())
+    panels = tuple(_shape(modes, n, axis, few) for n in range(modes.frequency.size))
+    rows = -(-len(panels) // COLUMNS)
+    chart = Chart(panels, rows, min(COLUMNS, len(panels)), (WIDTH, 0.6 + 1.7 * rows), "x", "above")
+    caption = f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, over {len(modes.points)} points."
+    return Figure(chart, caption, f"Mode shapes of fit {fit_title(fit)}")
+
+
+def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
+    shape = modes.shapes[:, n]
+    # The phase that makes the sum of squares of the imaginary part least.
+    turned = (shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))).real
+    turned = turned * np.sign(turned[np.argmax(np.abs(turned))])
+    spread = TWO_SIGMA * modes.shape_std_errors[:, n] / np.sqrt(2)
+    places = np.arange(turned.size, dtype=float)
+    line = curve("shape", places, turned, 0, "-" if not few else "", marker="o" if few else "", bars=(turned - spread, turned + spread))
+    return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
+
+
+def mac_figure(fit: Fit, modes: Modes) -> Figure:
+    """Modal assurance criterion between the shapes."""
+    names = [f"{frequency:.4g}" for frequency in modes.frequency]
+    texts = [[f"{value:.2f}" for value in row] for row in modes.mac.tolist()]
+    axis = Axis("mode [Hz]", ticks=named_ticks(names))
+    side = max(2.4, 0.5 * len(names))
+    chart = Chart((Panel(axis, axis, (cells(modes.mac, texts, "MAC"),)),), size=(side + 0.9, side))
+    caption = f"{fit_title(fit)}: modal assurance criterion between the shapes. Two shapes near 1 cannot be told apart at these points."
+    return Figure(chart, caption, f"Modal assurance criterion of fit {fit_title(fit)}")
+
+
+MODES_DETAIL = FitDetailKind(Modes, modal_blocks)

@@ -1,0 +1,52 @@
+"""The model modal: its settings, and its entry in the table of models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.records.geometry import Geometry
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.settings import Settings, setting
+
+# Settings of a modal identification: the section `modal:` of a fit with model modal.
+
+# Lowest highest order: below it no mode can be told from noise by its return.
+LEAST_ORDER = 6
+
+
+@dataclass(frozen=True)
+class ModalSettings(Settings):
+    """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
+
+    order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
+    poles: tuple[float, ...] = setting("values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=())
+    shapes: str = setting(
+        "choice", "complex, or real as with damping in proportion to mass and stiffness", choices=("complex", "real"), default="complex"
+    )
+    geometry: str = setting(
+        "file", "positions of the points: CSV, or UFF 15, 2411, 82, 2412", file_kind="geometry", into="structure", default=""
+    )
+    structure: Geometry | None = None
+
+    def __post_init__(self) -> None:
+        if self.order < LEAST_ORDER:
+            raise ConfigError(f"'order' is {self.order}", hint=f"{LEAST_ORDER} or more", field="order")
+        if any(pole <= 0 for pole in self.poles):
+            raise ConfigError("'poles' must be positive", field="poles")
+
+
+# The model modal as an entry of the table of models. What fits is imported by the first fit.
+
+
+def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.methods.modal.fit import modal_fit
+
+    return (modal_fit(response, settings),)
+
+
+MODAL = ModelKind(
+    _fit, "modal", ModalSettings, "modal: {order: 60}", optional=True, times_mass=True, keys=("mass", "input", "output"), estimators=("ml",)
+)

@@ -1,0 +1,217 @@
+"""Modes refined with the full measured covariance of the FRF: poles, participation, shapes and residual terms as one output-error fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.weights import has_noise, singular_lines, weight_doubt, whitener
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms
+
+# Largest number of entries of the Jacobian.
+MOST_ENTRIES = 40_000_000
+# Lines whose covariance has no inverse, as a share of all, that may have their variances instead.
+FEW_SINGULAR = 0.05
+
+
+@dataclass(frozen=True)
+class ModalEstimate:
+    """Refined modes, their receptance *fitted* (n_line, n_output, n_input) [m/N], degrees of freedom of the residual, and where the
+    covariance of the FRF is used chi-square per degree of freedom and its p-value; *unused*: why a measured one could not be.
+    """
+
+    refined: Refined
+    fitted: ComplexArray
+    dof: int
+    chi2_reduced: float | None = None
+    chi2_p: float | None = None
+    unused: str = ""
+
+
+@dataclass(frozen=True)
+class ModalReceptance:
+    """The receptance (n_line, n_output, n_input) [m/N] of modes and residual terms as a function of real parameters.
+
+    These are Re and Im in turn of the poles, of the participation other than the fixed 1 of each mode, of the shapes (output by output)
+    and of the factors of the terms (element by element).
+    *real* modes lack the imaginary parts of the participation and the real parts of the shapes.
+    """
+
+    terms: ResidualTerms
+    fixed: IntArray
+    n_output: int
+    n_input: int
+    real: bool = False
+
+    @classmethod
+    def of(cls, terms: ResidualTerms, refined: Refined, measured: Measured, *, real: bool = False) -> ModalReceptance:
+        """The model of refined modes of a measured matrix; *real*: real modes."""
+        _, n_output, n_input = measured.matrix.shape
+        return cls(terms, np.argmax(refined.participation == 1, axis=1), n_output, n_input, real)
+
+    @property
+    def n_mode(self) -> int:
+        return int(self.fixed.size)
+
+    @property
+    def n_parameter(self) -> int:
+        return int(np.count_nonzero(self.free))
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Which of the real numbers of `split` are parameters, (n,)."""
+        numbers = (self.n_mode, self.n_mode * (self.n_input - 1), self.n_mode * self.n_output)
+        free = np.ones((sum(numbers) + self.n_output * self.n_input * self.terms.count, 2), np.bool_)
+        if self.real:
+            ends = np.cumsum(numbers)
+            free[ends[0] : ends[1], 1] = False
+            free[ends[1] : ends[2], 0] = False
+        return free.ravel()
+
+    @cached_property
+    def basis(self) -> ComplexArray:
+        """Residual terms of the receptance, (n_line, n_term) [m/N per factor]."""
+        return np.asarray(self.terms.basis / self._form[:, None])
+
+    @property
+    def _form(self) -> ComplexArray:
+        """Factor (n_line,) from the receptance to the weighted FRF of the measured form."""
+        lines = self.terms.lines
+        return np.asarray(lines.s**lines.power * lines.weight)
+
+    def split(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Poles (n_mode,) [rad/s], participation (n_mode, n_input), shapes (n_output, n_mode), factors (n_output, n_input, n_term) [1].
+
+        *parameters* (n_parameter,) [parameter units].
+        """
+        numbers = np.zeros(self.free.size)
+        numbers[self.free] = parameters
+        values = numbers[0::2] + 1j * numbers[1::2]
+        ends = np.cumsum([self.n_mode, self.n_mode * (self.n_input - 1), self.n_mode * self.n_output])
+        poles, free, shapes, factors = np.split(values, ends)
+        participation = np.ones((self.n_mode, self.n_input), np.complex128)
+        participation[self._free] = free
+        return poles, participation, shapes.reshape(self.n_output, -1), factors.reshape(self.n_output, self.n_input, -1)
+
+    def joined(self, refined: Refined, measured: Measured) -> FloatArray:
+        """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the rest best."""
+        poles = self._of_modes(refined.poles, refined.participation, refined.shapes, measured.omega)
+        rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
+        factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
+        values = np.concatenate([refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()])
+        return np.asarray(np.stack([values.real, values.imag], axis=-1).ravel()[self.free])
+
+    @cached_property
+    def _free(self) -> tuple[IntArray, IntArray]:
+        mask = np.ones((self.n_mode, self.n_input), np.bool_)
+        mask[np.arange(self.n_mode), self.fixed] = False
+        rows, columns = np.nonzero(mask)
+        return rows, columns
+
+    @staticmethod
+    def _of_modes(poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray) -> ComplexArray:
+        s = 1j * omega[:, None]
+        a, b = 1 / (s - poles), 1 / (s - poles.conj())
+        residue = shapes[:, None, :] * participation.T[None]
+        return np.asarray(np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj()))
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H (n_line, n_output, n_input) [m/N]."""
+        poles, participation, shapes, factors = self.split(parameters)
+        return self._of_modes(poles, participation, shapes, omega) + np.einsum("lt,oit->loi", self.basis, factors)
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
+        poles, participation, shapes, _ = self.split(parameters)
+        s = 1j * omega[:, None]
+        a, b = 1 / (s - poles), 1 / (s - poles.conj())
+        slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
+        at = 0
+        for mode in range(self.n_mode):
+            residue = np.outer(shapes[:, mode], participation[mode])
+            slopes[at] = _pair(a[:, mode] ** 2, b[:, mode] ** 2, residue)
+            at += 1
+        for mode, column in zip(*self._free, strict=True):
+            slopes[at, :, :, :, column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
+            at += 1
+        for output in range(self.n_output):
+            for mode in range(self.n_mode):
+                slopes[at, :, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
+                at += 1
+        for output in range(self.n_output):
+            for column in range(self.n_input):
+                for term in self.basis.T:
+                    slopes[at, 0, :, output, column], slopes[at, 1, :, output, column] = term, 1j * term
+                    at += 1
+        return np.asarray(slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free])
+
+
+def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArray:
+    """Slopes by the real and the imaginary part of x of factor x a + conj(factor x) b, (2, n_line, ...)."""
+    first, second = np.multiply.outer(a, factor), np.multiply.outer(b, factor.conj())
+    return np.stack([first + second, 1j * (first - second)])
+
+
+def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False) -> ModalEstimate:
+    """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian can be held in memory.
+
+    Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
+    """
+    model = ModalReceptance.of(terms, refined, measured, real=real)
+    start = model.joined(refined, measured)
+    dof = measured.n_equation - model.n_parameter
+    if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
+        return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
+    try:
+        weights, doubt = whitener(regular(measured)), weight_doubt(measured, dof)
+    except FitError as error:
+        return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
+    problem = OutputError(measured, model, weights)
+    minimum = minimise(problem, start)
+    _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
+    reduced = problem.chi2(minimum.values) / dof / doubt.excess
+    again = _refined(model, minimum, doubt.inflation * inverse, refined)
+    return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, doubt.p_value(reduced, dof))
+
+
+def regular(measured: Measured) -> Measured:
+    """The measured FRF with the variances alone on the lines whose covariance (n, n) [m^2/N^2] has no inverse, where these are few.
+
+    Noise of neighbouring lines can make the covariance of a line singular by chance; left as it is, one such line would take the measured
+    covariance from all others. As it was where more than a share FEW_SINGULAR of the lines are so, or a variance is zero.
+    """
+    assert measured.covariance is not None
+    alone = singular_lines(measured)
+    if not np.any(alone) or np.mean(alone) > FEW_SINGULAR:
+        return measured
+    variance = np.einsum("lii->li", measured.covariance).real
+    diagonal = variance[:, :, None] * np.eye(variance.shape[1])
+    return replace(measured, covariance=np.where(alone[:, None, None], diagonal, measured.covariance))
+
+
+def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
+    """The parts of the covariance (n_parameter, n_parameter) that concern poles, participation and the shape of each output."""
+    poles, participation, shapes, _ = model.split(minimum.values)
+    whole = np.zeros((model.free.size, model.free.size))
+    whole[np.ix_(model.free, model.free)] = covariance
+    n, k = 2 * model.n_mode * model.n_input, 2 * model.n_mode
+    blocks = [slice(n + k * output, n + k * (output + 1)) for output in range(model.n_output)]
+    return replace(
+        before,
+        poles=poles,
+        participation=participation,
+        shapes=shapes,
+        covariance=whole[:n, :n],
+        shape_covariance=np.array([whole[block, block] for block in blocks]),
+        crossed=np.array([whole[block, :n] for block in blocks]),
+        converged=minimum.converged,
+        steps=minimum.steps,
+    )

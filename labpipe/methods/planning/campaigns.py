@@ -1,0 +1,412 @@
+"""How spectra are put on shakers, signals of least peak within the limits, and what tests of a given length tell with them.
+
+Phases for the least peak of several signals that share their lines: forces and the motions that they cause, each against its limit.
+
+Source s, a shaker say, has the phase phi_ls at line l, and signal c is s_c(t) = Re sum_ls g_lsc exp(j (phi_ls + 2 pi k_l t)), t in periods.
+The peak is approached by 2p-norms of all signals, p rising (Guillaume, Schoukens, Pintelon and Kollar 1991, IEEE Trans. Instrum. Meas. 40,
+982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import expm
+from scipy.optimize import minimize
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError
+from labpipe.methods.planning.designs import A, D, optimum
+from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities, vector_information
+from labpipe.raw_files.excitation import _signals, one_period, peaks
+
+# How a spectrum is put on the shakers: one after the other, or both at once. SCHEMES by name.
+
+ONE_BY_ONE, TOGETHER, INTERLEAVED = "one by one", "together", "interleaved"
+# Lines with less than this share of a test's power are left out.
+LEFT_OUT = 1e-5
+
+
+@dataclass(frozen=True)
+class Multisines:
+    """The forces of one test: amplitudes *forces* (n_line, n_shaker) [N] of all shakers at *lines* (n_line,) [multiples of the spacing].
+
+    name: of the test, the shakers that run in it. groups (n_line,) [1]: lines of one number keep the phase between the shakers.
+    """
+
+    name: str
+    lines: IntArray
+    forces: ComplexArray
+    groups: IntArray
+
+    def turned(self, phases: FloatArray) -> Multisines:
+        """With phases (n_line, n_shaker) [rad] added."""
+        return replace(self, forces=self.forces * np.exp(1j * phases))
+
+    def scaled(self, factors: FloatArray | float) -> Multisines:
+        """With forces times factors (n_shaker,) [1]."""
+        return replace(self, forces=self.forces * factors)
+
+
+Scheme = Callable[[IntArray, FloatArray, tuple[str, ...]], tuple[Multisines, ...]]
+
+
+def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+    """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples]; *names* of the shakers."""
+    tests = []
+    for number, name in enumerate(names):
+        kept = power[:, number] > LEFT_OUT * power[:, number].sum()
+        if np.any(kept):
+            alone = np.zeros((np.count_nonzero(kept), len(names)), complex)
+            alone[:, number] = np.sqrt(2 * power[kept, number])
+            tests.append(Multisines(name, lines[kept], alone, np.arange(len(alone))))
+    return tuple(tests)
+
+
+def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+    """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one, power (n_line, 2) [N^2].
+
+    Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of equal size and opposite sign,
+    they tell what the powers of both shakers do: h h^H + g g^H is diagonal for h = (a, b), g = (a, -b). Equation (plan-together).
+    """
+    paired, used = _pairs(lines, power)
+    forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
+    forces[1::2, 1] *= -1
+    return (_kept("+".join(names), used, forces, np.repeat(np.arange(len(paired)), 2)),)
+
+
+def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+    """One test of two shakers at once, each on every other line; arguments as of one_by_one, power (n_line, 2) [N^2]."""
+    paired, used = _pairs(lines, power)
+    forces = np.zeros((used.size, 2), complex)
+    forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
+    return (_kept("+".join(names), used, forces, np.arange(used.size)),)
+
+
+def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs; a last line without a partner gives its power to its pair."""
+    first = np.arange(0, lines.size - 1, 2)
+    return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
+
+
+def _kept(name: str, lines: IntArray, forces: ComplexArray, groups: IntArray) -> Multisines:
+    """Without lines of negligible force."""
+    size = np.sum(np.abs(forces) ** 2, axis=1)
+    kept = size > LEFT_OUT * size.sum()
+    return Multisines(name, lines[kept], forces[kept], groups[kept])
+
+
+SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleaved}
+
+# Phases for the least peak of several signals that share their lines: forces and the motions that they
+# cause, each against its limit.
+
+# Samples per period of the highest line, while searching.
+SEARCHED = 8
+HALF_NORMS, STEPS = (4, 16, 64, 256), 200
+# The same for a first look.
+QUICK_NORMS, QUICK_STEPS = (4, 32), 40
+
+
+def schroeder_phases_of(power: FloatArray) -> FloatArray:
+    """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l) p_l, p summing to 1.
+
+    Equation (spec-schroeder-power).
+    """
+    share = power / power.sum()
+    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(share)[:-1]])))
+
+
+def least_peak_phases(
+    lines: IntArray, gains: ComplexArray, groups: IntArray | None = None, *, seed: int = 0, random_starts: int = 1, quick: bool = False
+) -> FloatArray:
+    """Phases (n_line, n_source) [rad] that make the largest peak of all signals small.
+
+    gains (n_line, n_source, n_signal) [1]: amplitudes over the limit of their signal; lines (n_line,) [multiples]. The sources of a line
+    differ in phase by as much as on all lines of the same number in *groups* (n_line,), by default of a line alone. Starts from
+    Schroeder's phases and from *random_starts* random ones; never worse than Schroeder's. *quick*: a first look, a few per cent above.
+    Equation (plan-peak).
+    """
+    n_line, n_source, _ = gains.shape
+    group = np.arange(n_line) if groups is None else np.unique(groups, return_inverse=True)[1]
+    schroeder = schroeder_phases_of(np.sum(np.abs(gains) ** 2, axis=(1, 2)))
+    rng = np.random.default_rng(seed)
+    n_difference = (n_source - 1) * (int(group.max()) + 1)
+    begins = [np.concatenate([schroeder, np.zeros(n_difference)])]
+    begins.extend(rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts))
+    if random_starts and n_difference:
+        begins.append(np.concatenate([schroeder, rng.uniform(0, 2 * np.pi, n_difference)]))
+    problem = _Problem(lines, gains, group)
+    best, least = begins[0], problem.peak(begins[0])
+    for start in begins:
+        unknowns = start
+        for p in QUICK_NORMS if quick else HALF_NORMS:
+            unknowns = problem.descended(unknowns, p, QUICK_STEPS if quick else STEPS)
+            peak = problem.peak(unknowns)
+            if peak < least:
+                best, least = unknowns, peak
+    return np.asarray(np.mod(problem.phases(best), 2 * np.pi))
+
+
+class _Problem:
+    """The peak as a function of the unknowns: phases of the first source (n_line,), then differences of the others by group."""
+
+    def __init__(self, lines: IntArray, gains: ComplexArray, group: IntArray) -> None:
+        self.lines, self.gains, self.group = lines, gains, group
+        self.n_line, self.n_source, _ = gains.shape
+        self.n_group = int(group.max()) + 1
+        self.n_sample = fft.next_fast_len(SEARCHED * int(lines.max()), real=True)
+
+    def phases(self, unknowns: FloatArray) -> FloatArray:
+        first = unknowns[: self.n_line, None]
+        others = unknowns[self.n_line :].reshape(self.n_group, self.n_source - 1)
+        return np.concatenate([first, first + others[self.group]], axis=1)
+
+    def amplitudes(self, unknowns: FloatArray) -> ComplexArray:
+        """By source, (n_line, n_source, n_signal)."""
+        return np.asarray(self.gains * np.exp(1j * self.phases(unknowns))[:, :, None])
+
+    def peak(self, unknowns: FloatArray) -> float:
+        return float(peaks(self.lines, self.amplitudes(unknowns).sum(axis=1)).max())
+
+    def norm(self, unknowns: FloatArray, p: int) -> tuple[float, FloatArray]:
+        """Logarithm of the 2p-norm of all signals together, and its slope."""
+        amplitudes = self.amplitudes(unknowns)
+        signals = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
+        largest = np.abs(signals).max()
+        scaled = signals / largest
+        powers = scaled ** (2 * p - 1)
+        total = float(np.sum(powers * scaled))
+        spectrum = fft.rfft(powers, axis=1)[:, self.lines].T
+        slope = np.sum((1j * amplitudes * spectrum.conj()[:, None]).real, axis=2) / largest / total
+        differences = np.zeros((self.n_group, self.n_source - 1))
+        np.add.at(differences, self.group, slope[:, 1:])
+        return float(np.log(largest) + np.log(total) / (2 * p)), np.concatenate([slope.sum(axis=1), differences.reshape(-1)])
+
+    def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
+        return np.asarray(minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": steps}).x)
+
+
+# What tests of a given length tell once every signal is as large as the limits allow: predicted standard
+# errors.
+
+# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the slowest motion has died away.
+SAMPLES, DIED = 64, 9.0
+# Starts within a period that are looked at closely.
+STARTS = 16
+# What rounding may add to a signal at its limit is taken off beforehand.
+OBEYED = 1 - 1e-12
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a force; None: no limit.
+
+    At all times: between samples, and while a test starts from rest and comes to rest.
+    """
+
+    force: float
+    displacement: float | None = None
+    crest_factor: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("force", "displacement", "crest_factor"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
+            raise ConfigError("no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor")
+
+
+@dataclass(frozen=True)
+class EarlierInformation:
+    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative coefficients, beside *duration* [s]."""
+
+    information: FloatArray
+    duration: float
+
+    @property
+    def rate(self) -> FloatArray:
+        """Information (n_coefficient, n_coefficient) [1/s] spread over the planned duration."""
+        return self.information / self.duration
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing* of the lines [Hz].
+
+    known: what an earlier test tells, where it is combined with the planned one.
+    """
+
+    model: PlannedModel
+    noise: Noise
+    limits: Limits
+    directions: ComplexArray
+    shakers: tuple[str, ...]
+    spacing: float
+    known: EarlierInformation | None = None
+
+    @property
+    def known_rate(self) -> FloatArray:
+        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration; zero without one."""
+        return np.zeros((len(self.model.names),) * 2) if self.known is None else self.known.rate
+
+    def omega(self, test: Multisines) -> FloatArray:
+        """Angular frequencies (n_line,) [rad/s] of a test's lines."""
+        return np.asarray(2 * np.pi * self.spacing * test.lines)
+
+    def motion(self, test: Multisines) -> ComplexArray:
+        """Steady displacements (n_line, n_dof) [m] of a test."""
+        return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
+
+    def over_limits(self, test: Multisines) -> ComplexArray:
+        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]: forces, then probes."""
+        running = running_shakers(test)
+        unit = np.eye(len(self.shakers))[:, running] / self.limits.force
+        parts = [test.forces[:, :, None] * unit]
+        if self.limits.displacement is not None:
+            moved = np.einsum("lij,sj->lsi", self.model.receptance(self.omega(test)), self.directions)
+            parts.append(test.forces[:, :, None] * moved / self.limits.displacement)
+        return np.concatenate(parts, axis=2)
+
+    def rate(self, test: Multisines) -> FloatArray:
+        """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
+        forces = test.forces @ self.directions
+        return np.asarray(vector_information(sensitivities(self.model, self.noise, self.omega(test)), forces).sum(axis=0))
+
+
+def running_shakers(test: Multisines) -> BoolArray:
+    """The shakers (n_shaker,) [1] that have a force in a test."""
+    return np.any(np.abs(test.forces) > 0, axis=0)
+
+
+def as_large_as_allowed(rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True) -> Multisines:
+    """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as the limits allow.
+
+    Without *random_starts* the phases are a first look.
+    """
+    running = running_shakers(test)
+    # The shakers have limits of their own: those that a design pushes less are not to be the reason for larger phases.
+    rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
+    test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
+    if optimised:
+        gains = rig.over_limits(test)[:, running]
+        phases = np.zeros(test.forces.shape)
+        phases[:, running] = least_peak_phases(test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts)
+        test = test.turned(phases)
+    largest = np.where(running, peaks(test.lines, test.forces), 1.0)
+    test = test.scaled(rig.limits.force / largest)
+    return test.scaled(OBEYED / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
+
+
+def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
+    """The test with its period begun where little motion starts and stops, and smaller forces where *seconds* [s] from rest still need it.
+
+    Equation (plan-from-rest).
+    """
+    limit = rig.limits.displacement
+    if limit is None or rig.model.free_motion is None:
+        return test
+    omega, motion = rig.omega(test), rig.motion(test)
+    # States of the steady motion at steps of an eighth of the highest line's period, velocities as displacements at the rms frequency.
+    velocity = 1j * omega[:, None] * motion / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
+    begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
+    shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
+    moved = [float(largest_motion(rig, begun, seconds).max()) for begun in shifted]
+    return shifted[int(np.argmin(moved))].scaled(min(OBEYED * limit / min(moved), 1.0))
+
+
+def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
+    """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves on when it stops.
+
+    The steady motion alone where what starts does not die away.
+    """
+    motion = rig.motion(test)
+    largest, free = peaks(test.lines, motion), rig.model.free_motion
+    if free is None:
+        return largest
+    poles = np.linalg.eigvals(free)
+    omega = rig.omega(test)
+    steady = one_period(test.lines, motion, max(SAMPLES, int(SAMPLES * np.abs(poles.imag).max() / omega[-1])))
+    step = 1 / rig.spacing / steady.shape[1]
+    n_force = round(seconds / step)
+    n_step = min(int(DIED / -poles.real.max() / step) + 2, 2 * n_force)
+    begin = np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real])
+    started, over_steps = begin[:, None], expm(free * step)
+    while started.shape[1] < n_step:
+        started, over_steps = np.hstack([started, over_steps @ started]), over_steps @ over_steps
+    started = started[: rig.model.n_dof, :n_step]
+    on = min(n_step, n_force)
+    running = np.take(steady, np.arange(on), axis=1, mode="wrap") - started[:, :on]
+    stopped = started - np.pad(started[:, n_force:], ((0, 0), (0, on)))
+    between = np.cos(np.pi / SAMPLES)
+    return np.maximum(largest, np.abs(np.hstack([running, stopped])).max(axis=1) / between)
+
+
+def crest_factors(test: Multisines) -> FloatArray:
+    """Peak over rms (n_running,) [1] of the force of every shaker that runs."""
+    forces = test.forces[:, running_shakers(test)]
+    return np.asarray(peaks(test.lines, forces) / np.sqrt(np.sum(np.abs(forces) ** 2, axis=0) / 2))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s], relative; *known* besides."""
+
+    tests: tuple[Multisines, ...]
+    shares: FloatArray
+    rate: FloatArray
+    known: EarlierInformation | None = None
+
+    @property
+    def information(self) -> FloatArray:
+        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned duration."""
+        return self.rate if self.known is None else self.rate + self.known.rate
+
+    def errors(self, duration: float) -> FloatArray:
+        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before, the noise being known.
+
+        Equation (plan-earlier).
+        """
+        return relative_errors(self.rate * duration if self.known is None else self.rate * duration + self.known.information)
+
+
+def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
+    """The tests with *shares* (n_test,) [1] of the time."""
+    return Campaign(tuple(tests), shares, np.tensordot(shares, np.stack([rig.rate(test) for test in tests]), 1), rig.known)
+
+
+def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
+    """The tests with the same time each."""
+    return with_shares(rig, tests, np.full(len(tests), 1 / len(tests)))
+
+
+def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
+    """The tests with the best division of the time among them; goals (n_coefficient,) [1]: as in `score`."""
+    rates = np.stack([rig.rate(test) for test in tests])
+    if len(rates) == 1:
+        return equal_times(rig, tests)
+    wanted = np.isfinite(goals)
+    weight = 1 / np.where(wanted, goals, 1.0)
+    design = optimum(criterion, (rates + rig.known_rate) / np.outer(weight, weight), np.eye(wanted.size)[wanted])
+    shares = np.maximum(design.shares, 0.02)
+    shares = shares / shares.sum()
+    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
+
+
+def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:
+    """How poor information (n, n) [1/s] is: errors over goals (n_coefficient,) [1], infinite where a coefficient is not wanted, at 1 s.
+
+    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better. Equation (plan-score).
+    """
+    errors = relative_errors(information)
+    if not np.all(np.isfinite(errors)):
+        return float("inf")
+    if criterion == D:
+        return float(np.exp(-np.linalg.slogdet(information)[1] / (2 * len(information))))
+    over = (errors / goals)[np.isfinite(goals)]
+    return float(np.sqrt(np.sum(over**2)) if criterion == A else over.max())

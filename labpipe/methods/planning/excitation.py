@@ -1,0 +1,373 @@
+"""plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline that evaluate it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from labpipe import __version__
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.bearings.kinds import OperatingPoint
+from labpipe.document.render import DOCUMENTS
+from labpipe.errors import ConfigError
+from labpipe.estimation.fitting import identify
+from labpipe.methods.planning.campaigns import Multisines
+from labpipe.methods.planning.campaigns import Rig as LimitedRig
+from labpipe.methods.planning.expectation import Earlier, Expected
+from labpipe.methods.planning.model import AXES
+from labpipe.methods.planning.plan import Planned, make_plan, planned_test
+from labpipe.methods.planning.plan_file import NAME, PlanFile, write_plan
+from labpipe.methods.planning.records import PlannedTest
+from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
+from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
+from labpipe.methods.planning.uncertainty import Rehearse, rehearsed
+from labpipe.project.bearing_file import open_bearing
+from labpipe.project.marked_yaml import load_marked, set_entry
+from labpipe.project.pipeline_file import Pipeline, load_pipeline
+from labpipe.raw_files.signal_file import write_signal
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
+from labpipe.records.recording import Channel
+from labpipe.records.rig import Rig
+from labpipe.records.settings import settings_of
+from labpipe.records.uncertain import SHAPES, Budget, Uncertain, split_doubt
+from labpipe.registry import nearest
+from labpipe.spectra.all_channels import channel_spectra
+from labpipe.spectra.measurement import measure
+
+# What evaluates a planned excitation: the rig file, unless the plan names one, and the pipeline with the
+# planned lines.
+
+RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
+FIT = "planned"
+# What evaluates spectra of all channels.
+OF_SPECTRA = "dynamic-stiffness"
+SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Settings of the plan, its title and tests, whether masses are among the coefficients, and the rig file that it names, if any."""
+
+    settings: PlanSettings
+    title: str
+    tests: tuple[PlannedTest, ...]
+    with_masses: bool
+    rig_path: Path | None = None
+
+    @property
+    def shakers(self) -> list[str]:
+        """Every shaker that runs in a test."""
+        return list(dict.fromkeys(shaker for test in self.tests for shaker in test.shakers))
+
+    @property
+    def at_once(self) -> bool:
+        """Whether shakers run at once."""
+        return any(len(test.shakers) > 1 for test in self.tests)
+
+    @property
+    def side_by_side(self) -> bool:
+        """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at once."""
+        return self.settings.kind.floating or self.at_once
+
+
+def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
+    """ConfigError unless the rig has what the model needs: a force for every shaker, or one that is moved, and every response once."""
+    if rig.derived:
+        raise ConfigError("sums of channels are not planned with", hint="a rig file with what is recorded", field="rig")
+    axes = settings.kind.axes
+    needed = [("displacement", axis) for axis in axes]
+    needed += [("acceleration", axis) for axis in axes] if settings.kind.floating else []
+    channels = [channel.channel for channel in rig.channels if channel.channel.role != "reference"]
+    for quantity, axis in needed:
+        having = [channel for channel in channels if channel.quantity == quantity and channel.role == "output"]
+        if not any(len(axes) == 1 or channel.dof == axis for channel in having):
+            raise ConfigError(f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig")
+    wrong = [channel for channel in channels if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}]
+    if wrong:
+        raise ConfigError(
+            f"{wrong[0].name} is no response that this model takes", hint="role: reference, or a rig file without it", field="rig"
+        )
+    forces = [channel for channel in channels if channel.role == "input"]
+    if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
+        raise ConfigError(
+            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers ({', '.join(shakers)})",
+            hint="one force that is moved, or one for every shaker",
+            field="rig",
+        )
+
+
+def forces_of(rig: Rig) -> list[Channel]:
+    """The forces of a rig."""
+    return [channel.channel for channel in rig.channels if channel.channel.role == "input"]
+
+
+def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
+    """The rig file where the plan names none: a channel for every signal, its column of the same name with its unit."""
+    shakers, settings = evaluation.shakers, evaluation.settings
+    if evaluation.side_by_side:
+        forces = {f"f_{number}": _channel(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)}
+    else:
+        forces = {"f": _channel("f", "force", shakers[0])}
+    axes = settings.kind.axes
+    motions = {axis: _channel(axis, "displacement", axis) for axis in axes}
+    moved = {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes} if settings.kind.floating else {}
+    return {"name": evaluation.title, "sample_rate": f"{settings.sample_rate!r} Hz", "channels": {**forces, **motions, **moved}}
+
+
+def _channel(name: str, quantity: str, dof: str) -> dict[str, str]:
+    role, unit = "input" if quantity == "force" else "output", SI_UNITS[quantity]
+    return {"column": f"{name} [{unit}]", "quantity": quantity, "unit": unit, "role": role, "dof": dof}
+
+
+def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
+    """The pipeline in *folder* that evaluates the test, the planned lines passed to it; recordings are looked for in recordings/."""
+    settings, tests = evaluation.settings, evaluation.tests
+    recordings: list[Any] = [f"recordings/{test.name}.csv" for test in tests]
+    moved = _moved_force(evaluation)
+    if moved:
+        recordings = [
+            {"file": name, "channels": {moved[0]: {"dof": f"{test.shakers[0]}{moved[1]}"}}}
+            for name, test in zip(recordings, tests, strict=True)
+        ]
+    lines = sorted({frequency for test in tests for frequency in test.frequency})
+    spacing = 1 / settings.period
+    frf: dict[str, Any] = {
+        "excitation": "periodic",
+        "period": f"{settings.period!r} s",
+        "skip": min(test.skip for test in tests),
+        "band": f"{lines[0] - spacing / 4!r}-{lines[-1] + spacing / 4!r} Hz",
+    }
+    gaps = list(_gaps(lines, spacing))
+    if gaps:
+        frf["exclude"] = gaps
+    if evaluation.side_by_side:
+        frf["result"] = "spectra"
+    rig = RIG if evaluation.rig_path is None else os.path.relpath(evaluation.rig_path, folder)
+    return {"title": evaluation.title, "rig": rig, "recordings": recordings, "frf": frf, "identify": {FIT: _fit(evaluation)}}
+
+
+def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
+    """Name of the one force that is moved from test to test, and the doubt of its direction as it is written; None where none is."""
+    settings = evaluation.settings
+    if evaluation.side_by_side:
+        return None
+    if evaluation.rig_path is None:
+        return ("f", "") if len(evaluation.tests) > 1 else None
+    if len(settings.kind.axes) == 1:
+        return None
+    assert settings.sensors is not None
+    forces = forces_of(settings.sensors)
+    if len(forces) > 1:
+        return None
+    written = load_marked(evaluation.rig_path).content["channels"].content[forces[0].name].content.get("dof")
+    doubt = "" if written is None else split_doubt(written.text)[1]
+    return forces[0].name, f" +- {doubt}" if doubt else ""
+
+
+def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
+    """Bands between excited lines without any."""
+    return [f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz" for low, high in pairwise(lines) if high - low > 1.5 * spacing]
+
+
+def _fit(evaluation: Evaluation) -> dict[str, Any]:
+    settings = evaluation.settings
+    number = dict(settings.doubts).get("mass") or (None if settings.mass is None else Uncertain(settings.mass))
+    if not evaluation.side_by_side:
+        mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
+        return {"model": settings.model, **mass}
+    entries = {"form": "kcm" if evaluation.with_masses else "kc"}
+    # Displacements of a rotor are absolute; those of a floating stator are against its shaft.
+    if not settings.kind.floating:
+        entries["motion"] = "absolute"
+    if number is not None:
+        entries["stator_mass"] = uncertain_text(number, "kg")
+    return {"model": OF_SPECTRA, "dynamic_stiffness": entries}
+
+
+def uncertain_text(number: Uncertain, unit: str) -> str:
+    """A number as people write it, with its doubt: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
+    if not number.std_error:
+        return f"{number.value!r} {unit}"
+    qualities = [number.shape] if number.shape != "normal" else []
+    qualities += [f"dof={number.dof:g}"] if number.dof else []
+    qualities += [f"source={number.source}"] if number.source else []
+    behind = f" ({', '.join(qualities)})" if qualities else ""
+    return f"{number.value!r} {unit} +- {number.std_error * SHAPES[number.shape]!r} {unit}{behind}"
+
+
+# The uncertainty budget of a test that is still planned: the pipeline that will evaluate it, run on
+# rehearsed recordings.
+
+
+def rig_path(file: PlanFile) -> Path | None:
+    """The rig file that a plan names, if any."""
+    settings: PlanSettings = file.settings
+    return (file.path.parent / settings.rig).absolute() if settings.rig else None
+
+
+def rehearsal(file: PlanFile) -> Rehearse | None:
+    """What gives the budget of tests; None where nothing but noise is in doubt. ConfigError for a rig without the channels."""
+    settings: PlanSettings = file.settings
+    if settings.sensors is not None:
+        check_rig(settings.sensors, settings, settings.shakers or settings.kind.axes)
+    of_sensors = settings.sensors is not None and any(channel.channel.doubts for channel in settings.sensors.channels)
+    if not of_sensors and not settings.doubts:
+        return None
+
+    def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
+        planned = tuple(planned_test(settings, rig, test, number) for test, number in zip(tests, periods, strict=True))
+        with_masses = any(name[0] == "m" for name in rig.model.names)
+        with tempfile.TemporaryDirectory() as folder:
+            pipeline = _loaded(Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder))
+        return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
+
+    return budget
+
+
+def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
+    """The pipeline of an evaluation as it will be read, its recordings empty."""
+    if evaluation.rig_path is None:
+        (folder / RIG).write_text(yaml.safe_dump(rig_entries(evaluation)), encoding="utf-8")
+    (folder / PIPELINE).write_text(yaml.safe_dump(pipeline_entries(evaluation, folder)), encoding="utf-8")
+    (folder / "recordings").mkdir()
+    for test in evaluation.tests:
+        (folder / "recordings" / f"{test.name}.csv").touch()
+    return load_pipeline(folder / PIPELINE)
+
+
+def _rehearsed_fit(pipeline: Pipeline, rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Fit:
+    """The fit of the pipeline to the tests as they are expected."""
+    (whole,), settings = pipeline.tests, pipeline.frf
+    assert settings is not None
+    highest = max(int(test.lines[-1]) for test in tests)
+    recordings = [
+        rehearsed(
+            rig,
+            test,
+            [channel.channel for channel in source.rig.channels if channel.channel.role != "reference"],
+            number / rig.spacing,
+            settings.skip,
+            highest,
+        )
+        for source, test, number in zip(whole.recordings, tests, periods, strict=True)
+    ]
+    make = channel_spectra if settings.result == "spectra" else measure
+    (fit,) = identify(make(recordings, settings), pipeline.fits[0], judging=False)
+    return fit
+
+
+def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
+    """The budget of the coefficients of those *names*; None where no source changes any."""
+    if fit.budget is None:
+        return None
+    columns = [fit.budget.names.index(name) for name in names]
+    whole = fit.budget
+    return Budget(tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns])
+
+
+# plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
+# files that evaluate the test.
+
+REPORT = "report.html"
+
+
+def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan the excitation and write its files; sentences on it, and the files' names."""
+    settings: PlanSettings = file.settings
+    planned = make_plan(settings, _expected(file), file.title, rehearsal(file))
+    plan = planned.plan
+    names = list(_write_signals(planned, output))
+    write_plan(output.write_path(NAME), plan)
+    content: bytes = DOCUMENTS.load("html")(plan_document(plan, __version__))
+    output.write_path(REPORT).write_bytes(content)
+    with_masses = any(c.name[0] == "m" for c in plan.coefficients)
+    evaluation = Evaluation(settings, file.title, plan.tests, with_masses, rig_path(file))
+    files = {PIPELINE: pipeline_entries(evaluation, output.target.absolute())}
+    files |= {RIG: rig_entries(evaluation)} if evaluation.rig_path is None else {}
+    for name, entries in files.items():
+        text = yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
+        output.write_path(name).write_text(text, encoding="utf-8")
+    sentences = [line for line in (sentence(plan), goal_sentence(plan), *plan.notes) if line]
+    return sentences, [*names, NAME, REPORT, *files]
+
+
+def _expected(file: PlanFile) -> Expected:
+    """Values by name: those of `expected`, the others from the earlier result, with its doubts, then from theory."""
+    settings = file.settings
+    theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
+    typed = dict(settings.expected)
+    if not settings.earlier:
+        return Expected(theory | typed)
+    path = file.path.parent / settings.earlier
+    fits = {fit.name: fit for fit in read_identification(path).fits}
+    name = settings.fit or next(iter(fits), "")
+    if name not in fits or (not settings.fit and len(fits) > 1):
+        raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
+    coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
+    return Expected(theory | coefficients | typed, earlier_doubts(fits[name], typed))
+
+
+def _is_coefficient(parameter: Parameter) -> bool:
+    return not parameter.derived and parameter.name[0] in "kcm"
+
+
+def earlier_doubts(fit: Fit, typed: Container[str] = ()) -> Earlier:
+    """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*; NaN where it states no errors."""
+    estimated = [p for p in fit.parameters if not p.derived]
+    kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
+    names = tuple(estimated[number].name for number in kept)
+    by_noise = {} if fit.budget is None else dict(zip(fit.budget.names, fit.budget.random, strict=True))
+    errors = np.array([by_noise.get(p.name, np.nan if p.full_error is None else p.full_error) for p in estimated], float)
+    # A form with constraints reports more coefficients than it estimates.
+    of_all = np.shape(fit.correlation) == (len(estimated),) * 2
+    correlation = np.asarray(fit.correlation) if of_all else np.eye(len(estimated))
+    noise = (correlation * np.outer(errors, errors))[np.ix_(kept, kept)]
+    if fit.budget is None:
+        return Earlier(names, noise)
+    columns = [fit.budget.names.index(name) for name in names]
+    return Earlier(names, noise, tuple(source.source for source in fit.budget.sources), fit.budget.changes[:, columns])
+
+
+def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
+    """k_xx ... c_yy [N/m, N.s/m] of a bearing's theory, its y and z the plan's x and y."""
+    if theory.rig is not None:
+        rig = theory.rig if theory.speed is None else theory.rig.at_speed(theory.speed)
+        place = rig.place(theory.name)
+        coefficients = place.bearing.at(OperatingPoint(rig.static_loads()[place.name], rig.omega, rig.omega))
+    else:
+        bearing = open_bearing(folder / theory.bearing)
+        for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
+            if value is not None and name not in settings_of(bearing.kind.settings):
+                raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="state it in the bearing file", field="theory")
+            if value is not None:
+                set_entry(bearing.tree, f"{name}={value!r} {unit}")
+        (whole,) = bearing.coefficients([bearing.settings()])
+        coefficients = whole.lateral(*bearing.kind.lateral)
+    if not np.any(coefficients.damping):
+        raise ConfigError(
+            "this theory has no damping", hint="a journal or a magnetic bearing has; or state all under `expected`", field="theory"
+        )
+    matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
+    return {f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j]) for letter, matrix in matrices.items() for i in (0, 1) for j in (0, 1)}
+
+
+def _write_signals(planned: Planned, output: OutputFolder) -> list[str]:
+    names = []
+    for number in range(len(planned.tests)):
+        for name, samples in planned.signals(number).items():
+            write_signal(output.write_path(name), samples, planned.plan.sample_rate, "f [N]")
+            names.append(name)
+    return names
+
+
+EXCITATION = PlanKind(PlanSettings, excitation_files)

@@ -1,0 +1,158 @@
+"""Reading a plan file, and plan.json with the files that planned runs leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from labpipe import __version__
+from labpipe.artefacts.json_file import RECORD_FAULTS, entry_of, read_digested, record_of, write_digested
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.document.render import DOCUMENTS
+from labpipe.errors import ConfigError, DataError, LabpipeError, cut
+from labpipe.methods.planning.records import Plan, RunPlan
+from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
+from labpipe.methods.planning.settings import PLANS, PlanKind
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import DECIDE, Faults, read_settings
+from labpipe.registry import nearest
+from labpipe.report.document import Document, Section
+
+# Reading a plan file: a title, and the section `plan:`, whose entries are those of the model it is for.
+
+KEYS = ("title", "plan")
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """A plan file: where it is, its title, what is planned, and the settings of that."""
+
+    path: Path
+    title: str
+    kind: PlanKind
+    settings: Any
+
+
+def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
+    """The content of a plan file; ConfigErrors with every fault at its place.
+
+    It is a file of its own: a pipeline is run again with every new recording, and what was planned before the test is not to change then.
+    """
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    entries = faults.mapping(tree, "")
+    if entries:
+        faults.unknown_keys(tree, "", KEYS)
+    kind, settings = None, None
+    if "plan" not in entries:
+        faults.add(tree, "plan", "is missing", "state model, expected values, noise, limits and duration")
+    else:
+        kind = _kind(entries["plan"], faults)
+        _sort_theory(entries["plan"])
+        settings = None if kind is None else read_settings(kind.settings, entries["plan"], "plan", faults)
+    faults.raise_any()
+    assert kind is not None and settings is not None
+    title = entries["title"].text if "title" in entries else ""
+    return PlanFile(path, title or path.stem, kind, settings)
+
+
+def _sort_theory(node: Marked) -> None:
+    """expected: {bearing: FILE, ...} is what `theory` says."""
+    entries = node.content if isinstance(node.content, dict) else {}
+    expected = entries.get("expected")
+    if (
+        expected is not None
+        and isinstance(expected.content, dict)
+        and "theory" not in entries
+        and {"bearing", "rotor"} & set(expected.content)
+    ):
+        entries["theory"] = entries.pop("expected")
+
+
+def _kind(node: Marked, faults: Faults) -> PlanKind | None:
+    """What the entry `model` asks for; None and a fault where there is none of that name."""
+    entries = faults.mapping(node, "plan")
+    kinds = PLANS.names()
+    if "model" not in entries or entries["model"].text == DECIDE:
+        faults.add(node, "plan.model", "is missing", f"known: {', '.join(kinds)}")
+        return None
+    name = entries["model"].text
+    if name not in kinds:
+        faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, kinds))
+        return None
+    kind: PlanKind = PLANS.load(name)
+    return kind
+
+
+# plan.json: a planned test, or planned runs, as they were predicted.
+
+NAME = "plan.json"
+# Of an excitation, and of runs.
+SCHEMAS: dict[type, str] = {Plan: "labpipe/plan/1", RunPlan: "labpipe/run-plan/1"}
+
+
+def write_plan(path: Path, plan: Plan | RunPlan) -> None:
+    """Write a plan."""
+    write_digested(path, {"schema": SCHEMAS[type(plan)], "labpipe": __version__, **entry_of(plan)})
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan of an excitation from its plan.json; DataError when the file is none."""
+    plan = read_any_plan(path)
+    if not isinstance(plan, Plan):
+        raise DataError("plans runs, not an excitation", where=str(path))
+    return plan
+
+
+def read_any_plan(path: Path) -> Plan | RunPlan:
+    """The plan of a plan.json, of whatever kind; DataError when the file is none."""
+    try:
+        entries = read_digested(path, "plan")
+        kinds = {schema: kind for kind, schema in SCHEMAS.items()}
+        if entries["schema"] not in kinds:
+            raise ValueError(f"schema {cut(repr(entries['schema']))}")
+        plan: Plan | RunPlan = record_of(entries, kinds[entries["schema"]])
+    except FileNotFoundError:
+        raise DataError("no such file", where=str(path), hint="run `labpipe plan` first") from None
+    except RECORD_FAULTS as error:
+        raise DataError(f"is not a readable plan ({cut(str(error))})", where=str(path), hint="run `labpipe plan` again") from None
+    return plan
+
+
+# Files of planned runs, of whatever kind: plan.json, a report, the runs as a table, the pipeline.
+
+REPORT, PIPELINE, ROTOR = "report.html", "pipeline.yaml", "rotor.yaml"
+
+
+def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputFolder) -> list[str]:
+    """plan.json, report.html, runs.csv and runs.md, and files of settings by name; the names."""
+    write_plan(output.write_path(NAME), plan)
+    output.write_path(REPORT).write_bytes(DOCUMENTS.load("html")(run_plan_document(plan, __version__)))
+    output.write_path("runs.csv").write_text(runs_csv(plan), encoding="utf-8")
+    table = Document(plan.title, "Runs to make", (Section("Runs", (runs_table(plan),)),), to_sign=False)
+    output.write_path("runs.md").write_bytes(DOCUMENTS.load("md")(table))
+    for name, entries in settings_files.items():
+        text = entries if isinstance(entries, str) else yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
+        output.write_path(name).write_text(text, encoding="utf-8")
+    return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
+
+
+# plan: a plan file -> the plan of its kind, and the files that carry it out and evaluate it.
+
+
+def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan and write; sentences on the plan, and the files' names. LabpipeError names the plan file."""
+    try:
+        sentences, names = file.kind.files(file, output)
+    except LabpipeError as error:
+        field = f"plan.{error.field}: " if isinstance(error, ConfigError) and error.field else ""
+        error.what = f"{field}{error.what}" if not error.where else error.what
+        error.where = error.where or str(file.path)
+        raise
+    return list(sentences), list(names)

@@ -1,0 +1,319 @@
+"""Plans as people read them: the spectrum or the runs, what they will tell, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import floor
+
+from labpipe.display import NOT_DETERMINED, amount_text, shown_unit
+from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedNumber, PlannedRun, PlannedTest, RunPlan
+from labpipe.quantities import to_display
+from labpipe.report.chart import Axis, Panel, dots, look, stacked
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+
+# A planned test as people read it: the spectrum, what it will tell beside a flat one, and how sure that is.
+
+HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
+RANGE = "over draws of the expected values (95 %)"
+BUDGET = ("coefficient", "goal, expanded", "random", "systematic", "combined", "expanded", "largest shares of the variance")
+SOURCES, SHOWN = 3, 0.005
+BUDGETED = (
+    "Random is what noise leaves, systematic what the doubts of the rig file's numbers and of the mass do to first order, by the budget of "
+    "the plan's pipeline on the expected responses. Longer measuring lowers the random part alone."
+)
+TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
+SCHEMES = {
+    "one by one": "one shaker after the other",
+    "together": "both shakers at once, in phase on a line and in antiphase on its neighbour",
+    "interleaved": "both shakers at once, each on every other line",
+}
+FLATS = {
+    "schroeder": "with Schroeder's phases",
+    "least crest": "with phases of least crest factor",
+    "both limits": "with phases for the limits of force and displacement",
+}
+CRITERIA = {"minimax": "the largest error", "A": "the root of the sum of squared errors", "D": "the volume of the errors' ellipsoid"}
+
+
+def plan_document(plan: Plan, version: str) -> Document:
+    """The report of a plan."""
+    sections = (
+        Section("Plan", tuple(_verdict(plan))),
+        Section("Predicted errors", (_coefficients(plan), Paragraph(_explained(plan)))),
+        *_uncertainty(plan),
+        Section("Excitation", (_tests(plan), _spectrum(plan))),
+    )
+    return Document(plan.title, f"Test plan, labpipe {version}", sections, to_sign=False)
+
+
+def sentence(plan: Plan) -> str:
+    """What the plan does, in a sentence."""
+    worst = max(plan.coefficients, key=_over_goal if plan.with_goals else lambda c: c.error)
+    tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
+    gain = dict(plan.gains)["least crest"]
+    rank = "tightest against its goal" if plan.with_goals else "least certain"
+    reached = per_cent(worst.error_weighted)
+    if worst.expanded is not None and worst.goal_expanded is not None:
+        reached += f" by noise and {per_cent(worst.expanded)} expanded"
+    return (
+        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the {rank}, to "
+        f"{reached}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
+        "and time."
+    )
+
+
+def goal_sentence(plan: Plan) -> str:
+    """Whether the goals are met, and the time they need; empty without goals."""
+    if not plan.with_goals:
+        return ""
+    if plan.needed is None:
+        never = f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave" if plan.unreachable else ""
+        return f"The goals are NOT met: no time meets them{never}; {_time(plan.duration)} are planned."
+    reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
+    return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
+
+
+def per_cent(share: float) -> str:
+    """A relative error in per cent."""
+    return f"{100 * share:.2g} %"
+
+
+def _verdict(plan: Plan) -> Iterator[Block]:
+    yield Paragraph(sentence(plan))
+    if plan.with_goals:
+        met = plan.needed is not None and plan.needed <= plan.duration
+        yield Paragraph(goal_sentence(plan), "passed" if met else "failed")
+    yield from (Paragraph(note, "note") for note in plan.notes)
+    # Rounded down: a bound is not to be stated higher than it is.
+    sure = floor(1e4 * plan.efficiency) / 100
+    yield Paragraph(
+        f"Certificate: the design behind the plan has an efficiency of at least {sure:.2f} % among all spectra along the "
+        f"shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on all lines alike), by the equivalence theorem. "
+        f"Of {_designs(plan)} it is the one that tells most at the limits of the rig."
+    )
+    rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
+    yield Table(("flat multisine, one shaker after the other", "its error over the plan's"), rows, "Gain at equal peak and time", (1,))
+    if plan.combined:
+        yield Paragraph(COMBINED)
+
+
+COMBINED = (
+    "The earlier result counts: errors are those of both together, weighted by their covariances, as a fit to the recordings of both gives "
+    "them. The pipeline of the plan evaluates the new recordings."
+)
+
+
+def _designs(plan: Plan) -> str:
+    return "the optimum designs by three criteria" if plan.design != "flat" else "the optimum designs and a flat spectrum"
+
+
+def _coefficients(plan: Plan) -> Table:
+    ranged = any(c.error_range is not None for c in plan.coefficients)
+    rows = tuple(
+        (
+            c.name,
+            _expected(c),
+            "" if c.goal is None else per_cent(c.goal),
+            per_cent(c.error),
+            *([_range(c)] if ranged else []),
+            per_cent(c.error_weighted),
+            per_cent(c.flat),
+            f"{c.flat / c.error:.2f}",
+        )
+        for c in plan.coefficients
+    )
+    header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
+    return Table(header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header))))
+
+
+def _range(coefficient: PlannedCoefficient) -> str:
+    ends = coefficient.error_range
+    return NOT_DETERMINED if ends is None else f"{per_cent(ends[0])} to {per_cent(ends[1])}"
+
+
+def _uncertainty(plan: Plan) -> Iterator[Section]:
+    """What sensors and mass add to the noise, where that is known."""
+    stated = [c for c in plan.coefficients if c.expanded is not None]
+    if not stated:
+        return
+    rows = tuple(
+        (
+            c.name,
+            "" if c.goal_expanded is None else per_cent(c.goal_expanded),
+            *(per_cent(number or 0.0) for number in (c.error_weighted, c.systematic, c.combined, c.expanded)),
+            ", ".join(f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN),
+        )
+        for c in stated
+    )
+    yield Section("Predicted uncertainty", (Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5)), Paragraph(BUDGETED)))
+
+
+def _expected(coefficient: PlannedCoefficient) -> str:
+    shown = shown_unit(coefficient.unit, coefficient.scale)
+    return f"{to_display(coefficient.expected, shown):.5g} {shown}"
+
+
+def _explained(plan: Plan) -> str:
+    return (
+        "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. The noise is not known before the "
+        f"test: weights from the scatter of {min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
+        "large, as counted on simulated tests. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of "
+        "the largest of their kind. The prediction holds where the rig is as expected: plan again from the result of a short flat test, "
+        "if it may not be."
+    )
+
+
+def _tests(plan: Plan) -> Table:
+    return Table(TEST_HEADER, tuple(row for test in plan.tests for row in _rows(test)), "Signals", tuple(range(3, 9)))
+
+
+def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
+    moved = " / ".join(f"{1e6 * peak:.3g}" for peak in test.peak_displacement)
+    for shaker, file, crest, peak in zip(test.shakers, test.files, test.crest_factor, test.peak_force, strict=True):
+        yield (
+            test.name,
+            shaker,
+            file,
+            str(len(test.frequency)),
+            str(test.periods),
+            str(test.skip),
+            f"{crest:.3f}",
+            f"{peak:.4g}",
+            moved,
+        )
+
+
+def _spectrum(plan: Plan) -> Figure:
+    panels = []
+    for test in plan.tests:
+        series = []
+        for number, (shaker, amplitude) in enumerate(zip(test.shakers, test.amplitude, strict=True)):
+            shown = [(f, a) for f, a in zip(test.frequency, amplitude, strict=True) if a > 0]
+            colour, _ = look(number)
+            series.append(dots(shaker, [f for f, _ in shown], [a for _, a in shown], colour, marker="."))
+        panels.append(Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series)))
+    caption = "Amplitude of every line, 0-to-peak, by shaker; tests below each other."
+    return Figure(stacked(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
+
+
+def _over_goal(coefficient: PlannedCoefficient) -> float:
+    """Error over goal, of noise or expanded, whichever is further; by noise where nothing is wanted of it."""
+    parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
+    parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
+    return max(parts, default=0.0)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds / 60:.3g} min" if seconds >= 120 else f"{seconds:.3g} s"
+
+
+# Planned runs as people read them: which runs, what they will tell, and what they will not.
+
+NUMBERS = ("number", "expected", "goal", "std. error", "runs shared alike", "known before", "never below")
+MODELS = {
+    "bearing-states": "runs of the floating bearing",
+    "run-ups": "run-ups of the rotor",
+    "worn-bearing": "frequency responses of the worn rotor",
+}
+
+
+def run_plan_document(plan: RunPlan, version: str) -> Document:
+    """The report of planned runs."""
+    sections = (
+        Section("Plan", tuple(_runs_verdict(plan))),
+        Section("Runs", (runs_table(plan),)),
+        Section("Predicted errors", (_numbers(plan), Paragraph(EXPLAINED))),
+    )
+    return Document(plan.title, f"Plan of runs, labpipe {version}", sections, to_sign=False)
+
+
+EXPLAINED = (
+    "Standard errors from the information matrix of the fit that will evaluate the runs, at the expected values; in per cent of the "
+    "number's size, or in its unit. Beside it: the same time shared alike among all candidates, what is known without any run, and what "
+    "stays however many runs there are."
+)
+
+
+def runs_table(plan: RunPlan) -> Table:
+    """A row for every condition that is to be run."""
+    titles = tuple(dict.fromkeys(title for run in plan.runs for title, _ in run.conditions))
+    rows = tuple(
+        (
+            run.name,
+            str(run.count),
+            f"{run.seconds:.4g}",
+            *(dict(run.conditions).get(title, "") for title in titles),
+            f"{100 * run.share:.0f} %",
+        )
+        for run in plan.runs
+    )
+    return Table(("run", "times", "each [s]", *titles, "share at the optimum"), rows, "Runs to make", (1, 2))
+
+
+def run_sentences(plan: RunPlan) -> Iterator[str]:
+    """What is to be run and what it will tell, in sentences."""
+    total = sum(run.count for run in plan.runs)
+    aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
+    worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
+    determined = f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:" if worst else " are"
+    yield (
+        f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions ({_time(plan.duration)}){determined} "
+        f"{plan.gain:.2f} times better by {CRITERIA[plan.criterion]} than the same time shared alike."
+    )
+    if aimed:
+        met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
+        needed = "no time meets them" if plan.needed is None else f"they need {_time(plan.needed)} of such runs"
+        yield f"The goals are {'met' if met else 'NOT met'}: {needed}, {_time(plan.duration)} are planned."
+    if plan.undetermined:
+        helps = f"; {' or '.join(plan.remedies)} would determine all" if plan.remedies else ""
+        yield f"However long one measures, these runs do not tell {'; '.join(plan.undetermined)}: what is known before decides{helps}."
+    yield from plan.notes
+
+
+def runs_csv(plan: RunPlan) -> str:
+    """The runs as a table for other programs."""
+    table = runs_table(plan)
+    quoted = [",".join('"' + cell.replace('"', '""') + '"' for cell in row) for row in (table.header, *table.rows)]
+    return "\n".join(quoted) + "\n"
+
+
+def error_text(number: PlannedNumber, error: float | None) -> str:
+    """A standard error, in per cent of the number's scale, or with its unit where it has none."""
+    if error is None:
+        return NOT_DETERMINED
+    if number.scale is not None:
+        return f"{100 * error / number.scale:.2g} %"
+    unit = shown_unit(number.unit, error)
+    return f"{to_display(error, unit) - to_display(0.0, unit):.2g} {unit}"
+
+
+def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
+    for text in run_sentences(plan):
+        kind = "passed" if text.startswith("The goals are met") else "failed" if text.startswith("The goals are NOT") else ""
+        yield Paragraph(text, kind) if kind else Paragraph(text)
+    sure = floor(1e4 * plan.efficiency) / 100
+    yield Paragraph(
+        f"Certificate: the plan has, whole runs included, an efficiency (by variances) of at least {sure:.2f} % among all divisions of the "
+        f"same time among the {plan.candidates} conditions, by the equivalence theorem."
+    )
+
+
+def _numbers(plan: RunPlan) -> Table:
+    rows = tuple(
+        (
+            number.name,
+            amount_text(number.expected, None, number.unit),
+            "" if number.goal is None else error_text(number, number.goal),
+            error_text(number, number.error),
+            error_text(number, number.flat),
+            error_text(number, number.before),
+            error_text(number, number.lasting),
+        )
+        for number in plan.numbers
+    )
+    return Table(NUMBERS, rows, "Predicted standard errors", (1, 2, 3, 4, 5, 6))
+
+
+def run_names(run: PlannedRun) -> tuple[str, ...]:
+    """The names of the recordings of a condition, one for each of its runs."""
+    return (run.name,) if run.count == 1 else tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))

@@ -1,0 +1,531 @@
+"""plan of run-ups: which loads, trial unbalances and speeds to run, and the pipeline of their joint fit.
+
+Run-ups that could be made, and what each would tell of the film's parameters: its Fisher information.
+
+With the slopes J of the joint fit's residual (`problem`) at expected parameters, a run tells J^T J of the logarithms of PARAMETERS.
+Readings have standard errors of a share of the amplitude, with a floor, and of the phase; where the rotor is unstable, or moves farther
+than the limits allow, it is not run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import ConfigError, FitError
+from labpipe.methods.planning.designs import CRITERIA, MINIMAX
+from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
+from labpipe.methods.planning.records import RunPlan
+from labpipe.methods.planning.report import run_names, run_sentences
+from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.settings import PlanKind
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE
+from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_matrices
+from labpipe.methods.run_ups.joint import threshold_row
+from labpipe.methods.run_ups.misfit import ExcitedRun, scales
+from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, largest_displacement
+from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
+from labpipe.records.settings import Settings, setting
+from labpipe.records.uncertain import Uncertain
+from labpipe.registry import nearest
+
+# The ``plan:`` section for run-ups: which loads, unbalances and speeds there could be, and what is wanted
+# of the film.
+
+RUN_UPS = "run-ups"
+EXPONENTS = ("viscosity_speed", "viscosity_load")
+SPEEDS = ("critical_speed", "threshold")
+
+
+@dataclass(frozen=True)
+class ReadingSettings(Settings):
+    """Standard errors of the readings at one speed, from one dwell there."""
+
+    amplitude: float = setting("value", "of the amplitude itself", unit="1", default=0.01)
+    displacement: float = setting("value", "added to every reading, in squares", unit="m", default=0.0)
+    phase: float = setting("value", "of the phase", unit="rad", default=float(np.deg2rad(1)))
+    threshold: float = setting("value", "of the threshold speed itself", unit="1", default=0.002)
+
+    def __post_init__(self) -> None:
+        if min(self.amplitude, self.phase, self.threshold) <= 0 or self.displacement < 0:
+            raise ConfigError("the noise of a reading is positive", hint="for example amplitude: 1 %")
+
+
+@dataclass(frozen=True)
+class TrialSettings(Settings):
+    """One way to excite the rotor: a trial unbalance, or a shaker whose force does not turn."""
+
+    unbalance: tuple[tuple[str, complex], ...] = setting("phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=())
+    shaker: str = setting("text", "plane on which a shaker acts, along x, instead", default="")
+    force: float = setting("value", "of the shaker, 0-to-peak", unit="N", default=1.0)
+    ratio: float = setting("value", "frequency of the shaker over that of the shaft", unit="1", default=0.95)
+
+    def __post_init__(self) -> None:
+        if bool(self.unbalance) == bool(self.shaker):
+            raise ConfigError("a trial has an unbalance or a shaker", hint="unbalance: {disc 1: 50 g.mm at 0 deg}")
+        if min(self.force, self.ratio) <= 0:
+            raise ConfigError("force and ratio of a shaker are positive")
+
+    @property
+    def words(self) -> str:
+        """The excitation in words."""
+        if self.shaker:
+            return f"shaker at {self.shaker}: {self.force:g} N in x, {self.ratio:g} of the speed"
+        return "; ".join(f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg" for plane, size in self.unbalance)
+
+
+@dataclass(frozen=True)
+class RunUpPlanSettings(Settings):
+    """Which run-ups there could be, how well they are read, and what they are to tell; *rig*: contents of `rotor`."""
+
+    model: str = setting("choice", "what will be identified: the oil film over load and speed", choices=(RUN_UPS,))
+    rotor: str = setting("file", "rotor file with pins", file_kind="run-up-rotor", into="rig")
+    _: KW_ONLY
+    loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
+    speeds: tuple[float, float] = setting("band", "speeds that can be run", unit="Hz")
+    step: float = setting("value", "from one speed of a run to the next", unit="Hz")
+    dwell: float = setting("value", "time at one speed", unit="s")
+    duration: float = setting("value", "of all runs together", unit="s")
+    trials: tuple[tuple[str, TrialSettings], ...] = setting(
+        "sections", "ways to excite the rotor, by name", section=TrialSettings, default=(), needed=True
+    )
+    stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
+    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    to_threshold: bool = setting("flag", "the highest stretch may be run on until the rotor gets unstable", default=False)
+    displacement_limit: float | None = setting("value", "largest at a plane, 0-to-peak; default: none", unit="m", default=None)
+    journal_limit: float | None = setting("value", "largest of the journal, 0-to-peak; default: none", unit="m", default=None)
+    noise: ReadingSettings = setting("section", "of a reading", section=ReadingSettings, default=ReadingSettings())
+    expected: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series", "factors on the rotor file's film, exponents of the viscosity; default: the rotor file", unit="1", default=()
+    )
+    earlier: str = setting("file", "identification.json whose joint fit is expected where `expected` has none", default="")
+    known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
+    at_load: float | None = setting("value", "load at which speeds and coefficients are predicted", unit="N", default=None)
+    at_speed: float | None = setting("value", "speed at which coefficients are predicted", unit="Hz", default=None)
+    goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series",
+        "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters alike",
+        unit="1",
+        default=(),
+    )
+    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    rig: RunUpRotor | None = None
+
+    def __post_init__(self) -> None:
+        self._check_signs()
+        if len(self.omega) < 2 * max(self.stretches, 1):
+            raise ConfigError(f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more", field="stretches")
+        if not self.trials:
+            raise ConfigError("there is no way to excite the rotor", hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}", field="trials")
+        for name in self.known:
+            if name not in PARAMETERS:
+                raise ConfigError(f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="known")
+        for name, values in self.expected:
+            self._check_expected(name, values)
+        self._check_goals()
+        if self.rig is not None:
+            self.rig.place.film("a plan of run-ups")
+            for name, trial in self.trials:
+                self._check_planes(self.rig, name, trial)
+
+    def _check_signs(self) -> None:
+        for name in ("step", "dwell", "duration", "at_load", "at_speed", "displacement_limit", "journal_limit"):
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
+            raise ConfigError("loads are positive, and so is the time between runs", field="loads")
+        if self.speeds[0] <= 0 or self.stretches < 1:
+            raise ConfigError("speeds begin above zero, and there is one stretch of them at least", field="speeds")
+
+    def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
+        if name not in PARAMETERS:
+            raise ConfigError(f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="expected")
+        if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
+            raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
+        if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
+            raise ConfigError(
+                f"{name} of {values[0]:g} is beyond what a joint fit looks for", hint="change the rotor file", field="expected"
+            )
+
+    def _check_goals(self) -> None:
+        names = (*PARAMETERS, *(SPEEDS if self.at_load else ()), *(COEFFICIENTS if self.at_load and self.at_speed else ()))
+        for name, values in self.goal:
+            if name not in names:
+                hint = "at_load and at_speed say where" if name in (*SPEEDS, *COEFFICIENTS) else nearest(name, names)
+                raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
+            if name in self.known:
+                raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
+            if len(values) != 1 or values[0] <= 0:
+                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+
+    @staticmethod
+    def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
+        for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
+            if plane not in rig.plane_names:
+                raise ConfigError(f"trial {name}: no plane '{plane}'", hint=nearest(plane, rig.plane_names), field="trials")
+
+    @property
+    def omega(self) -> FloatArray:
+        """All speeds (n_speed,) [rad/s]."""
+        low, high = self.speeds
+        return np.asarray(2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1))
+
+    def values(self, earlier: Mapping[str, float]) -> FloatArray:
+        """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] where none is given."""
+        given = dict(earlier) | {name: value for name, (value,) in self.expected}
+        return np.array([logarithm(name, given.get(name, 0.0 if name in EXPONENTS else 1.0)) for name in PARAMETERS])
+
+
+def logarithm(name: str, value: float) -> float:
+    """The logarithm that stands for a factor; an exponent of the viscosity stands for itself."""
+    return value if name in EXPONENTS else float(np.log(value))
+
+
+# Run-ups that could be made, and what each would tell of the film's parameters: its Fisher information.
+
+# Readings with a larger relative error are not planned with: a fit weighs along and across the measured phasor, which is noise then.
+LARGEST_ERROR = 0.2
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Standard errors at one speed: *amplitude* [1] relative, a *displacement* [m] added in squares, *phase* [rad], *threshold* [1]."""
+
+    amplitude: float
+    displacement: float
+    phase: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class ExpectedRig:
+    """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS; *reading*: its noise."""
+
+    rig: RunUpRotor
+    family: FilmFamily
+    values: FloatArray
+    reading: Reading
+
+    def coefficients(self, load: float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_speed, 8) [N/m, N s/m] at a load [N] and speeds (n_speed,) [rad/s]."""
+        return self.family.coefficients(self.values, load, speed)
+
+    def threshold(self, load: float) -> float | None:
+        """Expected threshold of instability [rad/s] under a load [N]; None for none within the search."""
+        return self.rig.threshold(self.family.at_load(self.values, load))
+
+
+@dataclass(frozen=True)
+class RunCandidate:
+    """A run under a *load* [N] at speeds (n_speed,) [rad/s], under an unbalance [kg m] by plane or a shaker; or on to the threshold."""
+
+    name: str
+    load: float
+    speed: FloatArray
+    unbalance: Mapping[str, complex]
+    shaker: Shaker | None = None
+    to_threshold: bool = False
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Largest displacement 0-to-peak at a plane and of the journal [m]; None: no limit."""
+
+    displacement: float | None = None
+    journal: float | None = None
+
+
+def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
+    """The run as it is expected, without noise, with the standard errors of its readings."""
+    rig, speed = expected.rig, candidate.speed
+    shape = (speed.size, len(rig.planes), 2)
+    ones = np.ones(shape)
+    unit = RunUp(
+        candidate.name,
+        candidate.load,
+        speed,
+        rig.plane_names,
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        unbalance=candidate.unbalance,
+        shaker=candidate.shaker,
+    )
+    response = rig.excited(unit).response(*as_matrices(expected.coefficients(candidate.load, speed))).reshape(shape)
+    reading = expected.reading
+    floor = reading.displacement / np.abs(response)
+    errors = np.hypot(reading.amplitude, floor) * np.abs(response), np.hypot(reading.phase, floor)
+    threshold = expected.threshold(candidate.load) if candidate.to_threshold else None
+    measured = None if threshold is None else Uncertain(threshold, reading.threshold * threshold)
+    return replace(unit, response=response, amplitude_error=errors[0], phase_error=errors[1], threshold=measured)
+
+
+def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
+    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the search does not find.
+
+    Equation (plan-run-up).
+    """
+    run = expected_run(expected, candidate)
+    eight, by_parameter = expected.family.coefficients_and_slopes(expected.values, np.full(run.n_speed, run.load), run.speed)
+    _, slopes = ExcitedRun.of(expected.rig, run).residual_and_slopes(eight)
+    rows = (slopes @ by_parameter).reshape(-1, len(PARAMETERS))
+    matrix = rows.T @ rows
+    if run.threshold is not None:
+        _, row = threshold_row(expected.rig, expected.family, expected.values, run.load, run.threshold)
+        matrix = matrix + np.outer(row, row)
+    elif candidate.to_threshold:
+        raise FitError(f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out")
+    return np.asarray(matrix)
+
+
+def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
+    """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is above its noise."""
+    run = expected_run(expected, replace(candidate, to_threshold=False))
+    stiffness, damping = as_matrices(expected.coefficients(run.load, run.speed))
+    good = expected.rig.stability.growth(run.speed, stiffness, damping) <= GROWTH_TOLERANCE
+    good &= np.all(run.amplitude_error <= LARGEST_ERROR * np.abs(run.response), axis=(1, 2))
+    if limits.displacement is not None:
+        good &= np.all(largest_displacement(run.response) <= limits.displacement, axis=1)
+    if limits.journal is not None:
+        good &= largest_displacement(expected.rig.excited(run).journal(stiffness, damping)[0]) <= limits.journal
+    return np.asarray(good)
+
+
+def at_allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> RunCandidate | None:
+    """The candidate at the speeds that are allowed; None where fewer than two are left."""
+    good = allowed(expected, candidate, limits)
+    return replace(candidate, speed=candidate.speed[good]) if np.count_nonzero(good) > 1 else None
+
+
+# plan of run-ups: settings -> which loads, trial unbalances and speeds to run, and the pipeline of their
+# joint fit.
+
+METHOD = "joint"
+# Standard error of the logarithm of what is known.
+KNOWN = 1e-5
+# Half of a difference, in logarithms.
+STEP = 1e-4
+# The second load that is tried, over the highest.
+OTHER_LOAD = 1.5
+
+
+@dataclass(frozen=True)
+class RunUpsPlanned:
+    """The plan with the rig as expected and the candidates it chose from, by name."""
+
+    answered: Answered
+    expected: ExpectedRig
+    candidates: dict[str, RunCandidate]
+
+    @property
+    def plan(self) -> RunPlan:
+        """What is to be run."""
+        return self.answered.plan
+
+
+def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan the run-ups and write their files; sentences on them, and the files' names."""
+    settings: RunUpPlanSettings = file.settings
+    planned = plan_run_ups(settings, file.title, _earlier(file))
+    names = []
+    for run in planned.plan.runs:
+        name = f"expected/{run.name}.csv"
+        write_run_up_csv(output.write_path(name), expected_run(planned.expected, planned.candidates[run.name]))
+        names.append(name)
+    rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
+    pipeline = pipeline_entries(planned.plan, settings)
+    names += write_runs(planned.plan, {ROTOR: rotor, PIPELINE: pipeline}, output)
+    return list(run_sentences(planned.plan)), names
+
+
+def _earlier(file: PlanFile) -> dict[str, float]:
+    """Factors and exponents of the joint fit of an earlier result."""
+    if not file.settings.earlier:
+        return {}
+    path = file.path.parent / file.settings.earlier
+    result = read_identification(path).sections.get("run_ups")
+    methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
+    if not methods:
+        raise ConfigError(f"{path.name} holds no joint fit of run-ups", hint="run_ups: {methods: [joint]}", field="earlier")
+    return {parameter.name: parameter.value for parameter in methods[0].parameters}
+
+
+def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, Any]:
+    """The pipeline that evaluates the runs; tables are looked for in recordings/."""
+    runs = [{"file": f"recordings/{name}.csv"} for run in plan.runs for name in run_names(run)]
+    section: dict[str, Any] = {"rotor": ROTOR, "methods": [METHOD], "runs": runs}
+    if settings.known:
+        section["known"] = list(settings.known)
+    return {"title": plan.title, "run_ups": section}
+
+
+def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, float]) -> RunUpsPlanned:
+    """The runs that tell most within the time; ConfigError where a goal cannot be met however many there are."""
+    expected = _expected(settings, earlier)
+    candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
+    given = settings.known
+    question = RunQuestion(
+        parameters=PARAMETERS,
+        units=PRIOR,
+        prior=_prior(given),
+        conditions=tuple(_condition(settings, expected, candidate) for candidate in candidates),
+        quantities=tuple(_quantities(settings, expected)),
+        duration=settings.duration,
+        criterion=settings.criterion,
+        known=given,
+        remedies=tuple(_remedies(settings, expected, candidates)),
+    )
+    answered = plan_runs(question, title, settings.model, notes)
+    return RunUpsPlanned(answered, expected, {candidate.name: candidate for candidate in candidates})
+
+
+def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> ExpectedRig:
+    assert settings.rig is not None
+    rig: RunUpRotor = settings.rig
+    if rig.speeds is None:
+        rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
+    film = rig.place.film("a plan of run-ups")
+    family = FilmFamily(film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads)))))))
+    noise = settings.noise
+    reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
+    return ExpectedRig(rig, family, settings.values(earlier), reading)
+
+
+def _prior(known: Sequence[str]) -> FloatArray:
+    """Information (12, 12) of the joint fit's prior, and of what is known."""
+    return np.diag([(KNOWN if name in known else float(spread)) ** -2.0 for name, spread in zip(PARAMETERS, PRIOR, strict=True)])
+
+
+def _candidates(settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]) -> Iterator[RunCandidate]:
+    """Every trial under every load on every stretch of speeds; the highest also on to the threshold."""
+    stretches = np.array_split(settings.omega, settings.stretches)
+    for place, load in enumerate(loads, 1):
+        for name, trial in settings.trials:
+            for number, speed in enumerate(stretches, 1):
+                stem = f"load-{place}-{name.replace(' ', '-')}" + (f"-{number}" if settings.stretches > 1 else "")
+                candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
+                yield candidate
+                if settings.to_threshold and number == settings.stretches and not trial.shaker and expected.threshold(load) is not None:
+                    yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
+
+
+def _shaker(trial: TrialSettings) -> Shaker | None:
+    return Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
+
+
+def _allowed(
+    expected: ExpectedRig, candidates: Iterator[RunCandidate], settings: RunUpPlanSettings
+) -> tuple[list[RunCandidate], list[str]]:
+    """The candidates at the speeds that limits and stability allow, and notes on those that were cut."""
+    limits = Limits(settings.displacement_limit, settings.journal_limit)
+    kept, cut, whole = [], 0, 0
+    for candidate in candidates:
+        allowed = at_allowed_speeds(expected, candidate, limits)
+        kept += [] if allowed is None else [allowed]
+        full = allowed is not None and allowed.speed.size == candidate.speed.size
+        cut, whole = cut + (not full), whole + full
+    if not kept:
+        raise ConfigError(
+            "no run keeps within the limits and above the noise", hint="other trial unbalances, or other speeds", field="trials"
+        )
+    words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond the limits or within the noise."
+    return kept, [words] if cut else []
+
+
+def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: RunCandidate) -> Condition:
+    seconds = settings.dwell * candidate.speed.size + settings.changeover
+    low, high = candidate.speed[[0, -1]] / RPM
+    trial = next(
+        trial for name, trial in settings.trials if candidate.shaker == _shaker(trial) and candidate.unbalance == dict(trial.unbalance)
+    )
+    end = ", on to the threshold" if candidate.to_threshold else ""
+    conditions = (
+        ("load", f"{candidate.load:.4g} N"),
+        ("excitation", trial.words),
+        ("speeds", f"{low:.0f} to {high:.0f} rpm in {candidate.speed.size} steps{end}"),
+        ("rate", f"{(high - low) / (settings.dwell * max(candidate.speed.size - 1, 1)):.3g} rpm/s"),
+    )
+    return Condition(candidate.name, seconds, conditions, information(expected, candidate))
+
+
+def _remedies(settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]) -> Iterator[Change]:
+    """A measured clearance, a shaker, a second load: alone, then two of them."""
+    conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
+    shaken = TrialSettings(shaker=expected.rig.plane_names[0])
+    with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
+    other = (OTHER_LOAD * max(settings.loads),)
+    changes: dict[str, tuple[tuple[Condition, ...], tuple[str, ...]]] = {"a measured clearance (known: clearance)": ((), ("clearance",))}
+    if not any(trial.shaker for _, trial in settings.trials):
+        changes["a run under a shaker whose force does not turn"] = (_extra(with_shaker, expected, settings.loads[:1]), ())
+    if len(set(settings.loads)) == 1:
+        changes["a second load"] = (_extra(settings, expected, other), ())
+    for size in (1, 2):
+        for names in combinations(changes, size):
+            extra = tuple(condition for name in names for condition in changes[name][0])
+            parameters = tuple(parameter for name in names for parameter in changes[name][1])
+            yield Change(" and ".join(names), size, (*conditions, *extra), parameters)
+
+
+def _extra(settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]) -> tuple[Condition, ...]:
+    try:
+        allowed, _ = _allowed(expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings)
+    except (ConfigError, FitError):
+        return ()
+    return tuple(_condition(settings, expected, candidate) for candidate in allowed)
+
+
+def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[Quantity]:
+    """Parameters that are not known; at a named load and speed also speeds and coefficients, relative."""
+    goals = {name: values[0] for name, values in settings.goal}
+    for number, name in enumerate(PARAMETERS):
+        if name not in settings.known:
+            value = float(expected.values[number])
+            shown = value if name in ("viscosity_speed", "viscosity_load") else float(np.exp(value))
+            yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
+    if settings.at_load is None:
+        return
+    for name in SPEEDS:
+        at_speed = _speed_row(expected, settings.at_load, name)
+        if at_speed is not None:
+            value, row = at_speed
+            goal = None if name not in goals else goals[name] * value
+            yield Quantity(name, "rad/s", value, row, goal, value)
+        elif name in goals:
+            raise ConfigError(f"no {name} is expected under {settings.at_load:g} N", hint="leave its goal out", field="goal")
+    if settings.at_speed is not None:
+        place = np.array([2 * np.pi * settings.at_speed])
+        eight, slopes = expected.family.coefficients_and_slopes(expected.values, np.array([settings.at_load]), place)
+        sizes = scales(eight)[0]
+        for number, name in enumerate(COEFFICIENTS):
+            unit = "N/m" if name.startswith("k") else "N.s/m"
+            goal = None if name not in goals else goals[name] * float(sizes[number])
+            yield Quantity(name, unit, float(eight[0, number]), slopes[0, number], goal, float(sizes[number]))
+
+
+def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
+    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms; None where there is none."""
+
+    def speed(values: FloatArray) -> float | None:
+        at = expected.family.at_load(values, load)
+        return expected.rig.critical_speed(at) if name == "critical_speed" else expected.rig.threshold(at)
+
+    try:
+        value = speed(expected.values)
+        ends = [[speed(expected.values + sign * STEP * unit) for sign in (1, -1)] for unit in np.eye(len(PARAMETERS))]
+    except FitError:
+        return None
+    if value is None or any(end is None for pair in ends for end in pair):
+        return None
+    return value, np.array([(high - low) / (2 * STEP) for high, low in np.array(ends, float)])
+
+
+RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)

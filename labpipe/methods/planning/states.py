@@ -1,0 +1,333 @@
+"""plan of a floating bearing at several loads and speeds: which states to run how often, and their signals.
+
+A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or of what they have in common.
+
+Of numbers p that all states have in common, a clearance or a viscosity, the run in a state s tells J_s^T I_s J_s, where I_s is what it
+tells of the coefficients there and J_s = d(coefficients)/dp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.bearings.kinds import BearingCoefficients
+from labpipe.errors import ConfigError
+from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
+from labpipe.methods.planning.designs import CRITERIA, MINIMAX
+from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
+from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
+from labpipe.methods.planning.plan import FEWEST_PERIODS, bench, period_signals, planned_lines, planned_test, weighting_factor
+from labpipe.methods.planning.plan_file import PlanFile, write_runs
+from labpipe.methods.planning.records import PlannedRun, PlannedTest
+from labpipe.methods.planning.report import run_names, run_sentences
+from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.search import BOTH_LIMITS, flat
+from labpipe.methods.planning.settings import DensitySettings, NoiseSettings, PlanKind, PlanSettings
+from labpipe.project.bearing_file import BearingFile, open_bearing, setting_at
+from labpipe.project.marked_yaml import set_entry
+from labpipe.raw_files.signal_file import write_signal
+from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.registry import nearest
+
+# The ``plan:`` section for a floating bearing at several loads and speeds: which states there could be, and
+# what is wanted of them.
+
+STATES = "bearing-states"
+FLOATING = "dynamic-stiffness"
+COEFFICIENTS = tuple(f"{letter}_{row}{column}" for letter in "kc" for row in AXES for column in AXES)
+
+
+@dataclass(frozen=True)
+class StatePlanSettings(Settings):
+    """Which loads and speeds can be run, how a state is tested, and what the tests are to tell."""
+
+    model: str = setting("choice", "what will be identified: a floating bearing over load and speed", choices=(STATES,))
+    bearing: str = setting("file", "bearing file with `load` and `speed`; its y and z are the plan's x and y", file_kind="bearing")
+    _: KW_ONLY
+    loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
+    speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
+    mass: float = setting("value", "mass of the stator", unit="kg")
+    band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", unit="Hz")
+    period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
+    sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
+    run: float = setting("value", "measured time of one run in one state", unit="s")
+    duration: float = setting("value", "of all runs with what lies between them", unit="s")
+    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
+    displacement_limit: float | None = setting("value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None)
+    changeover: float = setting("value", "time between runs", unit="s", default=0.0)
+    noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
+    noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
+    estimate: tuple[str, ...] = setting(
+        "names", "numbers of the bearing file that all states have in common; default: none, every state by itself", default=()
+    )
+    goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series", "relative standard errors that are wanted: {k_xy: 2 %, clearance: 1 %}; default: all alike", unit="1", default=()
+    )
+    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    scheme: str = setting("choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED)
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", unit="Hz", default=())
+    mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
+    skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
+
+    def __post_init__(self) -> None:
+        if min((*self.loads, *self.speeds), default=0.0) <= 0 or not (self.loads and self.speeds):
+            raise ConfigError("loads and speeds are positive", field="loads")
+        if self.changeover < 0 or self.duration <= 0:
+            raise ConfigError("times are positive", field="duration")
+        if self.periods < FEWEST_PERIODS:
+            hint = f"a run of {FEWEST_PERIODS * self.period:g} s or more"
+            raise ConfigError(f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}", hint=hint, field="run")
+        for name, values in self.goal:
+            if name not in (*COEFFICIENTS, *self.estimate):
+                allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
+                raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
+            if len(values) != 1 or values[0] <= 0:
+                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+        self.at(self.speeds[0])
+
+    @property
+    def periods(self) -> int:
+        """Measured periods of a run."""
+        return int(self.run / self.period + 0.5)
+
+    @property
+    def seconds(self) -> float:
+        """Time that a run takes [s], transient periods and what lies between runs included."""
+        return (self.periods + self.skip) * self.period + self.changeover
+
+    def at(self, speed: float) -> PlanSettings:
+        """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
+        names = ("mass", "band", "period", "sample_rate", "force_limit", "displacement_limit", "noise", "noise_density")
+        return PlanSettings(
+            FLOATING,
+            **{name: getattr(self, name) for name in (*names, "scheme", "exclude", "mains", "skip")},
+            duration=self.periods * self.period,
+            expected=tuple((name, 1.0) for name in COEFFICIENTS),
+            speed=speed,
+        )
+
+
+# A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or
+# of what they have in common.
+
+
+@dataclass(frozen=True)
+class Common:
+    """A number of the bearing that all states have in common: value [unit], standard error known before, None for nothing."""
+
+    name: str
+    value: float
+    unit: str
+    std_error: float | None = None
+
+
+@dataclass(frozen=True)
+class BearingState:
+    """The bearing under a *load* [N] at a *speed* [Hz], with its expected coefficients in *model*.
+
+    slopes (8, n_common) [units of the coefficients per unit of each number]: their derivatives by what all states have in common.
+    """
+
+    name: str
+    load: float
+    speed: float
+    model: PlannedModel
+    slopes: FloatArray
+
+
+@dataclass(frozen=True)
+class StateTest:
+    """The test of a state: the rig, its multisine, and the information (8, 8) [1/units] of the coefficients by one run."""
+
+    state: BearingState
+    rig: Rig
+    multisine: Multisines
+    planned: PlannedTest
+    information: FloatArray
+
+
+def state_tests(settings: StatePlanSettings, states: Sequence[BearingState]) -> list[StateTest]:
+    """The flat multisine of every state, as large as its limits allow; ConfigError where no line is left."""
+    return [_test(settings, state) for state in states]
+
+
+def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
+    state_settings = settings.at(state.speed)
+    rig = bench(state_settings, state.model)
+    campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
+    factor = weighting_factor(settings.periods, of_spectra=True)
+    information = campaign.rate * settings.periods * settings.period / factor**2 / np.outer(state.model.scales, state.model.scales)
+    return StateTest(state, rig, campaign.tests[0], planned_test(state_settings, rig, campaign.tests[0], settings.periods), information)
+
+
+def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]) -> RunQuestion:
+    """What is asked of the runs: parameters are the numbers in common, or where there are none the coefficients of every state.
+
+    Equation (plan-states).
+    """
+    if common:
+        slopes = [test.state.slopes for test in tests]
+        parameters = tuple(number.name for number in common)
+        units = np.array([abs(number.value) for number in common])
+        prior = np.diag([0.0 if number.std_error is None else number.std_error**-2.0 for number in common])
+    else:
+        n = len(COEFFICIENTS)
+        slopes = [np.eye(n * len(tests))[n * number : n * (number + 1)] for number in range(len(tests))]
+        parameters = tuple(f"{name}[{test.state.name}]" for test in tests for name in COEFFICIENTS)
+        units = np.concatenate([test.state.model.scales for test in tests])
+        prior = np.zeros((len(parameters),) * 2)
+    conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
+    quantities = tuple(_quantities(settings, tests, slopes, common))
+    return RunQuestion(parameters, units, prior, conditions, quantities, settings.duration, settings.criterion)
+
+
+def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
+    words = (
+        ("load", f"{test.state.load:.4g} N"),
+        ("speed", f"{60 * test.state.speed:.5g} rpm"),
+        ("force", f"{max(test.planned.peak_force):.4g} N peak"),
+        ("displacement", f"{1e6 * max(test.planned.peak_displacement):.3g} um peak"),
+    )
+    return Condition(test.state.name, settings.seconds, words, slopes.T @ test.information @ slopes)
+
+
+def _quantities(
+    settings: StatePlanSettings, tests: Sequence[StateTest], slopes: Sequence[FloatArray], common: Sequence[Common]
+) -> Iterator[Quantity]:
+    """The numbers in common, and every coefficient of every state."""
+    goals = {name: values[0] for name, values in settings.goal}
+    for number, quantity in enumerate(common):
+        size = abs(quantity.value)
+        goal = goals[quantity.name] * size if quantity.name in goals else None
+        yield Quantity(quantity.name, quantity.unit, quantity.value, np.eye(len(common))[number], goal, size)
+    for test, rows in zip(tests, slopes, strict=True):
+        model = test.state.model
+        for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
+            goal = goals[name] * float(scale) if name in goals else None
+            yield Quantity(f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale))
+
+
+# plan of a floating bearing at several loads and speeds: settings -> which states to run how often, their
+# signals, and the pipeline.
+
+# Half of a difference, relative to the number.
+STEP = 1e-2
+UNTESTED = "What all states have in common is taken from the theory: whether it holds in the states without a run is not tested."
+
+
+def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan the runs and write their files; sentences on them, and the files' names."""
+    settings: StatePlanSettings = file.settings
+    answered, tests = plan_states(settings, file.title, file.path.parent)
+    names = []
+    for run in answered.plan.runs:
+        test = tests[run.name]
+        period = period_signals(test.multisine, settings.sample_rate, settings.period)
+        for axis, samples in zip(AXES, period.T, strict=True):
+            names.append(f"signals/{run.name}-{axis}.csv")
+            whole = np.tile(samples, settings.periods + settings.skip)
+            write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
+    evaluations = {run: _evaluation(settings, file.title, tests[run.name]) for run in answered.plan.runs}
+    entries = {
+        RIG: rig_entries(next(iter(evaluations.values()))),
+        PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
+    }
+    names += write_runs(answered.plan, entries, output)
+    return list(run_sentences(answered.plan)), names
+
+
+def plan_states(settings: StatePlanSettings, title: str, folder: Path) -> tuple[Answered, dict[str, StateTest]]:
+    """The runs that tell most within the time, with the tests of all states by name; ConfigError where the goals cannot be met."""
+    bearing = open_bearing(folder / settings.bearing)
+    for name in ("load", "speed"):
+        if name not in settings_of(bearing.kind.settings):
+            raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="a journal bearing has", field="bearing")
+    common = [_common(bearing, name) for name in settings.estimate]
+    tests = state_tests(settings, _states(settings, bearing, common))
+    answered = plan_runs(question_of(settings, tests, common), title, settings.model)
+    if common and len(answered.plan.runs) < len(tests):
+        answered = answered.noted([UNTESTED])
+    return answered, {test.state.name: test for test in tests}
+
+
+def _common(bearing: BearingFile, name: str) -> Common:
+    """A number of the bearing file, with its doubt as what is known before."""
+    declared = settings_of(bearing.kind.settings)
+    if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
+        numbers = tuple(key for key, (declaration, _) in declared.items() if declaration.kind == "value" and key not in ("load", "speed"))
+        raise ConfigError(f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate")
+    value = getattr(bearing.settings(), name)
+    if not value:
+        raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
+    doubt = bearing.doubts.get(name)
+    return Common(name, float(value), declared[name][0].unit, None if doubt is None else doubt.std_error)
+
+
+def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]) -> list[BearingState]:
+    """Every load at every speed, with coefficients by theory and their slopes by central differences."""
+    points = [(load, speed) for load in settings.loads for speed in settings.speeds]
+    changes: list[tuple[Common, float] | None] = [None, *((number, sign) for number in common for sign in (1.0, -1.0))]
+    wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
+    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(len(points), len(changes), -1)
+    states = []
+    for (load, speed), coefficients in zip(points, values, strict=True):
+        steps = np.array([2 * STEP * number.value for number in common])
+        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T if common else np.zeros((len(COEFFICIENTS), 0))
+        model = MODELS[FLOATING].model(dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass)
+        states.append(BearingState(_name(load, speed), load, speed, model, slopes))
+    return states
+
+
+def _name(load: float, speed: float) -> str:
+    return f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
+
+
+def _settings(bearing: BearingFile, load: float, speed: float, change: tuple[Common, float] | None) -> Any:
+    """The bearing's settings in a state, with a number a step off; the file's entries are as before then."""
+    entries = [("load", load, "N"), ("speed", speed, "Hz")]
+    for name, value, unit in entries:
+        set_entry(bearing.tree, f"{name}={value!r} {unit}")
+    if change is None:
+        return bearing.settings()
+    number, sign = change
+    unit = setting_at(bearing.kind.settings, number.name).unit
+    set_entry(bearing.tree, f"{number.name}={number.value * (1 + sign * STEP)!r} {unit}".rstrip())
+    moved = bearing.settings()
+    set_entry(bearing.tree, f"{number.name}={number.value!r} {unit}".rstrip())
+    return moved
+
+
+def _eight(bearing: BearingFile, whole: BearingCoefficients) -> FloatArray:
+    """K, then C, row by row, (8,) [N/m, N.s/m]."""
+    lateral = whole.lateral(*bearing.kind.lateral)
+    return np.concatenate([lateral.stiffness.ravel(), lateral.damping.ravel()])
+
+
+def _evaluation(settings: StatePlanSettings, title: str, test: StateTest) -> Evaluation:
+    return Evaluation(settings.at(test.state.speed), title, (test.planned,), with_masses=False)
+
+
+def _pipeline(title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path) -> dict[str, Any]:
+    """The pipeline of all states, one test each with the lines of its own; recordings are looked for in recordings/."""
+    listed, entries = [], {}
+    for run, evaluation in evaluations.items():
+        entries, state = pipeline_entries(evaluation, folder), tests[run.name].state
+        listed.append(
+            {
+                "name": run.name,
+                "recordings": [f"recordings/{name}.csv" for name in run_names(run)],
+                "conditions": {"load": f"{state.load!r} N", "speed": f"{state.speed!r} Hz"},
+                "frf": entries["frf"],
+            }
+        )
+    return {"title": title, "rig": RIG, "tests": listed, "frf": entries["frf"], "identify": entries["identify"]}
+
+
+STATES_PLAN = PlanKind(StatePlanSettings, state_files)

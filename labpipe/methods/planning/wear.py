@@ -1,0 +1,490 @@
+"""plan of wear tests: at which speeds and loads and in which bands to test.
+
+Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information of its receptance.
+
+With white forces of one-sided density S_F in y and then in z, each for T seconds, and noise densities S_n of the probes and S_m of the
+force transducer, I_ij = 2 T sum over terms of the integral of S_F Re(h_i* h_j) / (S_n + |H|^2 S_m) over the band, h_i the derivatives of
+the receptance H by the parameters (Pintelon and Schoukens 2012, System Identification, sec. 9.10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
+
+import numpy as np
+import yaml
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.bearings.kinds import OperatingPoint
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.bearing import journal_equilibrium
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.journal_bearing.kind import Wear
+from labpipe.methods.planning.designs import CRITERIA, MINIMAX
+from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
+from labpipe.methods.planning.records import PlannedRun, RunPlan
+from labpipe.methods.planning.report import run_sentences
+from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.settings import PlanKind
+from labpipe.methods.rotor.response import reduced_rotor
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
+from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.wear.measured import PLACES
+from labpipe.methods.wear.model import BETA_STEP
+from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
+from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
+from labpipe.records.settings import Settings, setting
+from labpipe.records.uncertain import Uncertain
+
+# The ``plan:`` section for wear: at which speeds, loads and in which bands a worn rotor could be tested,
+# and what is wanted.
+
+WORN = "worn-bearing"
+NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
+
+
+@dataclass(frozen=True)
+class WearNoise(Settings):
+    """Standard deviations of the sensors' noise per sample, at the sampling rate of the plan."""
+
+    displacement: float = setting("value", "of the displacement", unit="m", default=1e-6)
+    force: float = setting("value", "of the force", unit="N", default=0.0)
+
+    def __post_init__(self) -> None:
+        if self.displacement <= 0 or self.force < 0:
+            raise ConfigError("the noise of the displacement is positive", hint="for example displacement: 1 um")
+
+
+@dataclass(frozen=True)
+class WearGoal(Settings):
+    """Standard errors that are wanted."""
+
+    depth: float | None = setting("value", "of the depth", unit="m", default=None)
+    angle: float | None = setting("value", "of the angle", unit="rad", default=None)
+
+    def __post_init__(self) -> None:
+        if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
+            raise ConfigError("a goal is a positive standard error", hint="for example {depth: 0.2 um, angle: 1 deg}")
+
+
+@dataclass(frozen=True)
+class WearPlanSettings(Settings):
+    """Which tests there could be, how they are measured, and what they are to tell; *rig*: contents of `rotor`."""
+
+    model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
+    rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
+    _: KW_ONLY
+    expected: Wear = setting("section", "depth and angle that are expected", section=Wear)
+    speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
+    duration: float = setting("value", "of all tests together", unit="s")
+    sample_rate: float = setting("value", "of the recordings", unit="Hz")
+    bands: tuple[tuple[float, float], ...] = setting("bands", "bands that can be excited, one at a time", unit="Hz")
+    force: float = setting("value", "rms of the shaker's white force, in whatever band", unit="N")
+    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    loads: tuple[float, ...] = setting(
+        "values", "static forces on the shaft that can be set, up; default: as in the file", unit="N", default=()
+    )
+    load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
+    run: float = setting("value", "length of one run, under a force in y and again in z", unit="s", default=60.0)
+    changeover: float = setting("value", "time between tests", unit="s", default=0.0)
+    block: float = setting("value", "block length of the responses", unit="s", default=4.0)
+    noise: WearNoise = setting("section", "of the sensors, per sample", section=WearNoise, default=WearNoise())
+    viscosity: Uncertain | None = setting("uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None)
+    clearance: Uncertain | None = setting("uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None)
+    cavitation_pressure: Uncertain | None = setting("uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar", unit="Pa", default=None)
+    beta: Uncertain | None = setting("uncertain", "damping of the shaft, estimated along", unit="s", default=None)
+    angle_limit: float = setting("value", "largest angle there could be, either way", unit="rad", default=np.pi / 9)
+    goal: WearGoal = setting("section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal())
+    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    rig: RotorRig | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "sample_rate", "force", "run", "block"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"'{name}' must be positive", field=name)
+        if min(self.speeds, default=0.0) <= 0:
+            raise ConfigError("speeds are positive", field="speeds")
+        if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
+            raise ConfigError("bands lie between 0 and half the sampling rate", field="bands")
+        if self.run < 2 * self.block or self.changeover < 0:
+            raise ConfigError("a run holds two blocks or more, and no time between tests is negative", field="run")
+        if self.expected.depth < 0 or abs(self.expected.angle) > self.angle_limit:
+            raise ConfigError(
+                "the expected wear is beyond its limits", hint="a depth of zero or more, within angle_limit", field="expected"
+            )
+        for name, given in self.nuisances.items():
+            if not given.std_error > 0:
+                raise ConfigError(f"{name} has no doubt", hint="90 um +- 2 %; what is certain belongs into the rotor file", field=name)
+        self._check_rig()
+
+    def _check_rig(self) -> None:
+        if self.rig is not None:
+            worn_place(self.rig, self.bearing)
+            self.rig.rotor.check_node(self.node, "load_node")
+
+    @property
+    def node(self) -> int:
+        """Node of the static force."""
+        assert self.rig is not None
+        return self.load_node or self.rig.force
+
+    @property
+    def nuisances(self) -> dict[str, Uncertain]:
+        """What is estimated along, by name."""
+        return {name: getattr(self, name) for name in NUISANCES if getattr(self, name) is not None}
+
+    @property
+    def static_forces(self) -> tuple[float, ...]:
+        """The static forces that can be set [N]; those of the rotor file unless given."""
+        assert self.rig is not None
+        return self.loads or (sum(force for node, _, force in self.rig.loads if node == self.node),)
+
+
+# Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information
+# of its receptance.
+
+MESH = FilmMesh(240, 30)
+
+
+@dataclass(frozen=True)
+class ResponseTest:
+    """One test: rms *force* [N], *seconds* [s] under each of two directions, lines *spacing* [Hz] apart, without *exclude* [Hz].
+
+    displacement [m/sqrt(Hz)], force_noise [N/sqrt(Hz)]: one-sided densities of the sensors' noise.
+    """
+
+    force: float
+    seconds: float
+    spacing: float
+    displacement: float
+    force_noise: float
+    exclude: tuple[tuple[float, float], ...] = ()
+
+    def lines(self, band: tuple[float, float]) -> FloatArray:
+        """Frequencies (n_line,) [Hz] of a band that tell something."""
+        low, high = (round(end / self.spacing) for end in band)
+        lines = np.arange(max(low, 1), high + 1) * self.spacing
+        left_out = [(lines >= first) & (lines <= last) for first, last in self.exclude]
+        return np.asarray(lines[~np.any(left_out, axis=0)] if left_out else lines)
+
+
+@dataclass(frozen=True)
+class ExpectedWear:
+    """A rotor with the expected *values* [SI] of the parameters, wear_depth and wear_angle of the *bearing* first."""
+
+    rig: RotorRig
+    bearing: str
+    values: Mapping[str, float]
+
+    def at(self, speed: float, node: int, load: float) -> ExpectedWear:
+        """At another speed [Hz] and with another vertical static force [N] at a node, positive up."""
+        others = tuple(part for part in self.rig.loads if part[0] != node)
+        return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
+
+    def receptance_and_slopes(self, lines: FloatArray, mesh: FilmMesh = MESH) -> tuple[ComplexArray, ComplexArray]:
+        """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the parameters [m/N per SI unit]."""
+        loads = self.rig.static_loads()
+        supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
+        response, slopes = self._response(lines, supports, self.beta)
+        if "beta" in self.values:
+            step = BETA_STEP * self.beta
+            ends = [self._response(lines, supports, self.beta + move)[0] for move in (step, -step)]
+            slopes[tuple(self.values).index("beta")] = (ends[0] - ends[1]) / (2 * step)
+        return response, slopes
+
+    @property
+    def beta(self) -> float:
+        """Damping of the shaft in proportion to its stiffness [s]."""
+        return float(self.values.get("beta", self.rig.rotor.beta))
+
+    def _response(self, lines: FloatArray, supports: Sequence[VaryingSupport], beta: float) -> tuple[ComplexArray, ComplexArray]:
+        nodes = (*(place.node for place in self.rig.bearings), self.rig.force, self.rig.response)
+        free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
+        return response_with_slopes(free, supports, self.rig.response, self.rig.force)
+
+    def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
+        """A bearing with the derivatives of its coefficients by the parameters."""
+        slopes = np.zeros((2, len(self.values), 2, 2))
+        if not place.is_film:
+            fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
+            return VaryingSupport(Support(place.node, fixed.stiffness, fixed.damping), *slopes)
+        names = [name for name in self.values if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))]
+        bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
+        film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
+        for name, slope in film_slopes(film, names).items():
+            slopes[:, tuple(self.values).index(name)] = slope
+        return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
+
+
+def information(expected: ExpectedWear, testing: ResponseTest, band: tuple[float, float], terms: str = "full") -> FloatArray:
+    """What a test in a *band* [Hz] tells of the parameters, (n, n) [1/SI units squared], from these *terms* of the receptance.
+
+    Equation (plan-wear).
+    """
+    lines = testing.lines(band)
+    response, slopes = expected.receptance_and_slopes(lines)
+    density = testing.force**2 / (band[1] - band[0])
+    noise = testing.displacement**2 + (testing.force_noise * np.abs(response)) ** 2
+    weight = np.zeros((lines.size, 4))
+    chosen = list(PLACES[terms])
+    weight[:, chosen] = (2 * testing.seconds * testing.spacing * density / noise).reshape(-1, 4)[:, chosen]
+    flat = slopes.reshape(len(slopes), lines.size, 4)
+    return np.asarray(np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real)
+
+
+# plan of wear tests: settings -> at which speeds and loads and in which bands to test, and the pipeline of
+# the fits.
+
+RIG = "rig.yaml"
+# Lines about a speed that are left out, either way [blocks].
+BESIDE = 2.5
+# Correlation above which two parameters are hardly told apart.
+ALIKE = 0.95
+# Wear that is tried as a change where the expected one tells no angle.
+VISIBLE = 5e-6
+
+
+@dataclass(frozen=True)
+class WearPoint:
+    """One operating point and band of a test: *speed* [Hz], static *force* [N], *band* [Hz]."""
+
+    name: str
+    speed: float
+    force: float
+    band: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class WearPlanned:
+    """The plan with the rotor as expected and the points it chose from, by name."""
+
+    answered: Answered
+    expected: ExpectedWear
+    testing: ResponseTest
+    points: dict[str, WearPoint]
+
+    @property
+    def plan(self) -> RunPlan:
+        """What is to be run."""
+        return self.answered.plan
+
+
+def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
+    """Plan the tests and write their files; sentences on them, and the files' names."""
+    settings: WearPlanSettings = file.settings
+    planned = plan_wear(settings, file.title)
+    rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
+    files: dict[str, Any] = {}
+    for run in planned.plan.runs:
+        point = planned.points[run.name]
+        files[_rotor_name(run)] = rotor_entries(rotor, settings, point)
+        files[f"virtual-{run.name}.yaml"] = virtual_entries(settings, run, point)
+    files |= {RIG: rig_entries(settings), PIPELINE: pipeline_entries(planned, settings)}
+    names = write_runs(planned.plan, files, output)
+    return list(run_sentences(planned.plan)), names
+
+
+def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
+    """The tests that tell most within the time; ConfigError where a goal cannot be met however many there are."""
+    assert settings.rig is not None
+    bearing = settings.rig.place(settings.bearing).name
+    expected = _expected(settings, bearing, settings.expected)
+    testing = _testing(settings)
+    points = tuple(_points(settings))
+    conditions = _conditions(settings, expected, testing, points)
+    units = _units(settings, expected)
+    question = RunQuestion(
+        parameters=tuple(expected.values),
+        units=units,
+        prior=_prior(settings),
+        conditions=conditions,
+        quantities=tuple(_quantities(settings, expected)),
+        duration=settings.duration,
+        criterion=settings.criterion,
+        remedies=tuple(_remedies(settings, bearing, testing, points)),
+    )
+    answered = plan_runs(question, title, settings.model)
+    notes = (
+        *_range_notes(settings, answered),
+        *_alike_notes(expected, answered),
+        *_term_notes(settings, expected, testing, points, answered),
+    )
+    answered = answered.noted(notes)
+    return WearPlanned(answered, expected, testing, {point.name: point for point in points})
+
+
+def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedWear:
+    assert settings.rig is not None
+    values = {DEPTH: wear.depth, ANGLE: wear.angle, **{name: given.value for name, given in settings.nuisances.items()}}
+    return ExpectedWear(settings.rig, bearing, values)
+
+
+def _testing(settings: WearPlanSettings) -> ResponseTest:
+    density = float(np.sqrt(2 / settings.sample_rate))
+    exclude = tuple((speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds)
+    noise = settings.noise
+    return ResponseTest(settings.force, settings.run, 1 / settings.block, noise.displacement * density, noise.force * density, exclude)
+
+
+def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
+    for speed in settings.speeds:
+        for place, force in enumerate(settings.static_forces, 1):
+            for number, band in enumerate(settings.bands, 1):
+                name = f"{speed:g}Hz" + (f"-load-{place}" if len(settings.static_forces) > 1 else "")
+                yield WearPoint(name.replace(".", "p") + (f"-band-{number}" if len(settings.bands) > 1 else ""), speed, force, band)
+
+
+def _conditions(
+    settings: WearPlanSettings, expected: ExpectedWear, testing: ResponseTest, points: Sequence[WearPoint]
+) -> tuple[Condition, ...]:
+    seconds = 2 * settings.run + settings.changeover
+    conditions = []
+    for point in points:
+        at = expected.at(point.speed, settings.node, point.force)
+        words = (
+            ("speed", f"{60 * point.speed:.5g} rpm"),
+            ("static force", f"{point.force:.4g} N"),
+            ("band", f"{point.band[0]:g} to {point.band[1]:g} Hz"),
+            ("force", f"{settings.force:g} N rms in y, then in z, {settings.run:g} s each"),
+        )
+        conditions.append(Condition(point.name, seconds, words, information(at, testing, point.band)))
+    return tuple(conditions)
+
+
+def _prior(settings: WearPlanSettings) -> FloatArray:
+    return np.diag([0.0, 0.0, *(given.std_error**-2.0 for given in settings.nuisances.values())])
+
+
+def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
+    """Micrometres and degrees; of the others their doubt."""
+    return np.array(
+        [1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE))]
+    )
+
+
+def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[Quantity]:
+    goals = {DEPTH: settings.goal.depth, ANGLE: settings.goal.angle}
+    for number, (name, value) in enumerate(expected.values.items()):
+        yield Quantity(name, UNITS[name], value, np.eye(len(expected.values))[number], goals.get(name))
+
+
+def _remedies(settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]) -> Iterator[Change]:
+    """What would tell an angle that light wear does not show: waiting until there is some."""
+    if settings.expected.depth < VISIBLE:
+        worn = _expected(settings, bearing, Wear(VISIBLE, settings.expected.angle))
+        yield Change(f"a wear of {1e6 * VISIBLE:g} um", 1, _conditions(settings, worn, testing, points))
+
+
+def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str]:
+    """Where the angle is known no better than before: with every angle of its range alike."""
+    error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)
+    before = float(2 * settings.angle_limit / np.sqrt(12))
+    if error is not None and error > before / 2:
+        longer = (error / (before / 5)) ** 2
+        yield (
+            f"At a depth of {1e6 * settings.expected.depth:.3g} um these tests do not tell the angle: its standard error of "
+            f"{np.degrees(error):.2g} deg stands against {np.degrees(before):.2g} deg if every angle up to "
+            f"{np.degrees(settings.angle_limit):.3g} deg is alike. A fifth of that needs {longer:.2g} times the time, or deeper wear."
+        )
+
+
+def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
+    """Parameters that the tests hardly tell apart."""
+    errors = np.sqrt(np.diagonal(answered.covariance))
+    correlation = answered.covariance / np.outer(errors, errors)
+    names = tuple(expected.values)
+    for first in range(len(names)):
+        for second in range(first):
+            if abs(correlation[first, second]) > ALIKE:
+                pair = f"{names[second]} and {names[first]}"
+                yield f"{pair} are hardly told apart (correlation {correlation[first, second]:+.3f}): one decides on the other."
+
+
+def _term_notes(
+    settings: WearPlanSettings, expected: ExpectedWear, testing: ResponseTest, points: Sequence[WearPoint], answered: Answered
+) -> Iterator[str]:
+    """What the same tests tell from some terms of the response only."""
+    counts = {run.name: run.count for run in answered.plan.runs}
+    for terms in PLACES:
+        if terms == "full":
+            continue
+        total = _prior(settings)
+        for point in points:
+            if point.name in counts:
+                at = expected.at(point.speed, settings.node, point.force)
+                total = total + counts[point.name] * information(at, testing, point.band, terms)
+        scale = _units(settings, expected)
+        errors = np.sqrt(np.diagonal(np.linalg.pinv(total * np.outer(scale, scale))))
+        yield f"From the {terms} terms alone: depth to {errors[0]:.2g} um, angle to {errors[1]:.2g} deg."
+
+
+def _rotor_name(run: PlannedRun) -> str:
+    return f"rotor-{run.name}.yaml"
+
+
+def rotor_entries(rotor: dict[str, Any], settings: WearPlanSettings, point: WearPoint) -> dict[str, Any]:
+    """The rotor file at another speed, and with another static force at the loaded node."""
+    others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
+    return {**rotor, "speed": f"{point.speed!r} Hz", "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}]}
+
+
+def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:
+    """A virtual rig that rehearses one test: labpipe simulate FILE -o recordings/NAME."""
+    expected = settings.expected
+    return {
+        "kind": "virtual-journal-rig",
+        "rotor": _rotor_name(run),
+        **({"bearing": settings.bearing} if settings.bearing else {}),
+        "states": {"worn": {"depth": f"{expected.depth!r} m", "angle": f"{expected.angle!r} rad"}},
+        "force": f"{settings.force!r} N",
+        "lowest": f"{point.band[0]!r} Hz",
+        "bandwidth": f"{point.band[1]!r} Hz",
+        "sample_rate": f"{settings.sample_rate!r} Hz",
+        "duration": f"{run.count * settings.run!r} s",
+        "noise": {"displacement": f"{settings.noise.displacement!r} m", "force": f"{settings.noise.force!r} N"},
+    }
+
+
+def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:
+    """The rig file that the pipeline names."""
+    channels = {
+        "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
+        "y": {"column": "y [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "y"},
+        "z": {"column": "z [um]", "quantity": "displacement", "unit": "um", "role": "output", "dof": "z"},
+    }
+    return {"name": "Wear rig", "sample_rate": f"{settings.sample_rate!r} Hz", "channels": channels}
+
+
+def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[str, Any]:
+    """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the last one knows all."""
+    tests, fits, last = [], {}, ""
+    for run in planned.plan.runs:
+        folder, point = f"recordings/{run.name}", planned.points[run.name]
+        recordings = [f"{folder}/worn-y.parquet", {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}}]
+        tests.append(
+            {"name": run.name, "recordings": recordings, "conditions": {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}}
+        )
+        wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
+        if last:
+            wear |= {"prior": last, "same_wear": True}
+        else:
+            wear |= {
+                name: f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}" for name, given in settings.nuisances.items()
+            }
+        wear["angle_limit"] = f"{settings.angle_limit!r} rad"
+        last = f"wear-{run.name}"
+        fits[last] = {"model": settings.model, "test": run.name, "band": f"{point.band[0]!r}-{point.band[1]!r} Hz", "wear": wear}
+    ends = [end for run in planned.plan.runs for end in planned.points[run.name].band]
+    frf = {
+        "excitation": "random",
+        "block": f"{settings.block!r} s",
+        "band": f"{min(ends)!r}-{max(ends)!r} Hz",
+        "exclude": [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in planned.testing.exclude],
+    }
+    return {"title": planned.plan.title, "rig": RIG, "tests": tests, "frf": frf, "identify": fits}
+
+
+WEAR = PlanKind(WearPlanSettings, wear_files)

@@ -1,0 +1,455 @@
+"""Model decay: the modes of free decays by maximum likelihood, judged by what they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.distributions import normal_tail
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.budget import Source, mass_source, with_sources
+from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.measured import chosen_ports
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
+from labpipe.methods.ring_down.amplitude_law import FittedLaw, MissingMode, fitted_law, missing_mode, over_amplitude
+from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
+from labpipe.methods.ring_down.residual_test import Judged, judged
+from labpipe.methods.ring_down.settings import MOST_MODES, DecaySettings
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.fit_details import OverAmplitude, RingDown
+from labpipe.records.identification import Fit, Goodness
+from labpipe.records.response import Port
+from labpipe.records.spectra import FreeDecays
+from labpipe.records.uncertain import Doubt
+
+# The logarithmic decrement as it is read off a screen, for comparison: from the peaks, one per period.
+
+# Peaks count down to this share of the first.
+DOWN_TO = 0.1
+
+
+def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float | None:
+    """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less than three peaks.
+
+    rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise makes small peaks too large, and
+    the decrement too small. Equation (decay-peaks).
+    """
+    period = rate / frequency
+    count = int(samples.size / period)
+    ends = np.rint(np.arange(count + 1) * period).astype(int)
+    peaks = np.array([np.max(samples[low:high]) for low, high in pairwise(ends)])
+    small = np.flatnonzero(peaks <= DOWN_TO * peaks[:1])
+    peaks = peaks[: small[0]] if small.size else peaks
+    if peaks.size < 3:
+        return None
+    slope = np.polynomial.polynomial.polyfit(np.arange(peaks.size), np.log(peaks), 1)[1]
+    return -float(slope)
+
+
+# Long records as few points that look the same when they are drawn.
+
+MOST_STRETCHES = 700
+
+
+def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
+    """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches; short ones whole."""
+    if time.size <= 2 * MOST_STRETCHES:
+        return (time, *series)
+    length = -(-time.size // MOST_STRETCHES)
+    whole = time.size // length * length
+    middle = time[:whole].reshape(-1, length)[:, [length // 4, (3 * length) // 4]].reshape(-1)
+    shown = []
+    for values in series:
+        parts = values[:whole].reshape(-1, length)
+        shown.append(np.stack([parts.min(axis=1), parts.max(axis=1)], axis=1).reshape(-1))
+    return (middle, *shown)
+
+
+# What people read of decaying modes: natural frequency, damping ratio, logarithmic decrement; with a mass
+# stiffness and damping.
+
+
+def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
+    """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m w_n^2 and c = 2 zeta w_n m.
+
+    w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors of first order.
+    Equation (decay-values).
+    """
+    parameters: list[Parameter] = []
+    for mode, pole in enumerate(fitted.poles):
+        block = fitted.covariance[2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2]
+        suffix = f"_{mode + 1}"
+        f_n, zeta = (
+            estimated(name + suffix, unit, value, _error(gradient, block), fitted.dof, None)
+            for name, unit, value, gradient in _frequency_and_damping(pole)
+        )
+        gradient = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
+        decrement = float(-2 * np.pi * pole.real / pole.imag)
+        parameters.extend((f_n, zeta, derived("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof)))
+        if mass is not None:
+            parameters.extend(_support(pole, block, mass, "" if fitted.poles.size == 1 else suffix, fitted.dof))
+    if not fitted.converged:
+        return tuple(without_interval(parameter) for parameter in parameters)
+    return tuple(parameters)
+
+
+def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatArray], ...]:
+    """(name, unit, value, gradient (2,) over Re and Im of the pole)."""
+    size = abs(pole)
+    towards = np.array([pole.real, pole.imag]) / (2 * np.pi * size)
+    turned = np.array([-(pole.imag**2), pole.real * pole.imag]) / size**3
+    return ("f_n", "Hz", float(size / (2 * np.pi)), towards), ("zeta", "1", float(-pole.real / size), turned)
+
+
+def _support(pole: complex, block: FloatArray, mass: float, suffix: str, dof: int) -> tuple[Parameter, Parameter]:
+    """k and c of the support under the mass."""
+    stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
+    k = derived("k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof)
+    return k, derived("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
+
+
+def _error(gradient: FloatArray, covariance: FloatArray) -> float:
+    return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
+
+
+def without_interval(parameter: Parameter) -> Parameter:
+    """The value alone, where no interval is right."""
+    return replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None)
+
+
+def law_parameters(fitted: FittedLaw, mode: int, unit: str, dof: int) -> tuple[Parameter, Parameter, Parameter]:
+    """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of this number from 0."""
+    law, errors = fitted.law, np.sqrt(np.diag(fitted.covariance))
+    per = f"1/{unit}" if "/" not in unit else f"1/({unit})"
+    return (
+        derived(f"zeta_rest_{mode + 1}", "1", law.zeta_rest, float(errors[0]), dof),
+        derived(f"zeta_slope_{mode + 1}", per, law.zeta_slope, float(errors[1]), dof),
+        derived(f"f_slope_{mode + 1}", f"Hz{per[1:]}", law.frequency_slope / (2 * np.pi), float(errors[2]) / (2 * np.pi), dof),
+    )
+
+
+def pole_correlation(fitted: Decayed) -> FloatArray:
+    """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
+    n = fitted.poles.size
+    slopes = np.zeros((2 * n, 2 * n))
+    for mode, pole in enumerate(fitted.poles):
+        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
+            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
+    return correlation(slopes @ fitted.covariance @ slopes.T)
+
+
+# What the doubts of sensors and of a given mass do to decays: the law over the amplitude goes as one over
+# the sensor's gain.
+
+PER_AMPLITUDE = ("zeta_slope", "f_slope")
+
+
+def decay_sources(parameters: Sequence[Parameter], settings: FitSettings, ports: Mapping[int, Port]) -> list[Source]:
+    """The sources that change *parameters* of decays; *ports*: the sensor that the amplitude of every mode, from 0, was read by.
+
+    An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large. Poles do not know it.
+    """
+    doubts: dict[str, Doubt] = {}
+    changes: dict[str, FloatArray] = {}
+    for mode, port in ports.items():
+        scaled = np.array(
+            [parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for parameter in parameters]
+        )
+        for doubted in port.doubts:
+            if doubted.effect == "gain":
+                source = doubted.doubt.source
+                doubts.setdefault(source, doubted.doubt)
+                changes[source] = changes.get(source, np.zeros(len(parameters))) + doubted.doubt.std_error * scaled
+    return [*mass_source(parameters, settings), *((doubts[source], change) for source, change in changes.items())]
+
+
+# Findings and notes of a fit of free decays.
+
+
+def depends_on_amplitude(law: FittedLaw) -> bool:
+    """Whether a slope of the law differs from zero beyond doubt, and the law is no worse than its noise allows to tell."""
+    errors = np.sqrt(np.diag(law.covariance))
+    slopes = np.array([law.law.zeta_slope, law.law.frequency_slope])
+    ratios = np.divide(np.abs(slopes), errors[1:3], out=np.zeros(2), where=errors[1:3] > 0)
+    return law.converged and 4 * normal_tail(float(np.max(ratios))) < MISMATCH_P
+
+
+def decay_findings(
+    fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], amplitudes: dict[int, float], missing: MissingMode | None
+) -> tuple[Finding, ...]:
+    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes* by mode), other residuals.
+
+    *missing*: the mode that explains the residual better than a law.
+    """
+    warnings = []
+    if not fitted.converged:
+        message = f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
+        warnings.append(Finding("no-convergence", message))
+    lasting = _lasting(fitted)
+    if lasting:
+        where = ", ".join(f"{frequency:.4g} Hz" for frequency in lasting)
+        what = f"the damping ratio at {where} cannot be told from zero at 95 %: hum, an excitation that goes on, or too short a decay"
+        warnings.append(Finding("insignificant", what))
+    growing = fitted.poles[fitted.poles.real >= 0]
+    if growing.size:
+        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in growing)
+        warnings.append(
+            Finding("unphysical", f"the oscillation at {where} does not decay: energy enters the structure, or it is an excitation")
+        )
+    beats = missing.mode if missing is not None else None
+    warnings.extend(_over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None) for mode, law in laws.items())
+    gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
+    warnings.extend(_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining)
+    if missing is not None and missing.white:
+        warnings.append(_beating(missing, fitted.poles.size))
+    explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
+    if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
+        p_value = min(tested.white, tested.amplitude)
+        message = (
+            f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} Hz: another mode or hum, "
+            "forced motion at the start, or coloured noise. No interval is given, since those for white noise do not hold. Raise `modes`, "
+            "name a `band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
+        )
+        warnings.append(Finding("model-mismatch", message))
+    return tuple(warnings)
+
+
+def _lasting(fitted: Decayed) -> list[float]:
+    """Frequencies [Hz] of the modes that decay, but by less than two standard errors of their decay."""
+    errors = np.sqrt(np.diag(fitted.covariance)[0::2])
+    lasting = (fitted.poles.real < 0) & (-fitted.poles.real < 2 * errors)
+    return [float(abs(pole) / (2 * np.pi)) for pole in fitted.poles[lasting]]
+
+
+def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: MissingMode | None) -> Finding:
+    law = fitted.law
+    change = 100 * law.frequency_slope * first / law.omega
+    message = (
+        f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over this decay without an "
+        f"interval. Damping ratio {law.zeta_rest:.4g} at rest, {law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude "
+        f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one amplitude."
+    )
+    if missing is not None:
+        where = " and ".join(f"{frequency:.5g}" for frequency in missing.frequencies)
+        message += (
+            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of BIC {missing.better:.3g}), "
+            "but not all: they may beat. Try one more in `modes`."
+        )
+    return Finding("amplitude-dependent", message)
+
+
+def _beating(missing: MissingMode, n_mode: int) -> Finding:
+    first, second = missing.frequencies
+    message = (
+        f"mode {missing.mode + 1} looks as if its damping or frequency depended on the amplitude, but two modes in its place, at "
+        f"{first:.5g} and {second:.5g} Hz, explain the decay better (difference of BIC {missing.better:.3g}): they beat. Set "
+        f"`modes: {n_mode + 1}`."
+    )
+    return Finding("missing-mode", message)
+
+
+def _gaining(mode: int, zeta_rest: float) -> Finding:
+    message = (
+        f"mode {mode + 1}: the law over the amplitude has a damping ratio of {zeta_rest:.4g} at rest (zeta_rest_{mode + 1}), and a "
+        "structure at rest gains no energy. The amplitude is not what it depends on: two close modes that beat look like this. "
+        "Raise `modes`."
+    )
+    return Finding("unphysical", message)
+
+
+# Model decay: the modes of free decays by maximum likelihood, judged by what they leave.
+
+# Rows for each parameter of the poles below which intervals are not those of a large sample.
+FEW_DOF = 30
+MORE_LINES = 10.0
+
+
+def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
+    """The modes of all decays of a test together as one Fit.
+
+    ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too short.
+    """
+    decay_settings: DecaySettings = settings.model_settings
+    _check(settings)
+    columns = chosen_ports(decays.outputs, settings.output, "response")
+    pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
+    fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes)
+    _check_fitted(pieces, fitted)
+    tested = judged(pieces, fitted, decays.sample_rate)
+    strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
+    laws = _laws(pieces, fitted, tested, strongest)
+    missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
+    laws = {} if missing and missing.white else laws
+    amplitudes = {mode: float(abs(fitted.pieces[piece].amplitudes[mode, output])) for mode, (piece, output) in strongest.items()}
+    curves = tuple(
+        replace(over_amplitude(pieces, fitted, mode, output), law=laws[mode].law if mode in laws else None)
+        for mode, (_, output) in strongest.items()
+    )
+    parameters = _parameters(fitted, settings, laws, [decays.units[columns[o]] for _, o in strongest.values()])
+    findings = decay_findings(fitted, tested, laws, amplitudes, missing)
+    if any(finding.code == "model-mismatch" for finding in findings):
+        parameters = tuple(map(without_interval, parameters))
+    fit = _reported(decays, settings, pieces, fitted, parameters)
+    ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
+    fit = with_sources(fit, decay_sources(parameters, settings, ports))
+    return replace(
+        fit,
+        findings=(*findings, *decays.findings),
+        notes=_notes(decays, columns, pieces, fitted, tested),
+        details=(_ring_down(decays, columns, pieces, fitted, strongest, curves),),
+    )
+
+
+def _check(settings: FitSettings) -> None:
+    """ConfigError for more than one mass."""
+    if not isinstance(settings.mass, (float, str)):
+        raise ConfigError("a decay takes one mass", hint="for example mass: 0.92 kg", field="mass")
+
+
+def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
+    """FitError for few degrees of freedom, and for a mode that noise explains.
+
+    The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more, as if there were MORE_LINES
+    times as many.
+    """
+    if fitted.dof < FEW_DOF:
+        raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint="a longer decay, fewer `modes`, or a wider `band`")
+    rows = sum(piece.rows.size for piece in pieces)
+    weak = energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
+    if np.any(weak):
+        where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
+        raise FitError(f"what would be a mode at {where} is noise", hint="fewer `modes`, another `band`, or stronger hits")
+
+
+def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
+    """(piece, output) in which a mode is largest against the noise."""
+    ratios = [np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number]) for number, solved in enumerate(fitted.pieces)]
+    piece, output = np.unravel_index(int(np.argmax(ratios)), np.shape(ratios))
+    return int(piece), int(output)
+
+
+def _laws(pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]) -> dict[int, FittedLaw]:
+    """The laws of modes whose damping or frequency depends on the amplitude; none where the residual does not show it."""
+    if tested.amplitude >= MISMATCH_P or not fitted.converged:
+        return {}
+    laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
+    return {mode: law for mode, law in laws.items() if depends_on_amplitude(law)}
+
+
+def _missing(
+    decays: FreeDecays,
+    columns: Sequence[int],
+    pieces: Sequence[Piece],
+    fitted: Decayed,
+    laws: dict[int, FittedLaw],
+    strongest: dict[int, tuple[int, int]],
+    settings: FitSettings,
+) -> MissingMode | None:
+    """One mode more, where it explains better than the *laws* what the fit leaves; None without laws."""
+    if not laws or fitted.poles.size == MOST_MODES:
+        return None
+    try:
+        richer = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, fitted.poles.size + 1)
+    except FitError:
+        return None
+    white = judged(pieces, richer, decays.sample_rate).white >= MISMATCH_P
+    return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
+
+
+def _parameters(fitted: Decayed, settings: FitSettings, laws: dict[int, FittedLaw], units: Sequence[str]) -> tuple[Parameter, ...]:
+    """Parameters of all modes; where a mode depends on its amplitude its means have no interval, and the law's follow."""
+    mass = settings.mass if isinstance(settings.mass, float) else None
+    parameters = mode_parameters(fitted, mass)
+    means = {f"{name}_{mode + 1}" for mode in laws for name in ("f_n", "zeta", "log_decrement", "k", "c")}
+    if laws and fitted.poles.size == 1:
+        means |= {"k", "c"}
+    plain = [without_interval(parameter) if parameter.name in means else parameter for parameter in parameters]
+    return (*plain, *(parameter for mode, law in laws.items() for parameter in law_parameters(law, mode, units[mode], fitted.dof)))
+
+
+def _reported(
+    decays: FreeDecays, settings: FitSettings, pieces: Sequence[Piece], fitted: Decayed, parameters: tuple[Parameter, ...]
+) -> Fit:
+    equations = sum(piece.rows.size for piece in pieces)
+    r2 = 1 - _square_sum(solved.residual for solved in fitted.pieces) / _square_sum(_free_of_nuisance(piece) for piece in pieces)
+    adjusted = 1 - (1 - r2) * equations / fitted.dof
+    matrix = pole_correlation(fitted)
+    return Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator="ml",
+        band_hz=settings.band or (0.0, decays.sample_rate / 2),
+        lines=sum(piece.rows.shape[0] for piece in pieces),
+        equations=equations,
+        dof=fitted.dof,
+        gof=Goodness(r2, adjusted),
+        parameters=parameters,
+        condition_number=float(np.sqrt(np.linalg.cond(matrix))),
+        correlation=matrix,
+        converged=fitted.converged,
+        iterations=fitted.steps,
+    )
+
+
+def _square_sum(parts: Iterable[FloatArray]) -> float:
+    return sum(float(np.sum(part**2)) for part in parts)
+
+
+def _free_of_nuisance(piece: Piece) -> FloatArray:
+    range_ = np.linalg.qr(piece.nuisance)[0]
+    return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
+
+
+def _notes(decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged) -> tuple[str, ...]:
+    """Size of the noise, the tests of the residual, and the decrement that peaks would give."""
+    noise = ", ".join(
+        f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} {decays.units[column]}"
+        for number, column in enumerate(columns)
+    )
+    notes = [
+        f"decay: standard deviation of the residual: {noise}. Chance of such a residual in white noise {tested.white:.2g}, of such a "
+        f"dependence on the amplitude: {tested.amplitude:.2g}. Intervals (factor {student_limit(fitted.dof):.3g}) hold for white noise."
+    ]
+    if fitted.poles.size == 1 and pieces[0].lines is None:
+        number, output = _strongest(fitted, 0)
+        pole, samples = fitted.poles[0], decays.decays[number].samples[:, columns[output]]
+        centred = samples - _offset(pieces[number], fitted, number, output)
+        read = peak_decrement(centred, decays.sample_rate, pole.imag / (2 * np.pi))
+        if read is not None:
+            by_fit = -2 * np.pi * pole.real / pole.imag
+            notes.append(
+                f"decay: the peaks alone would give the logarithmic decrement {read:.4g} (here {by_fit:.4g}); noise makes it too small."
+            )
+    return tuple(notes)
+
+
+def _offset(piece: Piece, fitted: Decayed, number: int, output: int) -> float:
+    """The fitted offset of an output: the mean of what neither the modes nor the residual are."""
+    solved = fitted.pieces[number]
+    modes = (np.exp(piece.time[:, None] * fitted.poles) @ solved.amplitudes[:, output]).real
+    return float(np.mean(piece.rows[:, output] - solved.residual[:, output] - modes))
+
+
+def _ring_down(
+    decays: FreeDecays,
+    columns: Sequence[int],
+    pieces: Sequence[Piece],
+    fitted: Decayed,
+    strongest: dict[int, tuple[int, int]],
+    curves: tuple[OverAmplitude, ...],
+) -> RingDown:
+    """The decay in which the strongest mode is largest, thinned for drawing."""
+    number, output = max(strongest.values(), key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))))
+    decay, piece = decays.decays[number], pieces[number]
+    samples = decay.samples[:, columns[output]]
+    modes = (np.exp(piece.time[:, None] * fitted.poles) @ fitted.pieces[number].amplitudes[:, output]).real
+    offset = float(np.mean(samples - modes)) if piece.lines is not None else _offset(piece, fitted, number, output)
+    time, measured, shown, left = trace(piece.time + decay.start, samples, modes + offset, samples - modes - offset)
+    return RingDown(
+        decay.recording, decays.outputs[columns[output]].label, decays.units[columns[output]], time, measured, shown, left, curves
+    )

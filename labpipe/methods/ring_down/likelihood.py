@@ -1,0 +1,388 @@
+"""Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), pieces of the record, start values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import solve_triangular
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.records.spectra import FreeDecay
+from labpipe.spectra.bands import lines_in
+
+# Decays as equations: all samples of a decay, or the DFT lines of a band.
+
+# Smooth terms along the lines of a band, which carry what modes outside it add.
+SMOOTH_TERMS = 3
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One decay whose rows carry white noise: *rows* (n_row, n_output) [unit of the outputs].
+
+    Without a band a row is a sample, and the *nuisance* (n_row, n) [1] is the offset. With a band the rows are the real and imaginary
+    parts of its DFT *lines* (n_line,): white noise is white there as well, and a mode outside the band adds C (1 - z^n) / (1 - z e^-jw)
+    [unit], which is smooth in it. time (n_sample,) [s].
+    """
+
+    time: FloatArray
+    rows: FloatArray
+    lines: IntArray | None
+    nuisance: FloatArray
+
+    def project(self, columns: FloatArray) -> FloatArray:
+        """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps its size."""
+        return _rows(columns, self.lines)
+
+    def series(self, rows: FloatArray) -> ComplexArray:
+        """Rows (n_row, n) [any unit] as a series (n, n) in time: the samples, or the band as a complex baseband."""
+        if self.lines is None:
+            return rows.astype(np.complex128)
+        half = self.lines.size
+        return np.asarray(fft.ifft(rows[:half] + 1j * rows[half:], axis=0) * np.sqrt(half))
+
+
+def _rows(columns: FloatArray, lines: IntArray | None) -> FloatArray:
+    if lines is None:
+        return columns
+    spectrum = fft.rfft(columns, axis=0)[lines] * np.sqrt(2 / columns.shape[0])
+    return np.concatenate([spectrum.real, spectrum.imag])
+
+
+def pieces_of(decays: Sequence[FreeDecay], columns: Sequence[int], rate: float, band: tuple[float, float] | None) -> tuple[Piece, ...]:
+    """The pieces of the decays' outputs *columns* at *rate* [Hz] in a *band* [Hz]; FitError where the band holds too few lines."""
+    return tuple(_piece(decay.samples[:, list(columns)], rate, band) for decay in decays)
+
+
+def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> Piece:
+    n = samples.shape[0]
+    time = np.arange(n) / rate
+    if band is None:
+        return Piece(time, samples, None, np.ones((n, 1)))
+    frequency = fft.rfftfreq(n, 1 / rate)
+    lines = np.flatnonzero(lines_in(frequency, band) & (frequency > 0) & (frequency < rate / 2))
+    if lines.size < 4 * SMOOTH_TERMS:
+        what = f"{lines.size} lines of a decay of {n / rate:g} s lie in the band {band[0]:g}-{band[1]:g} Hz"
+        raise FitError(what, hint=f"widen the band to {4 * SMOOTH_TERMS} lines or more")
+    return Piece(time, _rows(samples, lines), lines, _smooth_terms(lines.size))
+
+
+def _smooth_terms(n_line: int) -> FloatArray:
+    """Real and imaginary polynomials along the lines, (2 n_line, 2 SMOOTH_TERMS) [1]."""
+    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, n_line), SMOOTH_TERMS - 1)
+    empty = np.zeros_like(powers)
+    return np.block([[powers, empty], [empty, powers]])
+
+
+def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
+    """The first samples of a piece without a band; with one the whole piece, whose lines belong to its length."""
+    if band is not None or n_sample >= piece.time.size:
+        return piece
+    return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
+
+
+# Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), offset and C eliminated
+# (variable projection).
+
+MOST_STEPS = 60
+MOST_HALVINGS = 12
+# The descent ends where a further step is this small against the standard errors.
+NEGLIGIBLE = 1e-5
+# Relative step at which rounding decides, for decays without noise.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Solved:
+    """One piece at given poles: amplitudes C (n_mode, n_output) [unit of the output], residual (n_row, n_output) [same unit].
+
+    range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent (n_row, 2 n_mode): t e^(lambda t), real and imaginary
+    parts [s], without what the linear part explains.
+    """
+
+    amplitudes: ComplexArray
+    residual: FloatArray
+    range_: FloatArray
+    tangent: FloatArray
+
+
+def solve(piece: Piece, poles: ComplexArray) -> Solved:
+    """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
+    # Poles far from any solution may grow beyond all numbers on the way.
+    course = np.exp(np.minimum((piece.time[:, None] * poles.real), 50.0) + 1j * piece.time[:, None] * poles.imag)
+    n_mode = poles.size
+    modes = piece.project(np.concatenate([course.real, course.imag], axis=1))
+    range_, triangle = np.linalg.qr(np.concatenate([modes, piece.nuisance], axis=1))
+    shares = range_.T @ piece.rows
+    if np.min(np.abs(np.diag(triangle))) <= 1e-14 * np.max(np.abs(np.diag(triangle))):
+        raise FitError("two modes of the decay became one")
+    factors = solve_triangular(triangle, shares)
+    moments = piece.time[:, None] * course
+    tangent = piece.project(np.concatenate([moments.real, moments.imag], axis=1))
+    return Solved(
+        factors[:n_mode] - 1j * factors[n_mode : 2 * n_mode],
+        piece.rows - range_ @ shares,
+        range_,
+        tangent - range_ @ (range_.T @ tangent),
+    )
+
+
+@dataclass(frozen=True)
+class Decayed:
+    """The fitted modes: *poles* (n_mode,) [rad/s] by ascending frequency, *covariance* (2 n_mode, 2 n_mode) [rad^2/s^2] of Re, Im of each.
+
+    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less parameters.
+    """
+
+    poles: ComplexArray
+    covariance: FloatArray
+    variance: FloatArray
+    dof: int
+    pieces: tuple[Solved, ...]
+    converged: bool
+    steps: int
+
+    @property
+    def misfit(self) -> float:
+        """Sum of n ln s^2, less is more likely [1]."""
+        rows = np.array([solved.residual.shape[0] for solved in self.pieces])
+        return float(np.sum(rows[:, None] * np.log(self.variance)))
+
+
+def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
+    """The most likely poles from *start* (n_mode,) [rad/s] on, with the Cramer-Rao bound as their covariance.
+
+    Gauss-Newton on the residual that is left when amplitudes and offsets are eliminated (Golub and Pereyra 1973, with the Jacobian of
+    Kaufman 1975): the Schur complement of the poles in the Fisher information. The noise of each decay and output is that of its residual.
+    FitError where two modes become one. Equation (decay-likelihood).
+    """
+    poles, solved = start, [solve(piece, start) for piece in pieces]
+    converged, steps = False, 0
+    while steps < MOST_STEPS and not converged:
+        steps += 1
+        information, slope = _normal_equations(solved, _variances(solved, poles.size))
+        step = np.linalg.lstsq(information, slope, rcond=1e-14)[0]
+        size = float(np.sqrt(max(float(step @ information @ step), 0.0)))
+        if size < NEGLIGIBLE or np.max(np.abs(step)) < ROUNDING * np.max(np.abs(poles)):
+            converged = True
+            break
+        better = _shorter_until_better(pieces, solved, poles, step)
+        if better is None:
+            # No step is more likely: at the minimum to rounding, or stuck.
+            converged = size < 100 * NEGLIGIBLE
+            break
+        poles, solved = better
+    return _decayed(poles, solved, converged, steps)
+
+
+def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
+    """Sum of squares (n_mode,) [1] of every mode over all pieces, each relative to its noise."""
+    total = np.zeros(fitted.poles.size)
+    for piece, solved, variance in zip(pieces, fitted.pieces, fitted.variance, strict=True):
+        course = np.exp(piece.time[:, None] * fitted.poles)
+        for amplitudes, variance_of_output in zip(solved.amplitudes.T, variance, strict=True):
+            total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance_of_output
+    return total
+
+
+def _decayed(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
+    order = np.argsort(poles.imag)
+    variance = _variances(solved, poles.size)
+    information, _ = _normal_equations(solved, variance)
+    covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
+    places = np.concatenate([order, order + poles.size]).reshape(2, -1).T.reshape(-1)
+    equations = sum(part.residual.size for part in solved)
+    linear = sum(part.range_.shape[1] * part.residual.shape[1] for part in solved)
+    return Decayed(
+        poles[order],
+        covariance[np.ix_(places, places)],
+        variance,
+        equations - linear - 2 * poles.size,
+        tuple(_sorted(part, order) for part in solved),
+        converged,
+        steps,
+    )
+
+
+def _sorted(solved: Solved, order: IntArray) -> Solved:
+    tangent = solved.tangent[:, np.concatenate([order, order + order.size])]
+    return Solved(solved.amplitudes[order], solved.residual, solved.range_, tangent)
+
+
+def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
+    """Noise variance (n_piece, n_output) of one row; the poles count as parameters in equal shares."""
+    n_series = sum(part.residual.shape[1] for part in solved)
+    rows = [
+        np.sum(part.residual**2, axis=0) / max(part.residual.shape[0] - part.range_.shape[1] - 2 * n_mode / n_series, 1.0)
+        for part in solved
+    ]
+    # Decays without noise leave rounding, which has a size as well.
+    floor = [np.finfo(float).eps ** 2 * np.sum(np.abs(part.amplitudes) ** 2, axis=0) + np.finfo(float).tiny for part in solved]
+    return np.maximum(rows, floor)
+
+
+def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information (2 n_mode, 2 n_mode) of (Re lambda, Im lambda) and its right side, in 1 / (rad/s)."""
+    n_mode = solved[0].amplitudes.shape[0]
+    information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
+    for part, variances in zip(solved, variance, strict=True):
+        gram, products = part.tangent.T @ part.tangent, part.tangent.T @ part.residual
+        for output, of_output in enumerate(variances):
+            chain = _chain(part.amplitudes[:, output])
+            information += chain.T @ gram @ chain / of_output
+            slope += chain.T @ products[:, output] / of_output
+    return information, slope
+
+
+def _chain(amplitudes: ComplexArray) -> FloatArray:
+    """What multiplies the tangent columns for d/dRe and d/dIm of every pole: Re(C t e^(lambda t)), Re(jC t e^(lambda t))."""
+    p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
+    return np.block([[p, q], [q, -p]])
+
+
+def _shorter_until_better(
+    pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
+) -> tuple[ComplexArray, list[Solved]] | None:
+    """The poles after the step, halved until they are more likely; None where none is."""
+    before = _misfit(solved)
+    change = step[: poles.size] + 1j * step[poles.size :]
+    for _ in range(MOST_HALVINGS):
+        moved = poles + change
+        if np.all(moved.imag > 0):
+            attempt = [solve(piece, moved) for piece in pieces]
+            if _misfit(attempt) < before:
+                return moved, attempt
+        change = change / 2
+    return None
+
+
+def _misfit(solved: Sequence[Solved]) -> float:
+    tiny = np.finfo(float).tiny
+    return sum(float(part.residual.shape[0] * np.sum(np.log(np.sum(part.residual**2, axis=0) + tiny))) for part in solved)
+
+
+# Start values of a free decay: the matrix pencil of the decimated record, followed over longer and longer
+# pieces of it.
+
+# Samples of the decimated record, series of them, and how many ranks beyond that of the modes are tried.
+MOST_SAMPLES, MOST_SERIES = 600, 4
+RANKS = (0, 1, 2, 4)
+# Minima count as one when their -2 ln likelihood differs by less.
+SAME = 1e-3
+# The decimated rate over the highest frequency that stands out.
+SAMPLES_PER_PERIOD = 4.0
+# A line stands out when its power is this many times the median.
+STANDS_OUT = 30.0
+# Half length of the decimating filter in decimated samples; the ends of the record that it sees are dropped.
+FILTER = 10
+
+
+def most_likely(
+    decays: Sequence[FreeDecay], columns: Sequence[int], pieces: Sequence[Piece], rate: float, band: tuple[float, float] | None, n_mode: int
+) -> Decayed:
+    """The most likely fit from all starts; FitError where none leads to *n_mode* modes."""
+    strongest = sorted(decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, list(columns)], axis=0))))
+    series = [decay.samples[:, column] for decay in strongest for column in columns][:MOST_SERIES]
+    thinned, slower = _decimated(series, rate, band, n_mode)
+    fits: list[Decayed] = []
+    for extra in RANKS:
+        start = pencil_poles(thinned, slower, n_mode, 2 * (n_mode + extra), band)
+        if start is None:
+            continue
+        try:
+            fit = _followed(pieces, start, round(MOST_SAMPLES * rate / slower), band)
+        except FitError:
+            continue
+        if fit.converged and any(other.converged and abs(other.misfit - fit.misfit) < SAME for other in fits):
+            break
+        fits.append(fit)
+    if not fits:
+        what = f"no {n_mode} decaying oscillation(s) stand out of the noise" + (f" in {band[0]:g}-{band[1]:g} Hz" if band else "")
+        raise FitError(what, hint="fewer `modes`, another `band`, or a decay that begins earlier")
+    return min(fits, key=lambda fit: (not fit.converged, fit.misfit))
+
+
+def _followed(pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None) -> Decayed:
+    """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole turn."""
+    longest = max(piece.time.size for piece in pieces)
+    while band is None and n_sample < longest:
+        poles = maximum_likelihood([shortened(piece, n_sample, band) for piece in pieces], poles).poles
+        n_sample *= 2
+    return maximum_likelihood(pieces, poles)
+
+
+def pencil_poles(
+    series: Sequence[FloatArray], rate: float, n_mode: int, rank: int, band: tuple[float, float] | None = None
+) -> ComplexArray | None:
+    """The *n_mode* strongest oscillating poles (n_mode,) [rad/s] of series (n_sample,) [any unit] at *rate* [Hz]; None without so many.
+
+    Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace: the first *rank* left singular vectors of the Hankel
+    matrix of all series. Equation (decay-pencil).
+    """
+    rows = min(samples.size for samples in series) // 3
+    if rows <= rank + 1:
+        raise FitError(f"the decay is {3 * rows} samples of its highest frequency long", hint="a longer decay, or a wider `band`")
+    hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(samples, rows).T for samples in series], axis=1)
+    vectors = np.linalg.eigh(hankel @ hankel.T)[1][:, -rank:]
+    turns = np.linalg.eigvals(np.linalg.lstsq(vectors[:-1], vectors[1:], rcond=None)[0])
+    turns = turns[(turns.imag > 1e-9) & (np.abs(turns) > 0)]
+    poles = np.asarray(np.log(turns) * rate, np.complex128)
+    low, high = band or (0.0, np.inf)
+    poles = poles[(poles.imag > 2 * np.pi * low) & (poles.imag < 2 * np.pi * high) & (np.abs(poles.real) < poles.imag)]
+    if poles.size < n_mode:
+        return None
+    return np.asarray(poles[np.argsort(-_energy(series, poles / rate))[:n_mode]])
+
+
+def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
+    """Energy (n_pole,) of every pole's part in all series."""
+    energy = np.zeros(steps.size)
+    for samples in series:
+        course = np.exp(np.arange(samples.size)[:, None] * (np.minimum(steps.real, 0.0) + 1j * steps.imag))
+        both = np.concatenate([course.real, course.imag], axis=1)
+        factors = np.linalg.lstsq(both, samples, rcond=None)[0]
+        sizes = np.hypot(factors[: steps.size], factors[steps.size :])
+        energy += sizes**2 * np.sum(np.abs(course) ** 2, axis=0)
+    return energy
+
+
+def _decimated(series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int) -> tuple[list[FloatArray], float]:
+    """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of each."""
+    centred = [_filtered(samples - np.mean(samples), rate, band) for samples in series]
+    factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
+    if factor == 1:
+        return [samples[:MOST_SAMPLES] for samples in centred], rate
+    # Imported here, since scipy.signal brings scipy.stats along: half a second.
+    from scipy import signal
+
+    slow = [signal.resample_poly(samples, 1, factor) for samples in centred]
+    inside = [samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow]
+    return inside, rate / factor
+
+
+def _filtered(samples: FloatArray, rate: float, band: tuple[float, float] | None) -> FloatArray:
+    """The samples within a band, without the ends that the filter spoils; all of them without one."""
+    if band is None:
+        return samples
+    frequency = fft.rfftfreq(samples.size, 1 / rate)
+    edge = 0.2 * (band[1] - band[0])
+    gain = np.clip(np.minimum(frequency - band[0] + edge, band[1] + edge - frequency) / edge, 0.0, 1.0)
+    spoilt = min(int(rate / edge), samples.size // 4)
+    whole: FloatArray = fft.irfft(fft.rfft(samples) * (3 - 2 * gain) * gain**2, samples.size)
+    return whole[spoilt:-spoilt]
+
+
+def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None, n_mode: int) -> float:
+    """The highest frequency [Hz] that the start values need: of the band, or of the strongest lines."""
+    if band is not None:
+        return band[1]
+    power = np.abs(fft.rfft(samples)) ** 2
+    inner = power[1:-1]
+    peaks = np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]) & (inner > STANDS_OUT * np.median(power))) + 1
+    strongest = peaks[np.argsort(-power[peaks])][: 2 * n_mode]
+    number = int(np.max(strongest)) if strongest.size else power.size - 1
+    return 1.2 * max(number, 1) * rate / samples.size

@@ -1,0 +1,89 @@
+"""The figures of fits of free decays: the course over time with what the fit leaves, and damping and frequency over amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.records.fit_details import AmplitudeLaw, FitDetailKind, OverAmplitude, RingDown
+from labpipe.records.identification import Fit
+from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, curve, level, stacked
+from labpipe.report.document import Figure
+from labpipe.report.figures import scale_of
+from labpipe.report.wording import fit_title, unit_text
+
+# Limits of 95 % of a standard normal value.
+TWO_SIGMA = 1.96
+LAW_POINTS = 60
+MODE_HEIGHT = 3.4
+
+Law = Callable[[AmplitudeLaw, FloatArray], FloatArray]
+
+
+def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
+    """Decay over time, and for every mode damping and frequency over amplitude."""
+    modes = [over_amplitude_figure(fit, shown, n, mode) for n, mode in enumerate(shown.modes, start=1) if mode.amplitude.size > 1]
+    return [decay_figure(fit, shown), *modes]
+
+
+def decay_figure(fit: Fit, shown: RingDown) -> Figure:
+    """Measured and fitted decay above, what the fit leaves below."""
+    time, factor, unit = Axis("time in the recording", "s"), scale_of(shown.unit), unit_text(shown.unit)
+    panels = (
+        Panel(
+            time,
+            Axis(shown.output, unit),
+            (
+                curve("measured", shown.time, factor * shown.measured, 0),
+                curve("fitted", shown.time, factor * shown.fitted, 1, "--", width=0.8),
+            ),
+            share=2.0,
+        ),
+        Panel(time, Axis("residual", unit), (curve("residual", shown.time, factor * shown.residual, GREY, width=0.8), level(0.0))),
+    )
+    caption = (
+        f"{fit_title(fit)}: free decay of {shown.output} in recording '{shown.recording}', the largest of those fitted, and what the fit "
+        "leaves of it. A residual that swells and fades with the decay shows that one exponential per mode does not say it all."
+    )
+    return Figure(stacked(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}")
+
+
+def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:
+    """Damping ratio and frequency of a mode between neighbouring stretches of the decays, over the amplitude there."""
+    across = Axis("amplitude", unit_text(shown.unit), logarithmic=True)
+    amplitude = scale_of(shown.unit) * mode.amplitude
+    panels = (
+        _over(across, Axis(f"damping ratio {number}", "%"), amplitude, 100 * mode.damping, 100 * mode.damping_std_error, mode, _damping),
+        _over(across, Axis(f"frequency {number}", "Hz"), amplitude, mode.frequency, mode.frequency_std_error, mode, _frequency),
+    )
+    law = " The line is the fitted law of both." if mode.law is not None else ""
+    caption = (
+        f"{fit_title(fit)}: mode {number} stretch by stretch, with 95 % intervals. Level: the mode is linear over the amplitudes of "
+        f"the decay.{law}"
+    )
+    return Figure(Chart(panels, 2, 1, (WIDTH, MODE_HEIGHT), "x"), caption, f"Mode {number} of fit {fit_title(fit)} over amplitude")
+
+
+def _over(across: Axis, along: Axis, x: FloatArray, y: FloatArray, spread: FloatArray, mode: OverAmplitude, course: Law) -> Panel:
+    ends = (y - TWO_SIGMA * spread, y + TWO_SIGMA * spread)
+    series = [curve("stretches", x, y, 0, "", marker="o", bars=ends)]
+    if mode.law is not None:
+        amplitudes = np.geomspace(mode.amplitude[0], mode.amplitude[-1], LAW_POINTS)
+        factor = x[0] / mode.amplitude[0]
+        series.append(curve("law", factor * amplitudes, course(mode.law, amplitudes), 1))
+    return Panel(across, along, tuple(series))
+
+
+def _damping(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
+    """Damping ratio [%] of the law."""
+    return 100 * (law.zeta_rest + law.zeta_slope * amplitude)
+
+
+def _frequency(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
+    """Frequency [Hz] of the law."""
+    return (law.omega + law.frequency_slope * amplitude) / (2 * np.pi)
+
+
+RING_DOWN_DETAIL = FitDetailKind(RingDown, ring_down_figures)

@@ -1,0 +1,49 @@
+"""The model decay: its settings, and its entry in the table of models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.records.identification import Fit
+from labpipe.records.settings import Settings, setting
+from labpipe.records.spectra import FreeDecays
+from labpipe.spectra.settings import DECAYS
+
+# Settings of a fit of free decays: the section `decay:` of a fit with model decay.
+
+MOST_MODES = 8
+
+
+@dataclass(frozen=True)
+class DecaySettings(Settings):
+    """What a free decay consists of."""
+
+    modes: int = setting("integer", "modes that decay together", default=1)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.modes <= MOST_MODES:
+            raise ConfigError(f"'modes' is {self.modes}", hint=f"1 to {MOST_MODES}", field="modes")
+
+
+# The model decay as an entry of the table of models. What fits is imported by the first fit.
+
+
+def _fit(decays: FreeDecays, settings: FitSettings) -> tuple[Fit, ...]:
+    from labpipe.methods.ring_down.fit import decay_fit
+
+    return (decay_fit(decays, settings),)
+
+
+DECAY = ModelKind(
+    _fit,
+    "decay",
+    DecaySettings,
+    "decay: {modes: 1}",
+    optional=True,
+    of=DECAYS,
+    times_mass=True,
+    keys=("mass", "output"),
+    estimators=("ml",),
+)

@@ -1,0 +1,1 @@
+"""Rotors on their bearings: Timoshenko shafts, response, modes, stability, unbalance."""

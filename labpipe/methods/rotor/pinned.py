@@ -1,0 +1,337 @@
+"""A rotor between pinned ends with one bearing: condensation, growth rates, critical and threshold speeds.
+
+A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once per speed.
+
+Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three stations between two
+pins have twelve degrees of freedom. With b the bearing's two and i the others, at a speed Omega
+
+    x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g = f_b - Z_bi Z_ii^-1 f_i.
+
+Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and threshold speed.
+
+Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing and not considered; the
+rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, optimize
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, dynamic_stiffness, solved
+from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
+
+# A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing
+# once per speed.
+
+
+@dataclass(frozen=True)
+class PinnedRotor:
+    """The matrices (n_dof, n_dof) of the *stations*, node numbers in order; four dofs each: y, z, rotations about y and z."""
+
+    stations: tuple[int, ...]
+    matrices: RotorMatrices
+
+    @property
+    def n_dof(self) -> int:
+        return 4 * len(self.stations)
+
+    def dofs(self, node: int) -> list[int]:
+        """Indices of y and z of a station; ConfigError for a pin."""
+        if node not in self.stations:
+            stations = ", ".join(str(station) for station in self.stations)
+            raise ConfigError(f"node {node} is not between the pins", hint=f"stations: {stations}")
+        first = 4 * self.stations.index(node)
+        return [first, first + 1]
+
+    def with_bearing(self, node: int, stiffness: FloatArray, damping: FloatArray) -> RotorMatrices:
+        """The matrices with a bearing's K [N/m] and C [N s/m], (2, 2), on a station."""
+        place = np.ix_(self.dofs(node), self.dofs(node))
+        k, c = self.matrices.stiffness.copy(), self.matrices.damping.copy()
+        k[place] += stiffness
+        c[place] += damping
+        return RotorMatrices(self.matrices.mass, c, self.matrices.gyroscopic, k)
+
+
+def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
+    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc on a pin.
+
+    Equation (rotor-pinned).
+    """
+    if len(set(pins)) < 2:
+        raise ConfigError("a rotor needs pins at two different nodes")
+    for pin in pins:
+        rotor.check_node(pin, "a pin")
+        if any(disc.node == pin for disc in rotor.discs):
+            raise ConfigError(f"a disc sits on the pin at node {pin}", hint="pins carry no disc")
+    stations = tuple(node for node in range(1, rotor.n_node + 1) if node not in pins)
+    if not stations:
+        raise ConfigError("there is no node between the pins")
+    free_dofs = np.concatenate([np.arange(4 * node - 4, 4 * node) for node in stations])
+    condensed = np.concatenate([[4 * pin - 2, 4 * pin - 1] for pin in sorted(set(pins))])
+    free = free_rotor(rotor)
+    static_shape = np.linalg.solve(free.stiffness[np.ix_(condensed, condensed)], free.stiffness[np.ix_(condensed, free_dofs)])
+    shape = np.zeros((4 * rotor.n_node, free_dofs.size))
+    shape[free_dofs] = np.eye(free_dofs.size)
+    shape[condensed] = -static_shape
+    parts = (shape.T @ matrix @ shape for matrix in (free.mass, free.damping, free.gyroscopic, free.stiffness))
+    return PinnedRotor(stations, RotorMatrices(*parts))
+
+
+@dataclass(frozen=True)
+class CondensedRotor:
+    """A pinned rotor condensed to its bearing, at every *speed* (n_speed,) [rad/s] under known synchronous forces.
+
+    at_bearing D (n_speed, 2, 2) [N/m]; force g (n_speed, 2) [N]; fixed_journal (n_speed, n_output) [m]: motion of the outputs with a
+    fixed journal; per_journal (n_speed, n_output, 2): their motion per motion of the journal. Phasors, 0-to-peak.
+    """
+
+    speed: FloatArray
+    at_bearing: ComplexArray
+    force: ComplexArray
+    fixed_journal: ComplexArray
+    per_journal: ComplexArray
+
+    def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
+        """The rotor at the speeds *chosen*, an index array (n,) or a mask (n_speed,)."""
+        return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")))
+
+    def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N].
+
+        Equation (rotor-journal).
+        """
+        compliance = inverse(self.at_bearing + stiffness + 1j * self.speed[:, None, None] * damping)
+        return (compliance @ self.force[..., None])[..., 0], compliance
+
+    def response(self, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
+        """Phasors of the outputs (..., n_speed, n_output) [m] under K [N/m] and C [N s/m], (..., n_speed, 2, 2)."""
+        motion, _ = self.journal(stiffness, damping)
+        return self.fixed_journal + (self.per_journal @ motion[..., None])[..., 0]
+
+    def response_and_slopes(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy [m^2/N], C_xx C_xy C_yx C_yy [m^2/(N s)].
+
+        d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl. Equation (rotor-journal-slopes).
+        """
+        motion, compliance = self.journal(stiffness, damping)
+        by_force = self.per_journal @ compliance
+        by_stiffness = -(by_force[..., :, None] * motion[..., None, None, :]).reshape(*by_force.shape[:-1], 4)
+        slopes = np.concatenate([by_stiffness, 1j * self.speed[:, None, None] * by_stiffness], axis=-1)
+        return self.fixed_journal + (self.per_journal @ motion[..., None])[..., 0], slopes
+
+
+def inverse(matrix: ComplexArray) -> ComplexArray:
+    """The inverses of 2 x 2 matrices (..., 2, 2) [any unit] in closed form."""
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    inverted: ComplexArray = adjugate / (a * d - b * c)[..., None, None]
+    return inverted
+
+
+def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
+    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N]; *unbalance* [kg m] by node."""
+    forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
+    for node, amount in unbalance.items():
+        y, z = rotor.dofs(node)
+        forces[:, y] += amount * np.asarray(speed) ** 2
+        forces[:, z] += -1j * amount * np.asarray(speed) ** 2
+    return forces
+
+
+def condensed_rotor(
+    rotor: PinnedRotor, bearing: int, speed: FloatArray, forces: ComplexArray, outputs: tuple[int, ...], spin: FloatArray | None = None
+) -> CondensedRotor:
+    """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], condensed to the node *bearing*.
+
+    outputs: nodes whose y and z are outputs; *spin* [rad/s] of the shaft, where it differs from the frequency (zero at rest).
+    Equation (rotor-condensed).
+    """
+    speed = np.asarray(speed, np.float64)
+    z = dynamic_stiffness(rotor.matrices, speed, speed if spin is None else spin)
+    bearing_dofs = rotor.dofs(bearing)
+    free = [dof for dof in range(rotor.n_dof) if dof not in bearing_dofs]
+    sides = np.concatenate([forces[:, free, None], -z[:, free][:, :, bearing_dofs]], axis=-1)
+    motion = np.zeros((speed.size, rotor.n_dof, 3), np.complex128)
+    motion[:, free] = solved(z[:, free][:, :, free], sides)
+    motion[:, bearing_dofs, 1:] = np.eye(2)
+    to_bearing = z[:, bearing_dofs]
+    dofs = [dof for node in outputs for dof in rotor.dofs(node)]
+    at_bearing, per_journal = to_bearing @ motion[:, :, 1:], motion[:, dofs, 1:]
+    force = forces[:, bearing_dofs] - (to_bearing @ motion[:, :, :1])[..., 0]
+    return CondensedRotor(speed, at_bearing, force, motion[:, dofs, 0], per_journal)
+
+
+# Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical
+# and threshold speed.
+
+# Least share of the journal in a mode's squared deflections.
+LEAST_PARTICIPATION = 1e-8
+# To which a speed of resonance is found [rad/s].
+RESONANCE_TOLERANCE = 1e-4
+
+# K [N/m] and C [N s/m], (n_speed, 2, 2) each, at speeds (n_speed,) [rad/s].
+CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class LeastStable:
+    """The least stable mode with motion of the journal: eigenvalue [1/s], and derivatives (2, 2) of its real part by K_kl and C_kl."""
+
+    eigenvalue: complex
+    by_stiffness: FloatArray
+    by_damping: FloatArray
+
+    @property
+    def growth(self) -> float:
+        """Real part [1/s]: positive means unstable."""
+        return self.eigenvalue.real
+
+
+@dataclass(frozen=True)
+class Stability:
+    """A pinned *rotor* and the node of its *bearing*; *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems."""
+
+    rotor: PinnedRotor
+    bearing: int
+    inverse_mass: FloatArray
+
+    @classmethod
+    def of(cls, rotor: PinnedRotor, bearing: int) -> Stability:
+        """The stability problem of a rotor with its bearing on the node *bearing*."""
+        return cls(rotor, bearing, np.linalg.inv(rotor.matrices.mass))
+
+    def system(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+        """System matrix A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof) [SI], with gyroscopic terms.
+
+        *speed* (n_speed,) [rad/s], *stiffness* [N/m] and *damping* [N s/m] (n_speed, 2, 2) of the bearing.
+        """
+        n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
+        speed = np.atleast_1d(np.asarray(speed, np.float64))
+        matrices = self.rotor.matrices
+        k: FloatArray = np.repeat(matrices.stiffness[None], speed.size, axis=0)
+        c: FloatArray = matrices.damping + speed[:, None, None] * matrices.gyroscopic
+        rows = np.ix_(range(speed.size), place, place)
+        k[rows] += stiffness
+        c[rows] += damping
+        system = np.zeros((speed.size, 2 * n, 2 * n))
+        system[:, :n, n:] = np.eye(n)
+        system[:, n:, :n], system[:, n:, n:] = -self.inverse_mass @ k, -self.inverse_mass @ c
+        return system
+
+    def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
+        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,); arguments as in `system`."""
+        eigen = np.linalg.eig(self.system(speed, stiffness, damping))
+        moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
+        return np.max(np.where(moving, eigen.eigenvalues.real, -np.inf), axis=-1)
+
+    def eigenvalues(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
+        """All eigenvalues [1/s], (n_speed, 2 n_dof); arguments as in `system`."""
+        return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
+
+    def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
+        """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the bearing's coefficients.
+
+        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation (rotor-least-stable).
+        """
+        system = self.system(np.array([speed]), stiffness, damping)[0]
+        roots, left_vectors, right_vectors = linalg.eig(system, left=True, right=True)
+        chosen = int(np.argmax(np.where(self.moving(right_vectors) & (roots.imag >= 0), roots.real, -np.inf)))
+        n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
+        y, x = left_vectors[:, chosen].conj(), right_vectors[:, chosen]
+        force_factor = (y[n:] @ self.inverse_mass[:, place]) / (y @ x)
+        slopes = -np.outer(force_factor, x[place])
+        return LeastStable(complex(roots[chosen]), slopes.real, (slopes * roots[chosen]).real)
+
+    def moving(self, vectors: ComplexArray) -> BoolArray:
+        """Modes (..., n_mode) with motion of the journal; *vectors* (..., 2 n_dof, n_mode) [any unit]."""
+        n = self.rotor.n_dof
+        squares = np.abs(vectors[..., :n, :]) ** 2
+        whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
+        share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
+        moving: BoolArray = share > LEAST_PARTICIPATION
+        return moving
+
+
+def threshold_speed(
+    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
+) -> float | None:
+    """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor stable at all of them.
+
+    FitError for a rotor unstable at the first speed.
+    """
+    speed = np.asarray(list(speeds), np.float64)
+    unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
+    if unstable[0]:
+        raise FitError(f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm", hint="start the search at a lower speed")
+    if not np.any(unstable):
+        return None
+    first = int(np.argmax(unstable))
+
+    def excess(speed: float) -> float:
+        place = np.array([speed])
+        return float(stability.growth(place, *coefficients(place))[0]) - GROWTH_TOLERANCE
+
+    return float(optimize.brentq(excess, speed[first - 1], speed[first], xtol=tolerance))
+
+
+def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
+    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no steady amplitude."""
+    speed = np.asarray(speed, np.float64)
+    growth = stability.growth(speed, *coefficients(speed))
+    if np.any(growth > GROWTH_TOLERANCE):
+        first = int(np.argmax(growth > GROWTH_TOLERANCE))
+        rpm = speed[first] * 30 / np.pi
+        raise FitError(
+            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no steady amplitude",
+            hint="keep to speeds below the threshold of instability",
+        )
+
+
+def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]) -> float | None:
+    """The first speed [rad/s] equal to the imaginary part of a damped mode with motion of the journal; None when there is none.
+
+    The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or backward.
+    """
+    speed = np.asarray(list(speeds), np.float64)
+    frequencies = [_damped_frequencies(stability, coefficients, value) for value in speed]
+    # Number of modes below 1x at every speed: it grows where a mode is crossed.
+    below = [int(np.sum(modes < value)) for modes, value in zip(frequencies, speed, strict=True)]
+    for n in range(1, speed.size):
+        if below[n] > below[n - 1]:
+            return _crossing(stability, coefficients, (float(speed[n - 1]), float(speed[n])), below[n - 1])
+    return None
+
+
+def _crossing(stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int) -> float:
+    """The speed [rad/s] *between* two at which the number of modes below 1x rises above *below*."""
+    low, high = between
+    if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
+        return float(optimize.brentq(lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE))
+    # Another mode is nearer to an end than the one that is crossed: only their number tells.
+    while high - low > RESONANCE_TOLERANCE:
+        middle = (low + high) / 2
+        if np.sum(_damped_frequencies(stability, coefficients, middle) < middle) > below:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _damped_frequencies(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> FloatArray:
+    """Imaginary parts (n_mode,) [rad/s] of the lightly damped modes with motion of the journal, ascending."""
+    place = np.array([speed])
+    roots, vectors = np.linalg.eig(stability.system(place, *coefficients(place))[0])
+    lightly_damped = stability.moving(vectors) & (roots.imag > 0) & (-roots.real < 0.5 * np.abs(roots))
+    return np.sort(roots[lightly_damped].imag)
+
+
+def _detuning(stability: Stability, coefficients: CoefficientsAtSpeed, speed: float) -> float:
+    """Speed minus the imaginary part of the nearest mode [rad/s]."""
+    frequencies = _damped_frequencies(stability, coefficients, speed)
+    return float(speed - frequencies[np.argmin(np.abs(frequencies - speed))])

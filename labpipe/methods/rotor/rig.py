@@ -1,0 +1,198 @@
+"""A rotor on its bearings: shaft, bearings with their static loads, speed, and where it is excited and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
+
+import numpy as np
+
+from labpipe.bearings.kinds import Bearing, OperatingPoint
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
+from labpipe.records.uncertain import Doubt
+from labpipe.registry import nearest
+
+
+@dataclass(frozen=True)
+class DoubtfulBearing:
+    """A bearing with one number a standard uncertainty *above* its value, and *below* it; *doubt* of the number."""
+
+    doubt: Doubt
+    above: Bearing
+    below: Bearing
+
+
+@dataclass(frozen=True)
+class BearingPlace:
+    """A bearing on a node of the rotor; *kind*: that of its file; *doubts* of the numbers in its entry."""
+
+    name: str
+    node: int
+    bearing: Bearing
+    kind: str = "journal-bearing"
+    doubts: tuple[DoubtfulBearing, ...] = ()
+
+    @property
+    def is_film(self) -> bool:
+        """True for an oil film, whose parameters can be changed and estimated."""
+        return isinstance(self.bearing, JournalBearing)
+
+    def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
+        """The place with other numbers in its oil film, doubtful or not; a number that is changed has no doubt any more."""
+
+        def changed(bearing: Bearing) -> JournalBearing:
+            return replace(replace(self, bearing=bearing).film(method), **changes)
+
+        doubts = [DoubtfulBearing(one.doubt, changed(one.above), changed(one.below)) for one in self.doubts]
+        return replace(self, bearing=changed(self.bearing), doubts=tuple(one for one in doubts if one.above != one.below))
+
+    def with_error(self, source: str, sign: int) -> BearingPlace:
+        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1); unchanged without one."""
+        return next(
+            (replace(self, bearing=one.above if sign > 0 else one.below, doubts=()) for one in self.doubts if one.doubt.source == source),
+            self,
+        )
+
+    def film(self, method: str) -> JournalBearing:
+        """The journal bearing; ConfigError that names the *method* which needs its oil film, where there is none."""
+        if isinstance(self.bearing, JournalBearing):
+            return self.bearing
+        raise ConfigError(f"{method} needs an oil film, bearing '{self.name}' is a {self.kind}", hint="name a journal-bearing")
+
+
+@dataclass(frozen=True)
+class Unbalance:
+    """Mass times eccentricity [kg m] on a node; *phase* [rad] from the keyphasor, with the spin."""
+
+    node: int
+    size: float
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class RotorRig:
+    """A rotor file: *speed* [Hz]; *loads*: static forces (node, in y, in z) [N] beside the weight; *force*, *response*: nodes.
+
+    ConfigError where bearings, loads or unbalances sit on no node, or two bearings have one name or node.
+    """
+
+    name: str
+    rotor: Rotor
+    _: KW_ONLY
+    speed: float
+    bearings: tuple[BearingPlace, ...]
+    loads: tuple[tuple[int, float, float], ...] = ()
+    unbalances: tuple[Unbalance, ...] = ()
+    force: int = 1
+    response: int = 1
+
+    def __post_init__(self) -> None:
+        if self.speed < 0 or (self.speed == 0 and any(place.is_film for place in self.bearings)):
+            raise ConfigError(f"speed: oil films need a speed above zero, not {self.speed:g} Hz")
+        if len(self.bearings) < 2:
+            raise ConfigError("bearings: a rotor rests on at least two", hint="name each with its node")
+        for label in ("name", "node"):
+            if len({getattr(place, label) for place in self.bearings}) < len(self.bearings):
+                raise ConfigError(f"bearings: two bearings have one {label}")
+        for label, node in self._places():
+            self.rotor.check_node(node, label)
+
+    def _places(self) -> list[tuple[str, int]]:
+        """Label and node of every part on a node, for messages."""
+        places = [(f"bearing '{place.name}'", place.node) for place in self.bearings]
+        places += [("a load", node) for node, _, _ in self.loads] + [("an unbalance", part.node) for part in self.unbalances]
+        return [*places, ("the force", self.force), ("the response", self.response)]
+
+    @property
+    def omega(self) -> float:
+        """Spin speed [rad/s]."""
+        return 2 * np.pi * self.speed
+
+    def place(self, name: str) -> BearingPlace:
+        """The bearing of that name; the last one without a name. ConfigError with the nearest known name on a miss."""
+        if not name:
+            return self.bearings[-1]
+        for bearing in self.bearings:
+            if bearing.name == name:
+                return bearing
+        raise ConfigError(f"no bearing '{name}' in {self.name}", hint=nearest(name, [bearing.name for bearing in self.bearings]))
+
+    def static_loads(self) -> dict[str, tuple[float, float]]:
+        """Load of every bearing by name, in y and z [N]."""
+        forces: dict[int, tuple[float, float]] = {}
+        for node, y, z in self.loads:
+            before = forces.get(node, (0.0, 0.0))
+            forces[node] = (before[0] + y, before[1] + z)
+        reactions = bearing_loads(self.rotor, [place.node for place in self.bearings], forces)
+        # Rounding would turn a vertical load by 1e-13 rad, and tables of coefficients could not be shared.
+        scale = 1e-9 * float(np.abs(reactions).max())
+        return {
+            place.name: (float(y) if abs(y) > scale else 0.0, float(z) if abs(z) > scale else 0.0)
+            for place, (y, z) in zip(self.bearings, reactions, strict=True)
+        }
+
+    def equilibria(self, mesh: FilmMesh = DEFAULT_MESH) -> dict[str, JournalEquilibrium]:
+        """Equilibrium of the journal of every oil film at the rig's speed, by bearing."""
+        return self._equilibria(self.static_loads(), mesh)
+
+    def _equilibria(self, loads: dict[str, tuple[float, float]], mesh: FilmMesh) -> dict[str, JournalEquilibrium]:
+        return {
+            place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)
+            for place in self.bearings
+            if place.is_film
+        }
+
+    def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
+        """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of oil films."""
+        loads = self.static_loads()
+        films = self._equilibria(loads, mesh)
+        coefficients = {
+            place.name: films.get(place.name) or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
+            for place in self.bearings
+        }
+        return [Support(place.node, coefficients[place.name].stiffness, coefficients[place.name].damping) for place in self.bearings]
+
+    def at_speed(self, speed: float) -> RotorRig:
+        """The same rig at another speed [Hz]."""
+        return replace(self, speed=speed)
+
+    @property
+    def sources(self) -> tuple[Doubt, ...]:
+        """The doubts in the bearings' entries, each source once."""
+        doubts: dict[str, Doubt] = {}
+        for place in self.bearings:
+            for bearing_doubt in place.doubts:
+                doubts.setdefault(bearing_doubt.doubt.source, bearing_doubt.doubt)
+        return tuple(doubts.values())
+
+    def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
+        """The rig with all numbers of a *source* a standard uncertainty above, and below."""
+        above, below = (replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings)) for sign in (1, -1))
+        return above, below
+
+    def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
+        """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all, where none is named.
+
+        ConfigError for a bearing without an oil film.
+        """
+        names = tuple(names) or tuple(place.name for place in self.bearings if place.is_film)
+        chosen = [self.place(name) for name in names]
+        purpose = f"a change of {', '.join(changes)}"
+        return replace(
+            self,
+            bearings=tuple(place.with_film(purpose, changes) if place in chosen else place for place in self.bearings),
+        )
+
+
+def worn_place(rig: RotorRig, name: str) -> BearingPlace:
+    """The worn bearing by its name, the last one without a name; ConfigError where there is none, or none with an oil film."""
+    try:
+        place = rig.place(name)
+        place.film("wear")
+    except ConfigError as error:
+        error.field = "bearing" if name else "rotor"
+        raise
+    return place

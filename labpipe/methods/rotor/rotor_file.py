@@ -1,0 +1,315 @@
+"""Reading a rotor file: shaft elements, discs, sleeves, bearings, loads, damping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labpipe.bearings.kinds import Bearing
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor.rig import BearingPlace, DoubtfulBearing, RotorRig, Unbalance
+from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
+from labpipe.project.bearing_file import kind_of, setting_at, taken_doubts
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
+from labpipe.records.settings import FileKind, Setting, Settings, setting
+from labpipe.records.uncertain import doubt_of
+from labpipe.registry import nearest
+
+# What the entries of a rotor file hold: shaft elements, discs, sleeves, loads, unbalances, materials,
+# damping.
+
+MOST_COPIES = 1000
+
+
+@dataclass(frozen=True)
+class RotorSettings(Settings):
+    """The plain entries of a rotor file (its lists are read by themselves)."""
+
+    speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
+    name: str = setting("text", "name of the rotor, as the report shows it", default="")
+    description: str = setting("text", "what a reader should know of the rotor", default="")
+    force: int = setting("integer", "node on which the rig is excited", default=1)
+    response: int = setting("integer", "node at which displacements are measured", default=1)
+
+
+@dataclass(frozen=True)
+class MaterialSettings(Settings):
+    """One entry below ``materials:``."""
+
+    density: float = setting("value", "density", unit="kg/m^3")
+    elastic_modulus: float = setting("value", "Young's modulus", unit="Pa")
+    shear_modulus: float = setting("value", "shear modulus", unit="Pa")
+    poisson: float = setting("value", "Poisson's ratio, for the shear coefficient", unit="1", default=0.3)
+
+
+@dataclass(frozen=True)
+class ElementSettings(Settings):
+    """One entry of ``elements:``, from left to right."""
+
+    length: float = setting("value", "length", unit="m")
+    diameter: float = setting("value", "outer diameter", unit="m")
+    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
+    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
+    count: int = setting("integer", "equal elements in a row", default=1)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= MOST_COPIES:
+            raise ConfigError(f"count: from 1 to {MOST_COPIES}, not {self.count}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscSettings(Settings):
+    """One entry of ``discs:``, by its dimensions and material or by its mass and moments of inertia."""
+
+    node: int = setting("integer", "node it sits on")
+    outer_diameter: float | None = setting("value", "outer diameter", unit="m", default=None)
+    inner_diameter: float = setting("value", "bore", unit="m", default=0.0)
+    length: float | None = setting("value", "length along the shaft", unit="m", default=None)
+    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
+    mass: float | None = setting("value", "mass, instead of dimensions", unit="kg", default=None)
+    polar_inertia: float | None = setting("value", "moment of inertia about the shaft", unit="kg.m^2", default=None)
+    transverse_inertia: float | None = setting("value", "moment of inertia about a diameter", unit="kg.m^2", default=None)
+
+    def __post_init__(self) -> None:
+        if (self.mass is None) == (self.outer_diameter is None):
+            raise ConfigError("one of mass and outer_diameter is needed", hint="a disc is given by its mass, or by its dimensions")
+        if self.outer_diameter is not None and self.length is None:
+            raise ConfigError("length: is missing", hint="a disc of dimensions needs its length along the shaft")
+        if self.mass is not None and None in (self.polar_inertia, self.transverse_inertia):
+            raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
+
+    def disc(self, material: Material) -> Disc:
+        if self.mass is not None:
+            return Disc(self.node, self.mass, self.transverse_inertia or 0.0, self.polar_inertia or 0.0)
+        return Disc.of_dimensions(self.node, self.inner_diameter, self.outer_diameter or 0.0, self.length or 0.0, material)
+
+
+@dataclass(frozen=True)
+class SleeveSettings(Settings):
+    """One entry of ``sleeves:``: a ring that adds mass and inertia along an element, no stiffness."""
+
+    element: int = setting("integer", "number of the element it surrounds, from 1")
+    outer_diameter: float = setting("value", "outer diameter", unit="m")
+    material: str = setting("text", "steel, aluminium or one of materials", default="steel")
+
+
+@dataclass(frozen=True)
+class DampingSettings(Settings):
+    """Proportional damping of the shaft, C = alpha M + beta K."""
+
+    alpha: float = setting("value", "part of the mass matrix", unit="1/s", default=0.0)
+    beta: float = setting("value", "part of the stiffness matrix", unit="s", default=0.0)
+
+
+@dataclass(frozen=True)
+class LoadSettings(Settings):
+    """One entry of ``loads:``: a constant force beside the weight."""
+
+    node: int = setting("integer", "node it acts on")
+    y: float = setting("value", "horizontal force", unit="N", default=0.0)
+    z: float = setting("value", "vertical force, positive up", unit="N", default=0.0)
+
+
+@dataclass(frozen=True)
+class UnbalanceSettings(Settings):
+    """One entry of ``unbalances:``."""
+
+    node: int = setting("integer", "node it sits on")
+    size: float = setting("value", "mass times eccentricity", unit="kg.m")
+    phase: float = setting("value", "phase from the keyphasor, with the spin", unit="rad", default=0.0)
+
+
+# Reading a rotor file: shaft elements, discs, sleeves, bearings, loads, damping.
+
+MATERIALS = {"steel": STEEL, "aluminium": ALUMINIUM}
+
+Owner = TypeVar("Owner")
+Built = TypeVar("Built")
+
+
+LISTS: dict[str, type] = {
+    "elements": ElementSettings,
+    "discs": DiscSettings,
+    "sleeves": SleeveSettings,
+    "loads": LoadSettings,
+    "unbalances": UnbalanceSettings,
+}
+NODE = Setting("integer", "node it sits on")
+SECTIONS = (*LISTS, "bearings", "materials", "damping")
+
+
+def load_rotor(path: Path, overrides: Iterable[str] = ()) -> RotorRig:
+    """The rotor of a rotor file; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    rig = read_rotor(tree, path.stem, faults)
+    faults.raise_any()
+    assert rig is not None
+    return rig
+
+
+def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
+    """The rotor of a marked tree; None and faults where it cannot be read."""
+    before = len(faults)
+    entries = faults.mapping(tree, "")
+    if "pins" in entries:
+        faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings is needed")
+        return None
+    plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
+    settings = read_settings(RotorSettings, plain, "", faults)
+    materials = read_materials(entries.get("materials"), faults)
+    lists = {key: read_entries(owner, entries.get(key), key, faults) for key, owner in LISTS.items()}
+    bearings = read_bearings(entries.get("bearings"), faults)
+    for key in ("elements", "bearings"):
+        if key not in entries:
+            faults.add(tree, key, "is missing", "a list; each entry begins with '- '")
+    damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
+    if rotor is None or settings is None:
+        return None
+    places = tuple(place for _, place in bearings)
+    loads = tuple((part.node, part.y, part.z) for _, part in lists["loads"])
+    unbalances = tuple(Unbalance(part.node, part.size, part.phase) for _, part in lists["unbalances"])
+    _check_nodes({**lists, "bearings": bearings}, rotor, faults)
+    make_rig = partial(
+        RotorRig,
+        settings.name or stem,
+        rotor,
+        speed=settings.speed,
+        bearings=places,
+        loads=loads,
+        unbalances=unbalances,
+        force=settings.force,
+        response=settings.response,
+    )
+    return tried(make_rig, tree, "", faults)
+
+
+def read_entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) -> list[tuple[Marked, Any]]:
+    """The entries of a list that can be read, with their place."""
+    if node is None:
+        return []
+    if not isinstance(node.content, list):
+        faults.add(node, key, "a list is needed", "each entry begins with '- '")
+        return []
+    pairs = [(entry, read_settings(owner, entry, f"{key}.{number}", faults)) for number, entry in enumerate(node.content, 1)]
+    return [(entry, settings) for entry, settings in pairs if settings is not None]
+
+
+def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
+    materials = dict(MATERIALS)
+    for name, entry in (faults.mapping(node, "materials") if node is not None else {}).items():
+        key = join("materials", name)
+        settings = read_settings(MaterialSettings, entry, key, faults)
+        if settings is not None:
+            moduli = settings.elastic_modulus, settings.shear_modulus, settings.poisson
+            material = tried(partial(Material, settings.density, *moduli), entry, key, faults)
+            materials |= {} if material is None else {name: material}
+    return materials
+
+
+def build_rotor(
+    lists: dict[str, list[tuple[Marked, Any]]],
+    materials: dict[str, Material],
+    damping: DampingSettings | None,
+    tree: Marked,
+    faults: Faults,
+) -> Rotor | None:
+    """The shaft with discs and sleeves; None and faults at the place of each part."""
+    before = len(faults)
+
+    def material(entry: Marked, part: Any) -> Material:
+        if part.material not in materials:
+            faults.add(entry.content["material"], "material", f"unknown material '{part.material}'", nearest(part.material, materials))
+        return materials.get(part.material, STEEL)
+
+    shaft: list[ShaftElement] = []
+    for entry, part in lists["elements"]:
+        make_element = partial(ShaftElement, part.length, part.diameter, material(entry, part), part.inner_diameter)
+        element = tried(make_element, entry, "", faults)
+        shaft.extend([element] * part.count if element is not None else [])
+    discs = [tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]]
+    sleeves = [Sleeve(part.element, part.outer_diameter, material(entry, part)) for entry, part in lists["sleeves"]]
+    if len(faults) > before or damping is None:
+        return None
+    parts = tuple(disc for disc in discs if disc is not None)
+    return tried(partial(Rotor, tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
+
+
+def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
+    """A fault at every entry that sits on no node."""
+    for key in ("bearings", "loads", "unbalances"):
+        for entry, part in lists[key]:
+            tried(partial(rotor.check_node, part.node, f"this entry of {key}"), entry.content["node"], key, faults)
+
+
+def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
+    """Return value of *make*; None and a fault at the node's place for a ConfigError."""
+    try:
+        return make()
+    except ConfigError as error:
+        faults.add_of_field(error, node, key)
+        return None
+
+
+def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, BearingPlace]]:
+    """The bearings of a rotor file with their entries, named by their number where they have no name."""
+    if node is None:
+        return []
+    if not isinstance(node.content, list):
+        faults.add(node, "bearings", "a list is needed", "each entry begins with '- '")
+        return []
+    places = [(entry, _bearing_place(entry, number, faults)) for number, entry in enumerate(node.content, 1)]
+    return [(entry, place) for entry, place in places if place is not None]
+
+
+def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
+    """A bearing of any kind on its node; its load and speed follow from the rotor, so their entries are refused."""
+    key, before = f"bearings.{number}", len(faults)
+    entries = faults.mapping(entry, key)
+    kind = kind_of(entry, key, faults) if entries else None
+    if kind is None:
+        return None
+    node = read_setting(entries["node"], NODE, join(key, "node"), faults) if "node" in entries else None
+    if "node" not in entries:
+        faults.add(entry, join(key, "node"), "is missing", NODE.help)
+    plain = Marked({name: part for name, part in entries.items() if name != "node"}, entry.where, entry.key_where)
+    for name in kind.operating:
+        if name in entries:
+            faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
+    # Load and speed come with every question to the bearing; until then they are any number above zero.
+    owner = kind.on_rotor or kind.settings
+    doubts = taken_doubts(plain, kind, "", owner, faults)
+
+    def mounted() -> tuple[str, Bearing | None]:
+        settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
+        if settings is None or len(faults) > before:
+            return "", None
+        return getattr(settings, "name", "") or str(number), tried(lambda: kind.mounted(settings), entry, key, faults)
+
+    name, bearing = mounted()
+    if bearing is None or node is None:
+        return None
+    doubtful = []
+    for entry_name, uncertain in doubts.items():
+        unit = setting_at(owner, entry_name).unit
+        ends = [_at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted) for sign in (1.0, -1.0, 0.0)]
+        if ends[0] is None or ends[1] is None:
+            return None
+        doubtful.append(DoubtfulBearing(doubt_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1]))
+    return BearingPlace(name, node, bearing, entries["kind"].text, tuple(doubtful))
+
+
+def _at_end(plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]) -> Bearing | None:
+    """The bearing with another number at its key, which stays."""
+    set_entry(plain, f"{key}={value!r} {unit}".rstrip())
+    return mounted()[1]
+
+
+ROTOR_FILE = FileKind(load_rotor)

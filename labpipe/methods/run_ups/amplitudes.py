@@ -1,0 +1,449 @@
+"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by pattern search.
+
+Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that halves or doubles.
+
+Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the objective is evaluated at all
+2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond
+a bound are moved onto it. No gradients, and no standard errors of the minimum. COBYQA of scipy is the alternative by name.
+
+Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept as a baseline.
+
+Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
+
+    F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
+
+(their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks perfect wherever it starts, and
+the coefficients that it returns are those next to its start. `StartSpread` states it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.errors import ConfigError
+from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices, carried_beyond
+from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, rank_of, runs_by_load, scales
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement
+from labpipe.registry import nearest
+
+# Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
+# halves or doubles.
+
+# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen* (n_chosen,).
+Objective = Callable[[FloatArray, IntArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """Limits of a search; meshes are shares of the box's width, *target_share* is a share of the objective at the start."""
+
+    first_mesh: float = 0.25
+    smallest_mesh: float = 1e-4
+    largest_mesh: float = 0.5
+    most_evaluations: int = 4000
+    target_share: float = 1e-9
+
+    def __post_init__(self) -> None:
+        if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
+            raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint="for example 1e-4, 0.25, 0.5")
+        if self.most_evaluations < 1 or not 0 <= self.target_share < 1:
+            raise ConfigError("a search needs one evaluation or more, and a target below the first objective")
+
+
+@dataclass(frozen=True)
+class SearchHistory:
+    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh [-] (NaN without a mesh).
+
+    A problem that has ended keeps its last row.
+    """
+
+    evaluations: IntArray
+    objective: FloatArray
+    mesh: FloatArray
+
+    def of(self, problem: int) -> SearchHistory:
+        """Rows of one problem (n_iteration, 1), without those after its end."""
+        column = self.evaluations[:, problem]
+        rows = np.concatenate([[True], np.diff(column) > 0])
+        return SearchHistory(*(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh")))
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations (n_problem,).
+
+    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the objective.
+    """
+
+    values: FloatArray
+    objective: FloatArray
+    mesh: FloatArray
+    evaluations: IntArray
+    capped: BoolArray
+    history: SearchHistory
+
+
+def compass_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
+    """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same shape; deterministic.
+
+    ConfigError where a start lies outside its box.
+    """
+    limits = limits or SearchLimits()
+    values, width = _checked(start, lower, upper)
+    n_problem, n_parameter = values.shape
+    problems = np.arange(n_problem)
+    lowest = objective(values[None], problems)[0]
+    target = limits.target_share * lowest
+    mesh, evaluations = np.full(n_problem, limits.first_mesh), np.ones(n_problem, np.intp)
+    rows = [(evaluations.copy(), lowest.copy(), mesh.copy())]
+    compass = np.concatenate([np.eye(n_parameter), -np.eye(n_parameter)])[:, None, :]
+    unfinished = np.full(n_problem, True)
+    while (active := problems[unfinished & (evaluations < limits.most_evaluations)]).size:
+        trial = values[active] + compass * (mesh[active, None] * width[active])
+        trial = np.clip(trial, lower[active], upper[active])
+        values_of_trial = objective(trial, active)
+        best = np.argmin(values_of_trial, axis=0)
+        least = values_of_trial[best, np.arange(active.size)]
+        better = least < lowest[active]
+        values[active[better]] = trial[best[better], np.flatnonzero(better)]
+        lowest[active[better]] = least[better]
+        mesh[active] = np.where(better, np.minimum(2 * mesh[active], limits.largest_mesh), mesh[active] / 2)
+        evaluations[active] += 2 * n_parameter
+        unfinished = (mesh >= limits.smallest_mesh) & (lowest > target)
+        rows.append((evaluations.copy(), lowest.copy(), mesh.copy()))
+    history = SearchHistory(*(np.array(column) for column in zip(*rows, strict=True)))
+    return SearchResult(values, lowest, mesh, evaluations, unfinished, history)
+
+
+def cobyqa_search(
+    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+) -> SearchResult:
+    """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
+
+    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value at the start, parameters by
+    the box. ConfigError without COBYQA in the installed scipy.
+    """
+    limits = limits or SearchLimits()
+    values, width = _checked(start, lower, upper)
+    traces = [_trace(objective, n, values[n], lower[n], width[n], limits) for n in range(values.shape[0])]
+    length = max(trace.objective.size for trace in traces)
+    best = np.array([trace.points[np.argmin(trace.objective)] for trace in traces])
+    columns = [np.pad(np.minimum.accumulate(trace.objective), (0, length - trace.objective.size), "edge") for trace in traces]
+    counts = np.array([trace.objective.size for trace in traces], np.intp)
+    evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
+    lowest = np.stack(columns, axis=1)
+    mesh = np.full(lowest.shape, np.nan)
+    history = SearchHistory(evaluations, lowest, mesh)
+    return SearchResult(lower + best * width, lowest[-1], mesh[-1], counts, np.array([trace.capped for trace in traces]), history)
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """All evaluations of one COBYQA run, points as shares of its box."""
+
+    points: FloatArray
+    objective: FloatArray
+    capped: bool
+
+
+def _trace(objective: Objective, problem: int, start: FloatArray, lower: FloatArray, width: FloatArray, limits: SearchLimits) -> _Trace:
+    points: list[FloatArray] = []
+    objectives: list[float] = []
+    number = np.array([problem])
+
+    def scaled(parts: FloatArray) -> float:
+        inside = np.clip(parts, 0, 1)
+        points.append(inside)
+        objectives.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
+        return objectives[-1] / (objectives[0] or 1.0)
+
+    radii = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh}
+    options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.target_share}
+    bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
+    try:
+        outcome = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
+    except ValueError as error:
+        if "Unknown solver" not in str(error):
+            raise
+        raise ConfigError("this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern") from error
+    return _Trace(np.array(points), np.array(objectives), not outcome.success)
+
+
+SEARCHES = {"pattern": compass_search, "cobyqa": cobyqa_search}
+
+
+def search_named(name: str) -> Callable[..., SearchResult]:
+    """One of SEARCHES; ConfigError with the nearest known name on a miss."""
+    if name not in SEARCHES:
+        raise ConfigError(f"no search '{name}'", hint=nearest(name, SEARCHES))
+    return SEARCHES[name]
+
+
+def _checked(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A copy of the starts and the widths of their boxes."""
+    if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
+        raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
+    return np.array(start, np.float64), upper - lower
+
+
+# Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid,
+# kept as a baseline.
+
+BOUND = 0.3
+SEED = 20260101
+# Distance from a bound, as a part of the box, below which a factor counts as at its bound.
+AT_BOUND = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeFit:
+    """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
+
+    coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the amplitudes alone; objective
+    (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2]; chi2, n_datum: over the amplitudes' own errors. Of the
+    search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed, 8) and objectives
+    (n_start, n_speed), the rotor file's coefficients first. No standard errors: the amplitudes do not determine the coefficients.
+    """
+
+    load: float
+    speed: FloatArray
+    start: FloatArray
+    coefficients: FloatArray
+    at_bound: BoolArray
+    rank: IntArray
+    condition: FloatArray
+    objective: FloatArray
+    measured: FloatArray
+    chi2: float
+    n_datum: int
+    evaluations: IntArray
+    mesh: FloatArray
+    capped: BoolArray
+    history: SearchHistory
+    factors: FloatArray
+    objectives: FloatArray
+
+    @property
+    def std_error(self) -> FloatArray:
+        """(n_speed, 8) [N/m, N s/m], NaN: the method gives no standard errors."""
+        return np.full(self.coefficients.shape, np.nan)
+
+    @property
+    def n_effective(self) -> float:
+        """Number of combinations that the amplitudes determine."""
+        return float(np.sum(self.rank))
+
+    @property
+    def chi2_per_datum(self) -> float:
+        """chi-square over redundant data; NaN where no datum is redundant."""
+        n_redundant = self.n_datum - self.n_effective
+        return self.chi2 / n_redundant if n_redundant > 0 else float("nan")
+
+    @property
+    def share_at_bound(self) -> float:
+        return float(np.mean(self.at_bound))
+
+    @property
+    def misfit(self) -> FloatArray:
+        """Computed against measured amplitudes, relative, (n_speed,) [-]."""
+        return np.sqrt(self.objective / self.measured)
+
+    def at_speed(self) -> CoefficientsAtSpeed:
+        """K and C as a function of speed, linear between the points; beyond them K and Omega C stay constant."""
+
+        def between(speed: FloatArray) -> FloatArray:
+            return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
+
+        return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+
+    def spread(self, point: int) -> StartSpread:
+        """Spread of the starts at one speed, by its index."""
+        speed, measured = float(self.speed[point]), float(self.measured[point])
+        return StartSpread(self.load, speed, self.factors[:, point], self.objectives[:, point], measured)
+
+    @property
+    def statement(self) -> str:
+        """Statement on the spread of the starts over all points; empty with one start."""
+        if self.objectives.shape[0] < 2:
+            return ""
+        worst = float(np.sqrt(np.max(self.objectives / self.measured)))
+        spread = float(np.median(np.ptp(self.factors, axis=0)))
+        return _statement(self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N ")
+
+
+@dataclass(frozen=True)
+class StartSpread:
+    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of squares *measured* [m^2]."""
+
+    load: float
+    speed: float
+    factors: FloatArray
+    objective: FloatArray
+    measured: float
+
+    @property
+    def low(self) -> FloatArray:
+        """Lowest factor [-] of every coefficient (8,)."""
+        return np.asarray(self.factors.min(axis=0))
+
+    @property
+    def high(self) -> FloatArray:
+        """Highest factor [-] of every coefficient (8,)."""
+        return np.asarray(self.factors.max(axis=0))
+
+    @property
+    def text(self) -> str:
+        """Statement on this spread, with the range of every factor."""
+        ranges = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True))
+        worst = float(np.sqrt(self.objective.max() / self.measured))
+        place = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
+        return f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: {ranges}"
+
+
+def _statement(n_start: int, worst: float, spread: float, place: str) -> str:
+    reached = f"{place}{n_start} starts reach the measured amplitudes within {100 * worst:.2g} %"
+    if spread < 0.02:
+        return f"{reached} with factors that agree within {spread:.2f}"
+    return f"the coefficients are not determined: {reached} with factors spread over {spread:.2f} (median)"
+
+
+def fit_amplitudes(
+    rig: RunUpRotor,
+    runs: Iterable[RunUp],
+    bound: float = BOUND,
+    method: str = "pattern",
+    starts: int = 1,
+    seed: int = SEED,
+    limits: SearchLimits | None = None,
+) -> list[AmplitudeFit]:
+    """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn evenly from the box.
+
+    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an unknown method.
+    Equation (run-amplitudes).
+    """
+    if not (0 < bound < 1 and starts >= 1):
+        raise ConfigError("the bound of the factors lies between 0 and 100 %, with one start or more", hint="for example 30 %")
+    search_named(method)
+    rng = np.random.default_rng(seed)
+    return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]
+
+
+def _fit_load(
+    rig: RunUpRotor, group: LoadRuns, bound: float, method: str, starts: int, rng: np.random.Generator, limits: SearchLimits | None
+) -> AmplitudeFit:
+    start = as_eight(*rig.start_coefficients(group.load, group.speed))
+    n = group.speed.size
+    drawn = rng.uniform(1 - bound, 1 + bound, (starts, n, 8))
+    drawn[0] = 1.0
+    first = drawn.reshape(-1, 8)
+    low, high = np.full_like(first, 1 - bound), np.full_like(first, 1 + bound)
+    amplitudes = Amplitudes.of(group)
+    search = search_named(method)(amplitudes.objective(start), first, low, high, limits)
+    objectives = search.objective.reshape(starts, n)
+    best = np.argmin(objectives, axis=0) * n + np.arange(n)
+    eight = start * search.values[best]
+    rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
+    history = SearchHistory(*(getattr(search.history, name)[:, best] for name in ("evaluations", "objective", "mesh")))
+    return AmplitudeFit(
+        load=group.load,
+        speed=group.speed,
+        start=start,
+        coefficients=eight,
+        at_bound=np.abs(search.values[best] - 1) >= bound * (1 - AT_BOUND),
+        rank=rank,
+        condition=condition,
+        objective=search.objective[best],
+        measured=np.sum(amplitudes.measured**2, axis=-1),
+        chi2=float(np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)),
+        n_datum=amplitudes.measured.size,
+        evaluations=search.evaluations[best],
+        mesh=search.mesh[best],
+        capped=search.capped[best],
+        history=history,
+        factors=search.values.reshape(starts, n, 8),
+        objectives=objectives,
+    )
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane) [m], planes of all runs."""
+
+    runs: tuple[ExcitedRun, ...]
+    measured: FloatArray
+    error: FloatArray
+
+    @classmethod
+    def of(cls, group: LoadRuns) -> Amplitudes:
+        measured = [largest_displacement(run.run.response) for run in group.runs]
+        return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate([_error(run.run) for run in group.runs], axis=1))
+
+    def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
+        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N s/m] at the *chosen* speeds."""
+        return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
+
+    @staticmethod
+    def _of_run(run: ExcitedRun, eight: FloatArray, chosen: IntArray) -> FloatArray:
+        response = run.condensed.at(chosen).response(*as_matrices(eight))
+        return largest_displacement(response.reshape(*response.shape[:-1], -1, 2))
+
+    def objective(self, start: FloatArray) -> Objective:
+        """F [m^2] of factors on *start* (n_speed, 8); problem number n belongs to speed n modulo n_speed."""
+
+        def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
+            place = chosen % start.shape[0]
+            return np.asarray(np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1))
+
+        return squares
+
+    def slopes(self, eight: FloatArray) -> FloatArray:
+        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard errors."""
+        matrices = as_matrices(eight)
+        parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
+        return np.concatenate(parts, axis=1) / self.error[..., None]
+
+
+def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
+    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m] and their slopes.
+
+    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for both circles f = X +- jY of
+    the orbit.
+    """
+    planes, by = response.reshape(*response.shape[:-1], -1, 2), slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1])
+    derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
+    for turn in (1j, -1j):
+        circle = planes[..., 0] + turn * planes[..., 1]
+        derivatives += ((circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
+    return derivatives
+
+
+def _error(run: RunUp) -> FloatArray:
+    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases, to first order."""
+    x, y = run.response[..., 0], run.response[..., 1]
+    forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
+    by = np.stack([forward + backward, 1j * (forward - backward)], axis=-1) / 2 * run.response / np.abs(run.response)
+    along, across = by.real * run.amplitude_error, by.imag * np.abs(run.response) * run.phase_error
+    return np.sqrt(np.sum(along**2 + across**2, axis=-1))
+
+
+def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
+    """One sentence on all loads: misfit of the amplitudes, share of factors at a bound, rank."""
+    misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
+    share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
+    ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
+    rank_text = " or ".join(str(rank) for rank in ranks)
+    return (
+        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} combinations of the eight "
+        f"coefficients; "
+        f"{100 * share:.0f} % of the factors are at a bound, the others depend on the search's start"
+    )

@@ -1,0 +1,234 @@
+"""Run-ups as figures: Bode, polar and orbit plots with every method's curve, speeds over the load, cascades of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray
+from labpipe.methods.run_ups.records import (
+    HELD_OUT,
+    TWO_SIDED,
+    Amount,
+    Cascade,
+    MeasuredRun,
+    Motion,
+    RunPrediction,
+    RunUpMethod,
+    RunUpResult,
+)
+from labpipe.report.chart import INK, PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, curve, dots, stacked, upright
+from labpipe.report.document import Figure
+
+UM = 1e6
+RPM = 30 / np.pi
+SPEED = Axis("speed", "rpm")
+# Colour and line of every method, the measurement in ink.
+LOOKS = {"start": (4, "--"), "amplitudes": (3, ":"), "points": (5, "-"), "joint": (0, "-"), "process": (1, "--")}
+ANY_LOOK = (2, "-")
+ORBITS = 4
+# Height of the largest line of a cascade, in steps between its spectra.
+TALL = 3.0
+# A cascade shows frequencies up to so many times the highest speed.
+HIGHEST_ORDER = 3.0
+
+
+def look(method: RunUpMethod) -> tuple[int, str]:
+    """Colour and line of a method."""
+    return LOOKS.get(method.name, ANY_LOOK)
+
+
+def short(method: RunUpMethod) -> str:
+    """The name in a legend."""
+    return method.title.split(",")[0]
+
+
+def phasor(motion: Motion) -> ComplexArray:
+    """The motion (n_speed,) as complex amplitudes [m]."""
+    return np.array(motion.real) + 1j * np.array(motion.imag)
+
+
+def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
+    """Amplitude and phase of every plane over speed: measured with 95 % bars, and each method's curve up to its threshold."""
+    planes = list(dict.fromkeys(motion.plane for motion in run.motions))
+    panels: dict[tuple[int, int], Panel] = {}
+    for number, motion in enumerate(run.motions):
+        row, column = 2 * (number % 2), planes.index(motion.plane)
+        amplitude, phase = _bode_series(result, run, number)
+        title = motion.plane if row == 0 else ""
+        panels[row, column] = Panel(SPEED, Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title)
+        panels[row + 1, column] = Panel(SPEED, Axis(f"{motion.direction} phase", "deg"), phase)
+    chart = Chart(tuple(panels[place] for place in sorted(panels)), 4, len(planes), (WIDTH, 7.8), "x", "above")
+    bars = "bars: 95 % of the measurement; upright line: measured critical speed"
+    caption = f"{run.name}, {run.load:.4g} N, {run.role}: Bode plot, 0-to-peak, phase against the keyphasor; {bars}."
+    return Figure(chart, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method")
+
+
+def _bode_series(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[tuple[Series, ...], tuple[Series, ...]]:
+    """The series of an amplitude and of a phase panel: critical speed, measurement, methods."""
+    critical = () if run.critical_speed is None else (upright(RPM * run.critical_speed.value),)
+    measured = _measured_bode(run, run.motions[number])
+    methods = [pair for method in result.methods if (pair := _method_bode(method, run, number)) is not None]
+    amplitude, phase = zip(measured, *methods, strict=True)
+    return (*critical, *amplitude), (*critical, *phase)
+
+
+def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
+    speed, value = RPM * np.array(run.speed), phasor(motion)
+    size, turned = UM * np.abs(value), np.degrees(np.unwrap(np.angle(value)))
+    wide = UM * TWO_SIDED * np.array(motion.amplitude_error), np.degrees(TWO_SIDED * np.array(motion.phase_error))
+    amplitude, phase = (
+        dots("measured", speed, values, INK, size=1.5, bars=(values - reach, values + reach))
+        for values, reach in zip((size, turned), wide, strict=True)
+    )
+    return amplitude, phase
+
+
+def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Series, Series] | None:
+    """The curves of a method up to its threshold; None where it predicts nothing for the run."""
+    prediction = method.prediction(run.name)
+    if prediction is None or not prediction.motions:
+        return None
+    speed, value = RPM * np.array(prediction.speed), phasor(prediction.motions[number])
+    turned = np.degrees(np.unwrap(np.angle(value)))
+    # The measured phase decides in which turn the curve is drawn.
+    first = np.degrees(np.angle(phasor(run.motions[number])[0]))
+    phase = turned - 360 * round((turned[0] - first) / 360)
+    colour, line = look(method)
+    amplitude = curve(short(method), speed, UM * np.abs(value), colour, line, width=1.1)
+    return amplitude, curve(short(method), speed, phase, colour, line, width=1.1)
+
+
+def best_method(result: RunUpResult) -> RunUpMethod | None:
+    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
+    joint = result.method("joint")
+    order = ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
+    return next((method for name in [*order, "points", "amplitudes"] if (method := result.method(name)) is not None), None)
+
+
+def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | None:
+    """What a method predicts of the motions of a run, if anything."""
+    prediction = None if method is None else method.prediction(run.name)
+    return prediction if prediction is not None and prediction.motions else None
+
+
+def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
+    """Every output in the complex plane, the runs side by side: dots measured, lines of one method."""
+    motions = result.runs[0].motions
+    rows = -(-len(motions) // 2)
+    panels = tuple(_polar(result, method, number, motion) for number, motion in enumerate(motions))
+    lines = "" if method is None else f"; lines: {method.title}"
+    chart = Chart(panels, rows, 2, (WIDTH, 3.3 * rows + 0.6), legend="above")
+    return Figure(chart, f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.", "Polar plots of every plane and direction")
+
+
+def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion: Motion) -> Panel:
+    series = []
+    for place, run in enumerate(result.runs):
+        colour, value = place % PALETTE_SIZE, UM * phasor(run.motions[number])
+        series.append(dots(f"{run.name} measured", value.real, value.imag, colour, size=2.0))
+        prediction = _motions(method, run)
+        if prediction is not None:
+            path = UM * phasor(prediction.motions[number])
+            series.append(curve(f"{run.name} computed", path.real, path.imag, colour, width=0.9))
+    x, y = Axis("real part", "um"), Axis("imaginary part", "um")
+    return Panel(x, y, tuple(series), f"{motion.plane}, {motion.direction}", equal=True)
+
+
+def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
+    """Orbits at speeds about the critical speed: solid measured, dashed by a method; a dot where the keyphasor passes."""
+    panels = tuple(_orbits(run, place, method) for run in result.runs for place in orbit_places(run))
+    chart = Chart(panels, len(result.runs), ORBITS, (WIDTH, 1.75 * len(result.runs) + 1.0), legend="above")
+    dashed = "" if method is None else f"; dashed: {method.title}"
+    caption = f"Orbits of 1x below, about and above the critical speed; solid: measured{dashed}; the dot marks the keyphasor's pulse."
+    return Figure(chart, caption, "Orbits of every run at four speeds, measured and by one method")
+
+
+def orbit_places(run: MeasuredRun) -> list[int]:
+    """Rows of a run at three quarters, one, and beyond its critical speed, and its last; spread evenly without one."""
+    n, speed = len(run.speed), np.array(run.speed)
+    if run.critical_speed is None:
+        return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
+    speeds = [0.75 * run.critical_speed.value, run.critical_speed.value, 1.2 * run.critical_speed.value, speed[-1]]
+    return [int(np.argmin(np.abs(speed - target))) for target in speeds]
+
+
+def _orbits(run: MeasuredRun, place: int, method: RunUpMethod | None) -> Panel:
+    """The orbits of all planes at one speed."""
+    prediction, series = _motions(method, run), []
+    for number in range(0, len(run.motions), 2):
+        colour, name = number // 2 % ORBITS, run.motions[number].plane
+        x, y = (complex(phasor(motion)[place]) for motion in run.motions[number : number + 2])
+        series += _ellipse(x, y, colour, "-", f"{name} measured")
+        if prediction is not None and run.speed[place] <= prediction.speed[-1] * (1 + 1e-6):
+            x, y = (_at(prediction, number + n, run.speed[place]) for n in (0, 1))
+            series += _ellipse(x, y, colour, "--", f"{name} computed")
+    title = f"{run.name}, {RPM * run.speed[place]:.0f} rpm"
+    return Panel(Axis("x", "um"), Axis("y", "um"), tuple(series), title, equal=True)
+
+
+def _at(prediction: RunPrediction, number: int, speed: float) -> complex:
+    """The motion of an output at a speed [rad/s], between the two nearest speeds."""
+    motion = prediction.motions[number]
+    real, imag = (np.interp(speed, prediction.speed, part) for part in (motion.real, motion.imag))
+    return complex(real + 1j * imag)
+
+
+def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[Series]:
+    """The orbit of two phasors [m] in um; a measured one with a dot where the keyphasor passes."""
+    turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
+    across, along = UM * np.real(x * turn), UM * np.real(y * turn)
+    path = curve(name, across, along, colour, line)
+    if line != "-":
+        return [path]
+    return [path, dots(f"{name.removesuffix(' measured')} keyphasor", across[:1], along[:1], colour, marker="o")]
+
+
+def speeds_figure(result: RunUpResult) -> Figure:
+    """Critical and threshold speed over the load: measured, and by every method with its 95 % bars."""
+    items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
+    panels = [Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item)) for item, label in items]
+    held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == HELD_OUT)
+    remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
+    caption = f"Critical speed and threshold of instability over the load: measured and by every method; bars: 95 % intervals.{remark}"
+    return Figure(stacked(panels, 5.4), caption, "Critical speed and threshold over the load, measured and by every method")
+
+
+def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
+    """One of the two speeds over the load: measured, and by every method that has it."""
+    measured = _speeds([(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0)
+    series = [*measured]
+    for method in result.methods:
+        predictions = [(run.load, method.prediction(run.name)) for run in result.runs]
+        amounts = [(load, None if prediction is None else getattr(prediction, item)) for load, prediction in predictions]
+        series += _speeds(amounts, short(method), *look(method), marker=".", size=2.5)
+    return tuple(series)
+
+
+def _speeds(amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any) -> list[Series]:
+    """Speeds [rpm] over the load with their 95 % intervals; nothing where there is none."""
+    points = sorted((load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None)
+    if not points:
+        return []
+    load, value, error = np.array(points).T
+    ends = RPM * (value - TWO_SIDED * error), RPM * (value + TWO_SIDED * error)
+    return [curve(name, load, RPM * value, colour, line, bars=ends, **style)]
+
+
+def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
+    """Spectra of a recording over the speed, each raised by its own; dashed: one and two times the speed."""
+    frequency, speed = 60 * np.array(cascade.frequency), 60 * np.array(cascade.speed)
+    amplitude = UM * np.array(cascade.amplitude)
+    step = float(np.ptp(speed)) / max(len(speed) - 1, 1)
+    scale = TALL * step / float(amplitude.max())
+    rows = zip(speed, amplitude, strict=True)
+    spectra = [curve("spectra", frequency, height + scale * spectrum, width=0.7) for height, spectrum in rows]
+    ends = np.array([speed.min(), speed.max()])
+    orders = [curve(f"{order}x", order * ends, ends, 1, "--", width=0.9) for order in (1, 2)]
+    x = Axis("frequency", "cycles/min", 0.0, float(min(frequency[-1], HIGHEST_ORDER * speed.max())))
+    chart = stacked([Panel(x, SPEED, (*spectra, *orders))], 5.0)
+    highest = f"the highest line is {amplitude.max():.3g} um, 0-to-peak"
+    caption = f"{run.name}: cascade of {cascade.label}; {highest}. Lines below 1x warn of whirl."
+    return Figure(chart, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed")

@@ -1,0 +1,294 @@
+"""Metamodels that need numpy alone, and the grid of coefficients over load and speed that all are fitted to.
+
+A second-order response surface of every coefficient,
+
+    y = b_0 + b_1 w + b_2 s + b_3 w s + b_4 w^2 + b_5 s^2,   w, s: load and speed coded to -1 to 1
+
+by least squares (Falah and Khorshid, equation 13; Myers, Montgomery and Anderson-Cook 2016, chapters 2 and 3), where PRESS is the sum of
+the squared errors of every point predicted from all others, e_i / (1 - h_ii); and the physical fit, the film's family with the parameters
+of a joint fit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.errors import DataError, FitError
+from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.run_ups.film_family import FilmFamily
+from labpipe.methods.run_ups.joint import JointFit, fit_jointly
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor
+
+# Relative difference below which two loads are the same.
+SAME_LOAD = 1e-6
+TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
+
+
+class Fitted(Protocol):
+    """Coefficients (n_speed, 8) [N/m, N s/m] of one load [N] at speeds (n_speed,) [rad/s]."""
+
+    @property
+    def load(self) -> float: ...
+    @property
+    def speed(self) -> FloatArray:
+        """Speeds (n_speed,) [rad/s]."""
+        ...
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Coefficients (n_speed, 8) [N/m, N s/m]."""
+        ...
+
+
+class Queried(Protocol):
+    """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
+
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,) [rad/s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Grid:
+    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError for other shapes or impossible values."""
+
+    load: FloatArray
+    speed: FloatArray
+    eight: FloatArray
+
+    def __post_init__(self) -> None:
+        n = np.size(self.load)
+        if np.shape(self.load) != np.shape(self.speed) or np.shape(self.eight) != (n, 8) or n == 0:
+            raise DataError("a metamodel needs one load, one speed and eight coefficients per point")
+        if not (np.all(np.isfinite(self.eight)) and np.all(np.asarray(self.load) > 0) and np.all(np.asarray(self.speed) > 0)):
+            raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
+
+    @classmethod
+    def of(cls, fits: Iterable[Fitted]) -> Grid:
+        """From one fit per load, such as a PointFit or an AmplitudeFit."""
+        all_fits = list(fits)
+        if not all_fits:
+            raise DataError("there is no fit to make a metamodel of")
+        load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in all_fits])
+        return cls(load, np.concatenate([fit.speed for fit in all_fits]), np.concatenate([fit.coefficients for fit in all_fits]))
+
+    @classmethod
+    def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
+        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
+        parts = [(np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0]) for load in loads]
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Its different loads [N], rising."""
+        distinct: list[float] = []
+        for load in np.sort(self.load).tolist():
+            if not distinct or load > distinct[-1] * (1 + SAME_LOAD):
+                distinct.append(load)
+        return tuple(distinct)
+
+    def _at(self, load: float) -> BoolArray:
+        return np.abs(self.load / load - 1) <= SAME_LOAD
+
+    def only(self, load: float) -> Grid:
+        """The points of one load."""
+        chosen = self._at(load)
+        return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
+
+    def without(self, load: float) -> Grid:
+        """The points of all other loads."""
+        chosen = ~self._at(load)
+        return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
+
+    loads: tuple[float, float]
+    speeds: tuple[float, float]
+
+    @classmethod
+    def of(cls, grid: Grid) -> Extent:
+        ends = [(float(np.min(axis)), float(np.max(axis))) for axis in (grid.load, grid.speed)]
+        return cls(ends[0], ends[1])
+
+    def coded(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Coded coordinates (n_point, 2) [-] of loads [N] and speeds [rad/s]."""
+        columns = []
+        for places, (low, high) in ((load, self.loads), (speed, self.speeds)):
+            half = (high - low) / 2 or 1.0
+            columns.append((np.asarray(places, np.float64) - (low + high) / 2) / half)
+        return np.stack(np.broadcast_arrays(*columns), axis=-1).reshape(-1, 2)
+
+    def to_entries(self) -> dict[str, Any]:
+        return {"loads": list(self.loads), "speeds": list(self.speeds)}
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> Extent:
+        (first, last), (low, high) = entries["loads"], entries["speeds"]
+        return cls((float(first), float(last)), (float(low), float(high)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseSurface:
+    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual standard deviation.
+
+    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean; n_point: fitted points.
+    """
+
+    extent: Extent
+    beta: FloatArray
+    inverse: FloatArray
+    spread: FloatArray
+    r2: FloatArray
+    press: FloatArray
+    total: FloatArray
+    n_point: int
+
+    kind: ClassVar[str] = "surface"
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for."""
+        return self.extent.speeds
+
+    @property
+    def r2_adjusted(self) -> FloatArray:
+        """R^2 adjusted for the number of terms (8,) [-]."""
+        return 1 - (1 - self.r2) * (self.n_point - 1) / (self.n_point - len(TERMS))
+
+    @property
+    def r2_predicted(self) -> FloatArray:
+        """1 - PRESS / total (8,) [-]."""
+        return 1 - self.press / self.total
+
+    @property
+    def statement(self) -> str:
+        """Statement on R^2, adjusted and predicted: ranges over the eight coefficients."""
+        kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
+        ranges = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
+        return f"{self.n_point} points, over the eight coefficients {ranges}"
+
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)
+
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
+        terms = _terms(self.extent.coded(load, speed))
+        leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
+        return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
+
+    def to_entries(self) -> dict[str, Any]:
+        arrays = {name: getattr(self, name).tolist() for name in ("beta", "inverse", "spread", "r2", "press", "total")}
+        return {"kind": self.kind, **self.extent.to_entries(), "terms": list(TERMS), "n_point": self.n_point, **arrays}
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> ResponseSurface:
+        arrays = {name: np.array(entries[name], np.float64) for name in ("beta", "inverse", "spread", "r2", "press", "total")}
+        return cls(extent=Extent.from_entries(entries), n_point=int(entries["n_point"]), **arrays)
+
+
+def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
+    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds. Equation (run-surface)."""
+    extent = Extent.of(grid)
+    terms = _terms(extent.coded(grid.load, grid.speed))
+    n, m = terms.shape
+    if n <= m or np.linalg.matrix_rank(terms, tol=1e-8 * np.sqrt(n)) < m:
+        raise FitError("a second-order surface needs three loads and three speeds at least", hint="measure more, or use another metamodel")
+    inverse = np.linalg.inv(terms.T @ terms)
+    beta = inverse @ terms.T @ grid.eight
+    residual = grid.eight - terms @ beta
+    leverage = np.einsum("ni,ij,nj->n", terms, inverse, terms)
+    total = np.sum((grid.eight - grid.eight.mean(axis=0)) ** 2, axis=0)
+    squares = np.sum(residual**2, axis=0)
+    press = np.sum((residual / (1 - leverage)[:, None]) ** 2, axis=0)
+    return ResponseSurface(
+        extent=extent,
+        beta=beta,
+        inverse=inverse,
+        spread=np.sqrt(squares / (n - m)),
+        r2=1 - squares / total,
+        press=press,
+        total=total,
+        n_point=n,
+    )
+
+
+def _terms(coded: FloatArray) -> FloatArray:
+    w, s = coded.T
+    return np.stack([np.ones_like(w), w, s, w * s, w**2, s**2], axis=-1)
+
+
+@dataclass(frozen=True)
+class PhysicalFit:
+    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and speeds of the fit."""
+
+    extent: Extent
+    family: FilmFamily
+    values: FloatArray
+    covariance: FloatArray
+
+    kind: ClassVar[str] = "physical"
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that it holds for: all, as far as the film's table goes."""
+        return (0.0, float("inf"))
+
+    @classmethod
+    def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
+        """Of a joint fit to run-ups between two *speeds* [rad/s]."""
+        return cls(Extent((min(fit.loads), max(fit.loads)), speeds), fit.family, fit.values, fit.covariance * fit.widening**2)
+
+    @property
+    def statement(self) -> str:
+        """Statement on the fit and its validation."""
+        return "the film's own coefficients with the parameters of the joint fit, refitted without each load in turn for the validation"
+
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]; FitError outside the film's table."""
+        return self.family.coefficients(self.values, load, speed)
+
+    def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Standard errors (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        places = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
+        _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(place) for place in places))
+        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)))
+
+    def to_entries(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            **self.extent.to_entries(),
+            "bearing": dataclasses.asdict(self.family.bearing),
+            "reference": [self.family.load, self.family.speed],
+            "values": self.values.tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, Any]) -> PhysicalFit:
+        load, speed = entries["reference"]
+        family = FilmFamily(JournalBearing(**entries["bearing"]), float(speed), float(load))
+        values, covariance = (np.array(entries[name], np.float64) for name in ("values", "covariance"))
+        return cls(Extent.from_entries(entries), family, values, covariance)
+
+
+def physical_without(rig: RunUpRotor, runs: Iterable[RunUp]) -> Callable[[float], PhysicalFit]:
+    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load."""
+    all_runs = list(runs)
+
+    def refitted(load: float) -> PhysicalFit:
+        training = [run for run in all_runs if abs(run.load / load - 1) > SAME_LOAD]
+        speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
+        return PhysicalFit.of(fit_jointly(rig, training), speeds)
+
+    return refitted

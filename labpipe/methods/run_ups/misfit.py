@@ -1,0 +1,273 @@
+"""Weighted residuals of run-ups with analytic slopes, and what a set of run-ups can tell apart.
+
+Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined combinations.
+
+A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two complex equations. Amplitudes
+alone give one number per disc. Only a force that does not turn with the shaft moves the journal along another vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import DataError
+from labpipe.estimation.statistics import combination_text
+from labpipe.methods.rotor.pinned import CondensedRotor
+from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices
+from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.records.uncertain import Doubt
+
+# Weighted residuals of run-ups with analytic slopes, and the rank of a set of run-ups.
+
+# Relative singular value that counts as zero: far above rounding, far below measured sensitivities.
+RANK_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class ExcitedRun:
+    """A run and the rotor condensed under its excitation, computed once per fit."""
+
+    run: RunUp
+    condensed: CondensedRotor
+
+    @classmethod
+    def of(cls, rig: RunUpRotor, run: RunUp) -> ExcitedRun:
+        return cls(run, rig.excited(run))
+
+    @property
+    def n_equation(self) -> int:
+        """Real equations per speed."""
+        return 4 * len(self.run.planes)
+
+    def residual(self, coefficients: FloatArray) -> FloatArray:
+        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m].
+
+        Equation (run-weights).
+        """
+        return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
+
+    def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N s/m]."""
+        response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
+        return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
+
+    def residual_changes(self, sources: Sequence[str]) -> FloatArray:
+        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of the *sources*."""
+        changes = self.run.changes()
+        none = np.zeros_like(self.run.response)
+        rows = [self._weighted(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
+        return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
+
+    @property
+    def _measured(self) -> ComplexArray:
+        return self.run.response.reshape(self.run.n_speed, -1)
+
+    def _weighted(self, difference: ComplexArray) -> FloatArray:
+        """Along the measured phasor over the error of its amplitude, across it over the amplitude times the error of its phase."""
+        run, shape = self.run, (self.run.n_speed, -1)
+        size = np.abs(self._measured)
+        turned = difference * (self._measured / size).conj()
+        along = turned.real / run.amplitude_error.reshape(shape)
+        across = turned.imag / (size * run.phase_error.reshape(shape))
+        return np.concatenate([along, across], axis=-1)
+
+
+@dataclass(frozen=True)
+class LoadRuns:
+    """All runs of one load [N] at their shared speeds (n_speed,) [rad/s]."""
+
+    load: float
+    speed: FloatArray
+    runs: tuple[ExcitedRun, ...]
+
+    def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by *coefficients* [N/m, N s/m]."""
+        parts = [run.residual_and_slopes(coefficients) for run in self.runs]
+        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
+
+    def residual_changes(self, sources: Sequence[str]) -> FloatArray:
+        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty of each source."""
+        return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
+
+
+def sources_of(groups: Iterable[LoadRuns]) -> tuple[Doubt, ...]:
+    """The doubts of the probes of all runs, each source once."""
+    doubts: dict[str, Doubt] = {}
+    for group in groups:
+        for run in group.runs:
+            for error in run.run.doubts:
+                doubts.setdefault(error.doubt.source, error.doubt)
+    return tuple(doubts.values())
+
+
+def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
+    """The runs grouped by load, in order; DataError where runs of one load share no speed."""
+    groups: dict[float, list[RunUp]] = {}
+    for run in runs:
+        groups.setdefault(run.load, []).append(run)
+    if not groups:
+        raise DataError("there is no run-up", hint="give at least one")
+    return [_grouped(rig, load, group) for load, group in groups.items()]
+
+
+def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
+    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share none."""
+    groups: dict[tuple[float, bytes], list[RunUp]] = {}
+    for run in runs:
+        groups.setdefault((run.load, run.speed.tobytes()), []).append(run)
+    if not groups:
+        raise DataError("there is no run-up", hint="give at least one")
+    return [_grouped(rig, load, group) for (load, _), group in groups.items()]
+
+
+def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
+    """Speeds are the same when they agree to a millionth."""
+    shared = group[0].speed
+    for run in group[1:]:
+        shared = shared[np.min(np.abs(shared[:, None] / run.speed - 1), axis=1) < 1e-6]
+    if shared.size == 0:
+        names = ", ".join(run.name for run in group)
+        raise DataError(f"the runs {names} under {load:.4g} N share no speed", hint="measure them at the same speeds")
+    return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
+
+
+def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
+    chosen = np.array([int(np.argmin(np.abs(run.speed - target))) for target in speed])
+    return replace(
+        run,
+        speed=run.speed[chosen],
+        response=run.response[chosen],
+        amplitude_error=run.amplitude_error[chosen],
+        phase_error=run.phase_error[chosen],
+    )
+
+
+def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter). Equation (run-rank)."""
+    singular = np.linalg.svd(slopes, compute_uv=False)
+    significant = singular > RANK_TOLERANCE * singular[..., :1]
+    rank = significant.sum(axis=-1)
+    smallest = np.take_along_axis(singular, rank[..., None] - 1, axis=-1)[..., 0]
+    return rank, singular[..., 0] / smallest
+
+
+def scales(start: FloatArray) -> FloatArray:
+    """Unit of change of every coefficient, (..., 8) [N/m, N s/m], of start values (..., 8).
+
+    Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
+    """
+    direct = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
+    return np.maximum(np.abs(start), 0.2 * np.repeat(direct, 4, axis=-1))
+
+
+def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
+    """Null space of a Jacobian (n_equation, n_parameter) [-] as text, one entry per direction."""
+    _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
+    whole = np.zeros(rows.shape[0])
+    whole[: singular.size] = singular
+    return tuple(combination_text(names, row) for row, size in zip(rows, whole, strict=True) if size <= RANK_TOLERANCE * whole[0])
+
+
+# Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition,
+# undetermined combinations.
+
+AMPLITUDES = "amplitudes at the planes"
+COMPLEX = "amplitude and phase in both directions"
+SECOND = "the same, with a second unbalance run"
+SHAKEN = "the same, with a run under a force that does not turn"
+SEEN = (
+    "the journal moves along one vector (x_b, y_b): only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) y_b and the same sum "
+    "of the y row are measured"
+)
+WORDS = {
+    2: "one number per plane is measured; six combinations of the eight coefficients are undetermined",
+    4: f"{SEEN}; four combinations of the eight coefficients are undetermined",
+    8: "all eight coefficients are determined",
+}
+ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
+
+
+def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None) -> tuple[RankRow, ...]:
+    """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load* [N] and *speed* [rad/s].
+
+    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is needed.
+    """
+    place = np.array([speed])
+    eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else np.asarray(coefficients, np.float64)[None]
+    unit = scales(eight)[0]
+    first = _slopes(rig, place, eight, rig.known_unbalance) * unit
+    other = rig.plane_names[-1]
+    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())}) * unit
+    shaker = _slopes(rig, place, eight, None) * unit
+    both = np.concatenate([first, second])
+    return (
+        _statement(AMPLITUDES, _amplitude_slopes(rig, place, eight) * unit),
+        _statement(COMPLEX, first),
+        _statement(SECOND, both, ADVICE),
+        _statement(SHAKEN, np.concatenate([both, shaker])),
+    )
+
+
+def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
+    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second unbalance adds no rank."""
+    runs = list(runs)
+    place = np.array([speed])
+    eight = as_eight(*rig.start_coefficients(load, place))
+    unit = scales(eight)[0]
+    parts = [_slopes(rig, place, eight, run.unbalance if run.shaker is None else None, run.shaker) * unit for run in runs]
+    named = ", ".join(run.name for run in runs)
+    without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
+    return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
+
+
+def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
+    rows = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+    computed_rank, condition = rank_of(rows)
+    rank = int(computed_rank)
+    sentence = WORDS.get(rank, f"{rank} combinations of the eight coefficients are determined")
+    return RankRow(source, rank, float(condition), sentence, unseen_combinations(rows), advice)
+
+
+def _slopes(
+    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+) -> FloatArray:
+    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the first plane."""
+    _, slopes = _response(rig, speed, eight, unbalance, shaker)
+    return np.concatenate([slopes.real, slopes.imag])
+
+
+def _response(
+    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+) -> tuple[ComplexArray, ComplexArray]:
+    shape = (1, len(rig.planes), 2)
+    force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
+    run = RunUp(
+        "",
+        1.0,
+        speed,
+        rig.plane_names,
+        np.ones(shape, np.complex128),
+        amplitude_error=np.ones(shape),
+        phase_error=np.ones(shape),
+        unbalance=unbalance or {},
+        shaker=force,
+    )
+    split = eight.reshape(1, 2, 2, 2)
+    response, slopes = rig.excited(run).response_and_slopes(split[:, 0], split[:, 1])
+    return response[0], slopes[0]
+
+
+def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
+    """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
+    response, slopes = _response(rig, speed, eight, rig.known_unbalance)
+    response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
+    derivatives = np.zeros((response.shape[0], 8))
+    for turn in (1j, -1j):
+        circle = response[:, 0] + turn * response[:, 1]
+        derivatives += ((circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])).real / 2
+    return derivatives

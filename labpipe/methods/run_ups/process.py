@@ -1,0 +1,425 @@
+"""The joint fit times smooth factors: a Gaussian process of the deviation from the film's family.
+
+Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
+
+g_i(W, Omega), i one of the eight coefficients, are independent with mean zero and the covariance
+
+    k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
+
+(Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of unit variance a priori, b from
+the eigenvectors of k over these places; the remaining variance elsewhere is *unexplained*.
+
+The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected joint fit.
+
+Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve parameters p and the fields'
+z (see `process_field`), started at the joint fit. Size and lengths of the fields maximise the marginal likelihood of the responses,
+linearised about the last minimum (Rasmussen and Williams 2006, section 5.4.1), times log-normal priors of these three (HYPER).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg, optimize
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.descent import minimise
+from labpipe.estimation.statistics import explained, steps_by
+from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.run_ups.amplitudes import displacement_slopes
+from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily, as_matrices
+from labpipe.methods.run_ups.joint import (
+    LOAD_SLACK,
+    JointFit,
+    RunUpProblem,
+    Thresholds,
+    family_about,
+    measured_thresholds,
+    nearby_threshold,
+    threshold_row,
+)
+from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
+from labpipe.records.uncertain import Doubt, Uncertain
+
+# Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
+
+# Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
+LEAST_EIGENVALUE = 1e-7
+
+
+@dataclass(frozen=True)
+class SquaredExponential:
+    """*size* s [-], *load* l_W [N] and *speed* l_Omega [rad/s]."""
+
+    size: float
+    load: float
+    speed: float
+
+    def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s]. Equation (run-field)."""
+        difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
+        return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
+
+
+@dataclass(frozen=True)
+class SmoothField:
+    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
+
+    kernel: SquaredExponential
+    places: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, kernel: SquaredExponential, places: FloatArray) -> SmoothField:
+        """The field of a *kernel* on the *places* (n_place, 2) [N, rad/s] of the data."""
+        sizes, vectors = np.linalg.eigh(kernel.covariance(places, places))
+        significant = sizes > LEAST_EIGENVALUE * sizes[-1]
+        return cls(kernel, places, vectors[:, significant] / np.sqrt(sizes[significant]))
+
+    @property
+    def n_mode(self) -> int:
+        return int(self.weights.shape[1])
+
+    def basis(self, places: FloatArray) -> FloatArray:
+        """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]. Equation (run-field-basis)."""
+        return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
+
+    def unexplained(self, places: FloatArray) -> FloatArray:
+        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N, rad/s]."""
+        basis = self.basis(places)
+        return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
+
+
+@dataclass(frozen=True)
+class ProcessFamily:
+    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row by row."""
+
+    family: FilmFamily
+    field: SmoothField
+
+    @property
+    def n_parameter(self) -> int:
+        return len(PARAMETERS) + 8 * self.field.n_mode
+
+    def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """exp(g), (n_point, 8) [-]."""
+        basis = self.field.basis(places_of(load, speed))
+        return np.asarray(np.exp(basis @ values[len(PARAMETERS) :].reshape(8, -1).T))
+
+    def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
+        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(values, load, speed)
+
+    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`coefficients` [N/m, N s/m] and their derivatives by all parameters, (n_point, 8, n_parameter)."""
+        film_eight, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
+        factors = self.factors(values, load, speed)
+        eight = film_eight * factors
+        by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
+        return eight, np.concatenate([by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1)
+
+    def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
+        return lambda speed: as_matrices(self.coefficients(values, load, speed))
+
+
+def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
+    """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
+    return np.stack(np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1).reshape(-1, 2)
+
+
+# Result of the joint fit with smooth factors and its predictions at any load, with the interface of the
+# joint fit.
+
+# Half-width of the differences about a peak, as a part of its speed.
+PEAK_STEP = 5e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessFit:
+    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of the fit.
+
+    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
+    the data, in units of the priors; n_determined: combinations that the data determine better than the priors do. systematic (n_source,
+    n_parameter): changes by one standard uncertainty of each of the *sources*, doubts of probes; chi2 is without what these explain.
+    """
+
+    rig: RunUpRotor
+    family: ProcessFamily
+    loads: tuple[float, ...]
+    values: FloatArray
+    covariance: FloatArray
+    chi2: float
+    n_datum: int
+    n_effective: float
+    rank: int
+    condition: float
+    n_determined: int
+    steps: int
+    sources: tuple[Doubt, ...]
+    systematic: FloatArray
+
+    @property
+    def kernel(self) -> SquaredExponential:
+        """Size and lengths of the smooth factors, of maximum marginal likelihood."""
+        return self.family.field.kernel
+
+    @property
+    def chi2_per_datum(self) -> float:
+        """chi-square over degrees of freedom."""
+        return self.chi2 / (self.n_datum - self.n_effective)
+
+    @property
+    def widening(self) -> float:
+        """Factor on all standard errors of predictions: sqrt(chi-square per datum), at least one."""
+        return max(1.0, float(np.sqrt(self.chi2_per_datum)))
+
+    @property
+    def statement(self) -> str:
+        """Statement on the assumed factors and the combinations that the data determine."""
+        kernel = self.kernel
+        return (
+            f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over {kernel.load:.2g} N and "
+            f"{kernel.speed * 30 / np.pi:.0f} rpm, on the joint fit; of {self.values.size} parameters the data determine "
+            f"{self.n_determined} combinations better than these assumptions do"
+        )
+
+    def at_load(self, load: float) -> CoefficientsAtSpeed:
+        """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
+        return self.family.at_load(self.values, load)
+
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
+        speed = np.asarray(speed, np.float64)
+        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        variance = np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)
+        beyond = np.diagonal(self.family.field.unexplained(places_of(load, speed)))[:, None] * eight**2
+        of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
+        return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
+
+    def factors(self, load: float, speed: FloatArray) -> FloatArray:
+        """The smooth factors (n_speed, 8) [-]."""
+        return self.family.factors(self.values, load, speed)
+
+    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
+        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless named.
+
+        Its error from d Omega = -d(A') / A'', A the displacement at the peak and at a little to both sides.
+        """
+        speed = self.rig.critical_speed(self.at_load(load), plane)
+        step = PEAK_STEP * speed
+        around = speed + step * np.array([-1.0, 0.0, 1.0])
+        number = self.rig.plane_names.index(plane) if plane else -1
+        eight = self.family.coefficients(self.values, load, around)
+        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(*as_matrices(eight))
+        size = largest_displacement(response.reshape(3, -1, 2))[:, number]
+        bend = (size[0] - 2 * size[1] + size[2]) / step**2
+        by_eight = displacement_slopes(response, slopes)[:, number] * np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        return Uncertain(speed, self._error(load, around, by_eight))
+
+    def threshold(self, load: float) -> Uncertain | None:
+        """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
+        onset = self.rig.threshold(self.at_load(load))
+        if onset is None:
+            return None
+        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), onset)
+        stiffness, damping = self.at_load(load)(np.array([speed]))
+        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
+        by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
+        return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
+
+    def caution(self, load: float) -> str:
+        """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
+        low, high = min(self.loads), max(self.loads)
+        if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+            return ""
+        return (
+            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the smooth factors are extrapolated, and the "
+            f"interval assumes their correlation over {self.kernel.load:.2g} N"
+        )
+
+    def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
+        """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed* (n_speed,)."""
+        eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        by_parameter = np.einsum("ni,nij->j", weights, slopes)
+        by_field = weights * eight
+        beyond = np.einsum("ni,nm,mi->", by_field, self.family.field.unexplained(places_of(load, speed)), by_field)
+        noise = by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0)
+        return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
+
+
+# The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a
+# rejected joint fit.
+
+# Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load and speed.
+HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
+ROUNDS = 2
+# Tolerance of a minimum, in standard errors: curved valleys converge slowly.
+NEAR = 0.1
+# Factor on the lengths, because only four of eight combinations are measured. On virtual rigs with arbitrary smooth factors
+# the coefficients come nearer to the truth by a tenth to a third, and their intervals cover it; without it they are too narrow.
+CAUTION = 0.7
+SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
+
+
+def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True) -> ProcessFit:
+    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the rotor file's bearing.
+
+    FitError when no minimum is found.
+    """
+    runs = list(runs)
+    rig = searched_over(rig, runs)
+    groups = tuple(runs_by_load(rig, runs))
+    thresholds = measured_thresholds(groups) if use_thresholds else ()
+    places = _places(groups, thresholds)
+    ranges = _ranges(places)
+    family = joint.family if joint is not None else family_about(rig, groups)
+
+    def problem_of(kernel: SquaredExponential) -> RunUpProblem[ProcessFamily]:
+        field = SmoothField.of(kernel, places)
+        spread = np.concatenate([PRIOR, np.ones(8 * field.n_mode)])
+        return RunUpProblem.of(rig, ProcessFamily(family, field), groups, thresholds, spread)
+
+    problem = problem_of(_kernel(np.log([median for median, _ in HYPER]), ranges))
+    first = np.zeros(len(PARAMETERS)) if joint is None else joint.values
+    values, steps = _minimum(problem, np.concatenate([first, np.zeros(8 * problem.family.field.n_mode)]))
+    for _ in range(ROUNDS):
+        linear = LinearData.at(problem, values, places)
+        problem = problem_of(_likeliest(linear, places, ranges))
+        values, more = _minimum(problem, _carried(values, linear.field, problem.family.field))
+        steps += more
+    return _result(problem, values, steps)
+
+
+def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
+    measured = [places_of(group.load, group.speed) for group in groups]
+    return np.concatenate([*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
+
+
+def _ranges(places: FloatArray) -> FloatArray:
+    """Ranges of load and speed; of a single load the load itself."""
+    extent = np.ptp(places, axis=0)
+    return np.where(extent > 0, extent, places[0])
+
+
+def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
+    size, load, speed = np.exp(logarithms)
+    return SquaredExponential(float(size), float(load * ranges[0]), float(speed * ranges[1]))
+
+
+def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
+    minimum = minimise(problem, start, NEAR)
+    if not minimum.converged:
+        raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
+    return minimum.values, minimum.steps
+
+
+def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
+    """The same fields in another basis, by least squares at the places of the data."""
+    n = len(PARAMETERS)
+    field = old.basis(old.places) @ values[n:].reshape(8, -1).T
+    basis = new.basis(new.places)
+    z = np.linalg.solve(basis.T @ basis + 1e-6 * new.kernel.size**2 * np.eye(new.n_mode), basis.T @ field)
+    return np.concatenate([values[:n], z.T.ravel()])
+
+
+@dataclass(frozen=True)
+class LinearData:
+    """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a minimum: r = A q - y.
+
+    normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the family's parameters.
+    """
+
+    field: SmoothField
+    normal: FloatArray
+    side: FloatArray
+    by_family: FloatArray
+
+    @classmethod
+    def at(cls, problem: RunUpProblem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
+        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
+        n = len(PARAMETERS)
+        eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
+        by_family = slopes[..., :n] / eight[..., None]
+        now = np.log(problem.family.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
+        rows = _rows_by_place(problem, values, eight)
+        normal = np.array([row.T @ row for _, row in rows])
+        side = np.array([row.T @ (row @ here - residual) for (residual, row), here in zip(rows, now, strict=True)])
+        return cls(problem.family.field, normal, side, by_family)
+
+    def log_likelihood(self, field: SmoothField) -> float:
+        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M = 1 + B^T A^T A B."""
+        basis = field.basis(field.places)
+        scaled = self.by_family * PRIOR
+        corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)
+        beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(PARAMETERS), -1)
+        weighted = np.einsum("pij,pm->ijpm", self.normal, basis).reshape(64, basis.shape[0], -1)
+        block = (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
+        matrix = np.block([[corner, beside], [beside.T, block.reshape(beside.shape[1], -1)]]) + np.eye(corner.shape[0] + beside.shape[1])
+        side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
+        factor = np.linalg.cholesky(matrix)
+        reduced = linalg.solve_triangular(factor, side, lower=True)
+        return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
+
+
+def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
+    rows, first = [], 0
+    for group in problem.groups:
+        group_eight = eight[first : first + group.speed.size]
+        residual, slopes = group.residual_and_slopes(group_eight)
+        rows += [(equations, slope * here) for equations, slope, here in zip(residual, slopes, group_eight, strict=True)]
+        first += group.speed.size
+    field = problem.family.field
+    for number, (load, measured) in enumerate(problem.thresholds):
+        threshold, by_parameter = threshold_row(problem.rig, problem.family, values, load, measured)
+        # A slope by z is the slope by ln coefficients times b.
+        place = field.basis(field.places[[first + number]])[0]
+        by_z = by_parameter[len(PARAMETERS) :].reshape(8, field.n_mode)
+        rows.append((np.array([threshold]), (by_z @ place / (place @ place))[None]))
+    return rows
+
+
+def _likeliest(linear: LinearData, places: FloatArray, ranges: FloatArray) -> SquaredExponential:
+    median, deviation = (np.array(column) for column in zip(*HYPER, strict=True))
+
+    def cost(parts: FloatArray) -> float:
+        field = SmoothField.of(_kernel(np.log(median) + deviation * parts, ranges), places)
+        return float(parts @ parts) / 2 - linear.log_likelihood(field)
+
+    options: Any = {"initial_simplex": np.concatenate([np.zeros((1, 3)), np.eye(3)]), **SEARCH}
+    search = optimize.minimize(cost, np.zeros(3), method="Nelder-Mead", options=options)
+    likeliest = _kernel(np.log(median) + deviation * search.x, ranges)
+    return SquaredExponential(likeliest.size, CAUTION * likeliest.load, CAUTION * likeliest.speed)
+
+
+def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int) -> ProcessFit:
+    slopes, spread = problem.measured_slopes(values), problem.spread
+    covariance = np.linalg.inv(slopes.T @ slopes + np.diag(spread**-2.0))
+    residual = problem.residual(values)[: slopes.shape[0]]
+    rank, condition = rank_of(slopes * spread)
+    singular = np.linalg.svd(slopes * spread, compute_uv=False)
+    sources = sources_of(problem.groups)
+    changes = problem.residual_changes(sources)
+    return ProcessFit(
+        rig=problem.rig,
+        family=problem.family,
+        loads=tuple(group.load for group in problem.groups),
+        values=values,
+        covariance=covariance,
+        chi2=float(residual @ residual) - explained(residual, changes, slopes, covariance),
+        n_datum=slopes.shape[0],
+        n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
+        rank=int(rank),
+        condition=float(condition),
+        n_determined=int(np.sum(singular > 1)),
+        steps=steps,
+        sources=sources,
+        systematic=steps_by(changes, slopes, covariance),
+    )

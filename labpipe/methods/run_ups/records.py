@@ -1,0 +1,356 @@
+"""Run-ups, and results of run-ups: measurements, predictions of every method at every load, identifiability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.uncertain import Doubt, Uncertain
+
+# A run-up: the 1x response of a rotor over speed at several planes, its excitation and the static load on
+# its bearing.
+
+DIRECTIONS = ("x", "y")
+
+
+@dataclass(frozen=True)
+class Shaker:
+    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the shaft's speed."""
+
+    plane: str
+    x: float
+    y: float
+    frequency_ratio: float = 1.0
+
+
+@dataclass(frozen=True)
+class ProbeError:
+    """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X = (x, y).
+
+    doubt: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the number], w the frequency of the response.
+    """
+
+    doubt: Doubt
+    matrix: ComplexArray
+    power: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "matrix", frozen_array(self.matrix, np.complex128, f"matrix of {self.doubt.source}", np.shape(self.matrix))
+        )
+
+
+@dataclass(frozen=True)
+class RunUp:
+    """One run under one static *load* [N]; x along the load, y a quarter turn further with the spin.
+
+    speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from x(t) = Re(X exp(j w t)), w
+    the frequency of the excitation; amplitude_error [m] and phase_error [rad], like response: standard errors. unbalance [kg m] by
+    plane, complex with its angle from x at time zero; shaker: what excited the rotor instead; threshold [rad/s]: of instability, where
+    it was measured. doubts: of the probes' calibration. DataError where these do not fit together.
+    """
+
+    name: str
+    load: float
+    speed: FloatArray
+    planes: tuple[str, ...]
+    response: ComplexArray
+    _: KW_ONLY
+    amplitude_error: FloatArray
+    phase_error: FloatArray
+    unbalance: Mapping[str, complex] = field(default_factory=dict)
+    shaker: Shaker | None = None
+    threshold: Uncertain | None = None
+    doubts: tuple[ProbeError, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)
+        for name, dtype, wanted in (("speed", np.float64, (n,)), ("response", np.complex128, shape)):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), dtype, name, wanted))
+        for name in ("amplitude_error", "phase_error"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
+            if not np.all(getattr(self, name) > 0):
+                raise DataError(f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere", hint="weights need it")
+        self._check_plain()
+        self._check_excitation()
+
+    def _check_plain(self) -> None:
+        if not 0 < self.load < np.inf:
+            raise DataError(f"the load of run '{self.name}' is positive, not {self.load:g} N")
+        if not self.planes or len(set(self.planes)) < len(self.planes):
+            raise DataError(f"run '{self.name}' needs planes of different names")
+        if self.speed.size == 0 or self.speed[0] <= 0 or np.any(np.diff(self.speed) <= 0):
+            raise DataError(f"the speeds of run '{self.name}' must rise from above zero")
+        if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
+            raise DataError(f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty")
+
+    def _check_excitation(self) -> None:
+        named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]
+        for plane in named:
+            if plane not in self.planes:
+                raise DataError(f"run '{self.name}' is excited at '{plane}', which is not among its planes", hint=", ".join(self.planes))
+        if bool(self.unbalance) == (self.shaker is not None):
+            raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
+
+    def changes(self) -> dict[str, ComplexArray]:
+        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source; one source errs as one."""
+        omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
+        changes: dict[str, ComplexArray] = {}
+        for error in self.doubts:
+            course = error.doubt.std_error * omega**error.power
+            change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
+            changes[error.doubt.source] = changes.get(error.doubt.source, np.zeros_like(self.response)) + change
+        return changes
+
+    @property
+    def n_speed(self) -> int:
+        return int(self.speed.size)
+
+    @property
+    def rpm(self) -> FloatArray:
+        """Speeds (n_speed,) [rpm]."""
+        return self.speed * 30 / np.pi
+
+
+# Results of run-ups: measurements, predictions of every method at every load, identifiability of its
+# coefficients.
+
+TRAINED, HELD_OUT = "trained", "held-out"
+# Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
+REJECTED = "rejected"
+# Name of the model without a fit: the rotor file's bearing.
+START = "start"
+# Two-sided 95 % of a normal distribution.
+TWO_SIDED = 1.959964
+Column = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value with its standard error, None where none can be given; SI units."""
+
+    value: float
+    std_error: float | None = None
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        if self.std_error is None:
+            return None
+        return self.value - TWO_SIDED * self.std_error, self.value + TWO_SIDED * self.std_error
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak; errors where it was measured."""
+
+    plane: str
+    direction: str
+    real: Column
+    imag: Column
+    amplitude_error: Column = ()
+    phase_error: Column = ()
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m] of each."""
+
+    label: str
+    speed: Column
+    frequency: Column
+    amplitude: tuple[Column, ...]
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and *subtracted* as text.
+
+    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original, enhanced) [Hz].
+    """
+
+    name: str
+    load: float
+    role: str
+    _: KW_ONLY
+    excitation: str
+    speed: Column
+    motions: tuple[Motion, ...]
+    critical_speed: Amount | None = None
+    threshold: Amount | None = None
+    subtracted: str = ""
+    printed_critical_speed: Column = ()
+    printed_threshold: Column = ()
+    cascades: tuple[Cascade, ...] = ()
+
+
+@dataclass(frozen=True)
+class RunPrediction:
+    """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,) [rad/s], and coefficients.
+
+    coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is empty where the method gives
+    none, null at a bound. *notes*: reasons of missing values, warnings.
+    """
+
+    run: str
+    critical_speed: Amount | None
+    threshold: Amount | None
+    _: KW_ONLY
+    speed: Column = ()
+    motions: tuple[Motion, ...] = ()
+    coefficient_speed: Column = ()
+    coefficients: tuple[Column, ...] = ()
+    std_errors: tuple[Column, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if ended by a limit."""
+
+    where: str
+    objective: Column
+    mesh: Column
+    evaluations: Column
+    capped: bool
+    best: Column = ()
+
+
+@dataclass(frozen=True)
+class StartSpread:
+    """Final points of several starts of one search: eight factors on the start values per start, and its objective."""
+
+    where: str
+    factors: tuple[Column, ...]
+    objective: Column
+
+
+@dataclass(frozen=True)
+class RunUpMethod:
+    """One identification method: uncertainty and predictions. None where a method has no such number.
+
+    rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free: combinations that no datum
+    holds, in words; parameters: what was estimated, where they are few.
+    """
+
+    name: str
+    title: str
+    verdict: str
+    _: KW_ONLY
+    predictions: tuple[RunPrediction, ...]
+    unknowns: int = 8
+    rank: int | None = None
+    condition: float | None = None
+    share_at_bound: float | None = None
+    chi2_per_datum: float | None = None
+    chi2_p: float | None = None
+    n_datum: int = 0
+    n_effective: float | None = None
+    free: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    convergence: tuple[Convergence, ...] = ()
+    spreads: tuple[StartSpread, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
+
+
+@dataclass(frozen=True)
+class RankRow:
+    """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within the rank.
+
+    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice* on the experiment, if any.
+    """
+
+    data: str
+    rank: int
+    condition: float
+    words: str
+    free: tuple[str, ...]
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values [coefficient][load][speed] in SI units."""
+
+    load: Column
+    speed: Column
+    values: tuple[tuple[Column, ...], ...]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-] (8,).
+
+    outside: the load lies beyond the others; *failed*: reason of a failed fit.
+    """
+
+    load: float
+    errors: Column
+    outside: bool
+    failed: str = ""
+
+
+@dataclass(frozen=True)
+class MetamodelResult:
+    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics as text.
+
+    *model*: entries from which it is read back.
+    """
+
+    name: str
+    title: str
+    surface: Surface
+    left_out: tuple[LeftOut, ...]
+    predictions: tuple[RunPrediction, ...]
+    remarks: tuple[str, ...] = ()
+    model: dict[str, Any] = field(default_factory=dict)
+
+    def prediction(self, run: str) -> RunPrediction | None:
+        return next((prediction for prediction in self.predictions if prediction.run == run), None)
+
+
+@dataclass(frozen=True)
+class RunUpResult:
+    """Run-ups of one rotor, all methods; *plane*: of the critical speeds; *source*: of the printed columns.
+
+    metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed [rad/s]; measured_rank: of the
+    runs there.
+    """
+
+    rotor: str
+    plane: str
+    bearing: str
+    _: KW_ONLY
+    runs: tuple[MeasuredRun, ...]
+    methods: tuple[RunUpMethod, ...]
+    metamodels: tuple[MetamodelResult, ...] = ()
+    metamodels_of: str = ""
+    ranks: tuple[RankRow, ...] = ()
+    rank_load: float = 0.0
+    rank_speed: float = 0.0
+    measured_rank: RankRow | None = None
+    source: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    def method(self, name: str) -> RunUpMethod | None:
+        return next((method for method in self.methods if method.name == name), None)
+
+    def run(self, name: str) -> MeasuredRun:
+        """KeyError with the known names on a miss."""
+        for run in self.runs:
+            if run.name == name:
+                return run
+        raise KeyError(f"no run '{name}'; known: {', '.join(run.name for run in self.runs)}")
+
+
+def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:
+    """Every finding with its origin."""
+    return tuple(("run-ups", finding) for finding in result.findings)

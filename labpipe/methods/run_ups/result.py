@@ -1,0 +1,276 @@
+"""All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from labpipe.errors import LabpipeError
+from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
+from labpipe.methods.run_ups.film_family import carried_beyond
+from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
+from labpipe.methods.run_ups.joint import JointFit
+from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
+from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
+from labpipe.methods.run_ups.metamodels import LeftOut as LeftOutOf
+from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
+from labpipe.methods.run_ups.methods import BEYOND, Predictor, Solved, solve_start
+from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
+from labpipe.methods.run_ups.predictions import RPM, AtLoad, excited_as, predict, with_unbalance_of
+from labpipe.methods.run_ups.records import (
+    HELD_OUT,
+    REJECTED,
+    START,
+    TRAINED,
+    Amount,
+    LeftOut,
+    MeasuredRun,
+    MetamodelResult,
+    RunPrediction,
+    RunUp,
+    RunUpMethod,
+    RunUpResult,
+    Surface,
+)
+from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
+from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
+from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.identification import ListedParameter
+
+# Metamodels of the journal coefficients over load and speed, and their predictions for every run.
+
+# Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
+KINDS = {"response-surface": "surface", "network": "network", "gaussian-process": "process", "physical": "physical"}
+TITLES = {
+    "response-surface": "second-order response surface",
+    "network": "feed-forward network",
+    "gaussian-process": "Gaussian process",
+    "physical": "physical fit (c)",
+}
+# Grid of the drawn surfaces.
+SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
+
+
+def metamodels(
+    settings: RunUpSettings, rig: RunUpRotor, trained: Sequence[RunUp], runs: Sequence[RunUp], solved: Sequence[Solved]
+) -> tuple[MetamodelResult, ...]:
+    """Metamodels of the section in its order; LabpipeError names the metamodel that cannot be fitted."""
+    if not settings.metamodels:
+        return ()
+    by_name = {method.method.name: method for method in solved}
+    grid = _grid(by_name[settings.metamodels_of], trained)
+    joint = by_name["joint"].anywhere if "joint" in by_name else None
+    refitted = physical_without(rig, trained) if "physical" in settings.metamodels else None
+    kinds = [KINDS[name] for name in settings.metamodels if name != "physical"]
+    left_out = leave_one_load_out(grid, kinds, refitted, settings.seed)
+    results = []
+    for name in settings.metamodels:
+        model = _fitted(name, grid, joint, settings.seed)
+        rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
+        source = by_name["joint" if name == "physical" else settings.metamodels_of].method
+        doubt = (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
+        predictions = tuple(_prediction(model, rig, run, settings.plane, doubt) for run in runs)
+        results.append(
+            MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
+        )
+    return tuple(results)
+
+
+def _grid(method: Solved, trained: Sequence[RunUp]) -> Grid:
+    """The coefficients of a method: at its points, or at the loads and speeds of the trained runs."""
+    if method.anywhere is None:
+        return Grid.of(method.fits)
+    longest = max(trained, key=lambda run: run.n_speed)
+    return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), longest.speed)
+
+
+def _fitted(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
+    try:
+        if name == "physical":
+            assert isinstance(joint, JointFit)
+            return PhysicalFit.of(joint, Extent.of(grid).speeds)
+        return fit_metamodel(KINDS[name], grid, seed)
+    except LabpipeError as error:
+        error.where = error.where or f"run_ups, metamodel {name}"
+        raise
+
+
+def _left_out_row(validation: LeftOutOf) -> LeftOut:
+    return LeftOut(validation.load, column(validation.errors), validation.beyond, validation.failed)
+
+
+def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
+    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the film there."""
+    return carried_beyond(partial(model.predict, load), *model.speeds)
+
+
+def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, doubt: tuple[str, ...]) -> RunPrediction:
+    run_rig = with_unbalance_of(rig, run)
+    remark = caution(model, run.load)
+    notes = (*doubt, *((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
+    eight = model.predict(run.load, run.speed)
+    error = None if doubt else model.std_error(run.load, run.speed)
+    return predict(run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
+
+
+def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
+    """Coefficients over all loads, held-out loads included, and the speeds of the fit."""
+    loads = [run.load for run in runs]
+    load, speed = np.linspace(min(loads), max(loads), SURFACE_LOADS), np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
+    values = np.stack([model.predict(one_load, speed) for one_load in load])
+    return Surface(column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)))
+
+
+# All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds,
+# uncertainties.
+
+Tell = Callable[[str], None]
+
+
+def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadRun], tell: Tell = lambda _: None) -> RunUpResult:
+    """All methods of the settings, fitted to the trained runs and compared on every run."""
+    measured = [measured_run(item, settings.plane) for item in read]
+    runs = [item.run for item in read]
+    rig = excited_as(searched_over(rig, runs), runs)
+    trained = [item.run for item in read if item.settings.role == TRAINED]
+    solved = []
+    for name in [START, *(name for name in METHODS if name in settings.methods)]:
+        tell(f"run-ups   {name}")
+        solved.append(_solved(name, rig, trained, settings))
+    methods = [_with_predictions(item, rig, runs, settings.plane) for item in solved]
+    if settings.metamodels:
+        tell("run-ups   metamodels")
+    ranks = _ranks(rig, trained)
+    result = RunUpResult(
+        rig.name,
+        settings.plane or rig.plane_names[-1],
+        _bearing_text(rig),
+        runs=tuple(record for record, _ in measured),
+        methods=tuple(methods),
+        metamodels=metamodels(settings, rig, trained, runs, solved),
+        metamodels_of=next((item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of), ""),
+        **ranks,
+        source=settings.source,
+    )
+    return _with_findings(result, [reason for _, reason in measured if reason], read)
+
+
+def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
+    try:
+        solve = solve_start if name == START else METHODS[name]
+        solved: Solved = solve(rig, trained, settings)
+        return solved
+    except LabpipeError as error:
+        error.where = error.where or f"run_ups, method {name}"
+        raise
+
+
+def _with_predictions(method: Solved, rig: RunUpRotor, runs: Sequence[RunUp], plane: str) -> RunUpMethod:
+    return replace(method.method, predictions=tuple(prediction(method.predictor, rig, run, plane) for run in runs))
+
+
+def prediction(predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True) -> RunPrediction:
+    """Prediction of a method for a run."""
+    run_rig = with_unbalance_of(rig, run)
+    return predict(run_rig, run, predictor(run_rig, run), plane, curves)
+
+
+def _bearing_text(rig: RunUpRotor) -> str:
+    bearing = rig.place.bearing
+    if not isinstance(bearing, JournalBearing):
+        return f"{rig.place.kind} '{rig.place.name}'"
+    size = f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm, clearance {1e6 * bearing.clearance:.4g} um"
+    return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
+
+
+def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
+    """Rank statements at the middle load and speed, and the rank of the measured runs there."""
+    loads = sorted({run.load for run in trained})
+    load = loads[len(loads) // 2]
+    load_runs = [run for run in trained if run.load == load]
+    first = load_runs[0]
+    speed = float(first.speed[first.n_speed // 2])
+    return {
+        "ranks": rank_statements(rig, load, speed),
+        "rank_load": load,
+        "rank_speed": speed,
+        "measured_rank": measured_statement(rig, load_runs, load, speed),
+    }
+
+
+def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:
+    findings = [
+        *(finding for method in result.methods for finding in _doubts(method, result.runs)),
+        *(note("no-critical-speed", reason) for reason in reasons),
+        *(note("residual", f"{item.run.name}: '{item.settings.subtract}' is subtracted") for item in read if item.settings.subtract),
+        *_advice(result),
+    ]
+    return replace(result, findings=tuple(findings))
+
+
+def _doubts(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
+    """Findings on a method: undetermined, rejected, at a bound, extrapolated."""
+    findings = []
+    if method.verdict == "not determined":
+        message = (
+            f"{method.title}: the data determine {method.rank} of {method.unknowns} coefficients at a point; the values are not determined"
+        )
+        findings.append(Finding("collinear", f"{message}, however well the response is met."))
+    if method.verdict == "rejected":
+        excess = f"chi² per datum is {method.chi2_per_datum:.2f}"
+        family = "the bearing is not of the fitted family, and no interval is given"
+        findings.append(Finding("model-mismatch", f"{method.title}: {excess}: {family}."))
+    if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < LEAST_PROBABILITY:
+        excess = f"chi² per datum is {method.chi2_per_datum:.2f}: the residual exceeds the noise"
+        bounds = f"{100 * (method.share_at_bound or 0.0):.0f} % of the coefficients lie on their bounds"
+        findings.append(Finding("model-mismatch", f"{method.title}: {excess}; {bounds}, and stated errors may be too small."))
+    bound = [parameter.name for parameter in method.parameters if parameter.at_bound]
+    if bound:
+        findings.append(Finding("at-bound", f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."))
+    for run in runs:
+        run_prediction = method.prediction(run.name)
+        if run.role == HELD_OUT and run_prediction is not None and run_prediction.notes and method.verdict in ("rejected", "not rejected"):
+            findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(run_prediction.notes)}."))
+    return findings
+
+
+def _advice(result: RunUpResult) -> list[Finding]:
+    """Recommended experiment where the coefficients are not determined."""
+    if result.measured_rank is None or result.measured_rank.rank == 8:
+        return []
+    place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
+    fewest = f"the runs {place} determine {result.measured_rank.rank} of 8 coefficients"
+    advice = next((row.advice for row in result.ranks if row.advice), "")
+    return [note("experiment", f"{fewest}; {advice}")]
+
+
+# Parameters, critical and threshold speeds of run-ups for lists of results.
+
+MEASURED = "run_ups.measured"
+
+
+def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
+    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and predicted."""
+    for run in result.runs:
+        yield from _speeds(MEASURED, run.name, run, ())
+    predictors: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
+    for predictor in predictors:
+        fit = f"run_ups.{predictor.name}"
+        codes = ("model-mismatch",) if getattr(predictor, "verdict", "") == "rejected" else ()
+        for parameter in getattr(predictor, "parameters", ()):
+            yield ListedParameter(fit=fit, parameter=parameter, model="run_ups", warnings=codes)
+        for prediction in predictor.predictions:
+            yield from _speeds(fit, prediction.run, prediction, codes)
+
+
+def _speeds(fit: str, run: str, owner: MeasuredRun | RunPrediction, codes: tuple[str, ...]) -> Iterator[ListedParameter]:
+    for name in ("critical_speed", "threshold"):
+        speed: Amount | None = getattr(owner, name)
+        if speed is not None:
+            parameter = Parameter(name, speed.value, "rad/s", std_error=speed.std_error, t_ratio=None, ci95=speed.ci95, derived=True)
+            yield ListedParameter(fit=fit, parameter=parameter, test=run, model="run_ups", warnings=codes)

@@ -1,0 +1,253 @@
+"""The rotor of run-ups: a pinned shaft on one loaded bearing, response of its planes, critical and threshold speeds.
+
+Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has no direction of its own).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property, partial
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.kinds import OperatingPoint
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.methods.journal_bearing.bearing import JournalBearing
+from labpipe.methods.journal_bearing.curve import journal_curve, sommerfeld_number
+from labpipe.methods.rotor.pinned import (
+    CoefficientsAtSpeed,
+    CondensedRotor,
+    PinnedRotor,
+    Stability,
+    condensed_rotor,
+    pinned_rotor,
+    resonance_speed,
+    threshold_speed,
+    unbalance_forces,
+)
+from labpipe.methods.rotor.rig import BearingPlace, Unbalance
+from labpipe.methods.rotor.shaft import Rotor
+from labpipe.methods.run_ups.film_family import carried_beyond
+from labpipe.methods.run_ups.records import DIRECTIONS, RunUp
+from labpipe.registry import nearest
+
+RPM = np.pi / 30
+# Number of speeds in the search for peaks and thresholds; range of thresholds relative to the highest speed.
+N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
+# From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the spin.
+ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+class TabulatedCoefficients(Protocol):
+    """The eight coefficients (n_point, 8) over load [N] and speed [rad/s], such as a metamodel gives them."""
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Range of speeds [rad/s] that they hold for."""
+        ...
+
+    def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+        """Coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class SpeedSearch:
+    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
+
+    low: float
+    high: float
+
+    @property
+    def highest(self) -> float:
+        return BEYOND * self.high
+
+    @property
+    def critical(self) -> FloatArray:
+        """Speeds (n_speed,) [rad/s] of the search for a peak."""
+        return np.linspace(self.low, self.high, N_CRITICAL)
+
+    @property
+    def threshold(self) -> FloatArray:
+        """Speeds (n_speed,) [rad/s] of the search for a sign change of the growth rate."""
+        return np.linspace(self.low, self.highest, N_THRESHOLD)
+
+    @property
+    def text(self) -> str:
+        return f"{self.low / RPM:.0f} and {self.high / RPM:.0f} rpm"
+
+
+@dataclass(frozen=True)
+class RunUpRotor:
+    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*; *unbalances*: of the rotor file.
+
+    *tabulated*: journal coefficients instead of the film's; beyond their speeds K and Omega C stay constant. *speeds*: range of the search
+    for critical speeds [rad/s], thresholds up to twice its end; default: the speeds of the run-ups (`searched_over`).
+
+    ConfigError for a node that does not exist or lies outside the pins, or two planes of one name.
+    """
+
+    name: str
+    rotor: Rotor
+    _: KW_ONLY
+    pins: tuple[int, ...]
+    place: BearingPlace
+    planes: tuple[tuple[str, int], ...]
+    unbalances: tuple[Unbalance, ...] = ()
+    tabulated: TabulatedCoefficients | None = None
+    speeds: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.planes:
+            raise ConfigError("planes: a run-up needs a plane at which it is measured", hint="for example planes: {disc 1: 2}")
+        if len({node for _, node in self.planes}) < len(self.planes):
+            raise ConfigError("planes: two planes sit on one node")
+        for node in (self.place.node, *(node for _, node in self.planes), *(unbalance.node for unbalance in self.unbalances)):
+            self.pinned.dofs(node)
+        for unbalance in self.unbalances:
+            self.plane_at(unbalance.node)
+
+    @property
+    def search(self) -> SpeedSearch:
+        """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
+        if self.speeds is None:
+            raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint="for example speeds: 400-3000 rpm")
+        return SpeedSearch(*self.speeds)
+
+    @cached_property
+    def pinned(self) -> PinnedRotor:
+        """Its matrices between the pins."""
+        return pinned_rotor(self.rotor, self.pins)
+
+    @cached_property
+    def stability(self) -> Stability:
+        return Stability.of(self.pinned, self.place.node)
+
+    @property
+    def plane_names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.planes)
+
+    @property
+    def known_unbalance(self) -> dict[str, complex]:
+        """Unbalance [kg m] by plane, complex with its angle."""
+        amounts: dict[str, complex] = {}
+        for unbalance in self.unbalances:
+            plane = self.plane_at(unbalance.node)
+            amounts[plane] = amounts.get(plane, 0j) + unbalance.size * complex(np.exp(1j * unbalance.phase))
+        return amounts
+
+    def node(self, plane: str) -> int:
+        """ConfigError with the nearest known name on a miss."""
+        nodes = dict(self.planes)
+        if plane not in nodes:
+            raise ConfigError(f"no plane '{plane}' in {self.name}", hint=nearest(plane, nodes))
+        return nodes[plane]
+
+    def plane_at(self, node: int) -> str:
+        for name, here in self.planes:
+            if here == node:
+                return name
+        raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:")
+
+    def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
+        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane; outputs x, y of every plane."""
+        forces = unbalance_forces(self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed)
+        return condensed_rotor(self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes))
+
+    def excited(self, run: RunUp) -> CondensedRotor:
+        """Condensed at the speeds, and under the excitation, of a run; DataError when the run has other planes."""
+        if run.planes != self.plane_names:
+            raise DataError(
+                f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has {', '.join(self.plane_names)}",
+                hint="name the planes alike in the rotor file and the run-up, in one order",
+            )
+        if run.shaker is None:
+            return self.under_unbalance(run.speed, run.unbalance)
+        forces = np.zeros((run.n_speed, self.pinned.n_dof), np.complex128)
+        forces[:, self.pinned.dofs(self.node(run.shaker.plane))] = [run.shaker.x, run.shaker.y]
+        frequency = run.speed * run.shaker.frequency_ratio
+        nodes = tuple(node for _, node in self.planes)
+        return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
+
+    def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld number), or as *tabulated*."""
+        bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
+        if self.tabulated is not None:
+            return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
+        if not isinstance(bearing, JournalBearing):
+            return self._by_speed(load, speed)
+        curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
+        curve_values = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        scale = load / bearing.clearance
+        return curve_values.stiffness * scale, curve_values.damping * scale / speed[..., None, None]
+
+    def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """K and C (n_speed, 2, 2) of a bearing computed speed by speed, in the frame of the load."""
+        points = [self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
+        stiffness, damping = (np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping"))
+        return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
+
+    def start(self, load: float) -> CoefficientsAtSpeed:
+        """`start_coefficients` as a function of speed."""
+        return lambda speed: self.start_coefficients(load, speed)
+
+    def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
+        """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
+        outputs = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
+        return outputs.reshape(np.size(speed), len(self.planes), 2)
+
+    def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = "") -> float:
+        """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known unbalance.
+
+        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak within the search.
+        """
+        number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
+        search = self.search.critical
+        grid = self._displacement(search, coefficients, direction)[:, number]
+        top = int(np.argmax(grid))
+        if top in (0, grid.size - 1):
+            hint = "look at the response over speed; speeds: in the rotor file sets the range"
+            raise FitError(f"the response to unbalance has no peak between {self.search.text}", hint=hint)
+        low, high = search[top - 1], search[top + 1]
+        # Between three points of a smooth peak a fine grid and a parabola are exact to a millionth.
+        fine = np.linspace(low, high, 41)
+        values = self._displacement(fine, coefficients, direction)[:, number]
+        middle = int(np.clip(np.argmax(values), 1, fine.size - 2))
+        before, here, after = values[middle - 1 : middle + 2]
+        return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
+
+    def _displacement(self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str) -> FloatArray:
+        response = self.response(speed, coefficients)
+        return np.abs(response[..., DIRECTIONS.index(direction)]) if direction else largest_displacement(response)
+
+    def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
+        """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
+        return resonance_speed(self.stability, coefficients, self.search.critical[::5])
+
+    def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
+        """Onset speed of instability [rad/s], up to twice the highest speed of the search; None when there is none."""
+        return threshold_speed(self.stability, coefficients, self.search.threshold)
+
+
+def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+    """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
+    if rig.speeds is not None:
+        return rig
+    ends = [(float(run.speed[0]), float(run.speed[-1])) for run in runs]
+    return replace(rig, speeds=(min(low for low, _ in ends), max(high for _, high in ends))) if ends else rig
+
+
+def largest_displacement(response: ComplexArray) -> FloatArray:
+    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2).
+
+    Equation (rotor-largest).
+    """
+    return (np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])) / 2
+
+
+def relative_difference(first: float, second: float) -> tuple[float, float]:
+    """A prediction against a measurement [-]: relative to the measurement, and by the source's rule, relative to the larger of the two."""
+    return (first - second) / second, abs(first - second) / max(abs(first), abs(second))

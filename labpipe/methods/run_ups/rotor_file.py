@@ -1,0 +1,151 @@
+"""Reading a rotor file with ``pins:``: a shaft in pinned ends on one loaded bearing, for run-ups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.artefacts.json_file import read_digested
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.methods.rotor.rig import Unbalance
+from labpipe.methods.rotor.rotor_file import LISTS, DampingSettings, build_rotor, read_bearings, read_entries, read_materials, tried
+from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.records.settings import FileKind, Settings, setting
+from labpipe.registry import nearest
+
+OWN_LISTS = ("elements", "discs", "sleeves", "unbalances")
+SECTIONS = (*OWN_LISTS, "bearings", "materials", "damping", "planes", "pins")
+
+
+@dataclass(frozen=True)
+class PinnedSettings(Settings):
+    """The plain entries of a rotor file with pins."""
+
+    name: str = setting("text", "name of the rotor, as the report shows it", default="")
+    description: str = setting("text", "what a reader should know of the rotor", default="")
+    speeds: tuple[float, float] | None = setting(
+        "band", "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups", unit="Hz", default=None
+    )
+    coefficients: str = setting("text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default="")
+
+
+def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
+    """The rotor of a rotor file with pins; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    rig = read_run_up_rotor(tree, path.stem, faults, path.parent)
+    faults.raise_any()
+    assert rig is not None
+    return rig
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """The rotor file and the file of its coefficients."""
+    entries = load_marked(path).content
+    named = entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
+    return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
+
+
+def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
+    """The rotor of a marked tree, files it names relative to *folder*; None and faults where it cannot be read."""
+    before = len(faults)
+    entries = faults.mapping(tree, "")
+    plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
+    settings = read_settings(PinnedSettings, plain, "", faults)
+    for key, hint in (("pins", "for example pins: [1, 5]"), ("planes", "for example planes: {disc 1: 2}"), ("bearings", "one entry")):
+        if key not in entries:
+            faults.add(tree, key, "is missing", hint)
+    pins = _nodes(entries.get("pins"), "pins", faults)
+    planes = _planes(entries.get("planes"), faults)
+    lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
+    bearings = read_bearings(entries.get("bearings"), faults)
+    if "bearings" in entries and isinstance(entries["bearings"].content, list) and len(entries["bearings"].content) != 1:
+        faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
+    materials = read_materials(entries.get("materials"), faults)
+    damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    tabulated = (
+        read_coefficients(settings.coefficients, folder, entries["coefficients"], faults) if settings and settings.coefficients else None
+    )
+    rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
+    if rotor is None or settings is None or len(faults) > before:
+        return None
+    (entry, place), *_ = bearings
+    if place.doubts:
+        names = ", ".join(one.doubt.source for one in place.doubts)
+        hint = "leave it out: clearance, viscosity and the film's other numbers are estimated about the value that is given here"
+        faults.add(entry, "bearings.1", f"the doubt of {names} is not used by run-ups", hint)
+        return None
+    place = replace(place, name="bearing") if place.name == "1" else place
+    speeds = None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
+    unbalances = tuple(Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"])
+    return tried(
+        lambda: RunUpRotor(
+            settings.name or stem, rotor, pins=pins, place=place, planes=planes, unbalances=unbalances, tabulated=tabulated, speeds=speeds
+        ),
+        tree,
+        "",
+        faults,
+    )
+
+
+def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
+    """The metamodel NAME of an identification of run-ups, named as FILE#NAME; None and a fault where there is none."""
+    file, mark, name = named.rpartition("#")
+    if not (file and mark and name):
+        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", "for example identification.json#physical")
+        return None
+    try:
+        return _metamodel(folder / file, name)
+    except LabpipeError as error:
+        faults.add(node, "coefficients", error.what, error.hint)
+        return None
+
+
+def _metamodel(path: Path, name: str) -> Metamodel:
+    try:
+        entries = read_digested(path, "identification.json")
+    except FileNotFoundError as error:
+        raise ConfigError(f"no such file '{path}'", hint="paths are relative to the file that names them") from error
+    except DataError as error:
+        raise DataError(f"'{path}' {error.what}", hint=error.hint) from error
+    try:
+        models = {str(model["name"]): model["model"] for model in entries["run_ups"]["metamodels"]}
+    except (KeyError, TypeError):
+        models = {}
+    if not models:
+        raise DataError(f"'{path}' holds no metamodels", hint="name the identification.json of run-ups whose section asks for metamodels:")
+    if name not in models:
+        raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, models))
+    return from_entries(models[name])
+
+
+def _nodes(node: Marked | None, key: str, faults: Faults) -> tuple[int, ...]:
+    if node is None:
+        return ()
+    if not isinstance(node.content, list):
+        faults.add(node, key, "a list of nodes is needed", "for example [1, 5]")
+        return ()
+    return tuple(_node(entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1))
+
+
+def _node(entry: Marked, key: str, faults: Faults) -> int:
+    if isinstance(entry.content, bool) or not isinstance(entry.content, int):
+        faults.add(entry, key, "the number of a node is needed", "nodes are counted from 1, from the left")
+        return 0
+    return entry.content
+
+
+def _planes(node: Marked | None, faults: Faults) -> tuple[tuple[str, int], ...]:
+    entries = faults.mapping(node, "planes") if node is not None else {}
+    return tuple((name, _node(entry, join("planes", name), faults)) for name, entry in entries.items())
+
+
+RUN_UP_ROTOR_FILE = FileKind(load_run_up_rotor, files_of)

@@ -1,0 +1,284 @@
+"""Run-ups as CSV: settings in comment lines, 1x amplitude and phase of every plane and direction in columns.
+
+    # load: 3.66 N
+    # unbalance disc 1: 50 g.mm at 0 deg
+    # threshold: 2772 rpm +- 6 rpm
+    # amplitude error: 1 %
+    # phase error: 1 deg
+    speed [rpm],disc 1 x amplitude [um],disc 1 x phase [deg],disc 1 y amplitude [um],disc 1 y phase [deg]
+
+Standard errors may have their own columns instead (``disc 1 x amplitude error [um]``, ``disc 1 x phase error [deg]``). The phase is
+that of x(t) = A cos(w t + phase), relative to the keyphasor: a lagging motion has a negative one. For a run with a shaker the lines
+``# shaker: 2 N in x, 0 N in y at disc 1`` and ``# shaker frequency: 0.95`` (over the shaft's speed) replace the unbalances.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
+from labpipe.quantities import UnitError, parse_value
+from labpipe.raw_files.table import check_columns
+from labpipe.raw_files.text_table import CsvTable, open_unpacked
+from labpipe.records.uncertain import Uncertain
+from labpipe.registry import nearest
+
+SPEED = "speed"
+PLAIN_KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency", "unbalance PLANE")
+_COLUMN = re.compile(r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$")
+_SPEED = re.compile(r"^speed\s*(\[.*\])?$")
+_LINE = re.compile(r"^#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
+_UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
+_SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
+UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
+
+
+def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
+    """The run-up of a table; DataError names the file, the line or column, and the remedy.
+
+    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
+    """
+    if not path.exists():
+        raise DataError("no such file", where=str(path))
+    table, head = CsvTable(path), _head(path)
+    columns = _columns(table)
+    speed = _in_si(table, _speed_column(table), "Hz") * 2 * np.pi
+    planes = tuple(dict.fromkeys(plane for plane, _, _ in columns))
+    stacks = {what: _stack(table, columns, planes, what) for what in ("amplitude", "phase")}
+    amplitude, phase = stacks["amplitude"], stacks["phase"]
+    errors = [_errors(table, columns, planes, head, what, amplitude) for what in ("amplitude error", "phase error")]
+    load = _value(head, "load", "N", path)
+    try:
+        response = amplitude * np.exp(1j * phase)
+        shaker, unbalances = _shaker(head, path), _unbalances(head)
+        if not unbalances and shaker is None and unbalance is not None:
+            unbalances = dict(unbalance) or {planes[0]: 0j}
+        amplitude_error, phase_error = errors
+        run_name = name or path.stem
+        return RunUp(
+            run_name,
+            load,
+            speed,
+            planes,
+            response,
+            amplitude_error=amplitude_error,
+            phase_error=phase_error,
+            unbalance=unbalances,
+            shaker=shaker,
+            threshold=_threshold(head),
+        )
+    except DataError as error:
+        raise DataError(error.what, where=error.where or str(path), hint=error.hint) from None
+
+
+def _head(path: Path) -> dict[str, tuple[str, str]]:
+    """Key -> (text, place) of the comment lines; DataError for a misspelt or repeated key."""
+    entries: dict[str, tuple[str, str]] = {}
+    with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
+        for number, line in enumerate(lines, 1):
+            if not line.startswith("#"):
+                break
+            match = _LINE.match(line)
+            if match is None:
+                continue
+            key, where = match["key"], f"{path}:{number}"
+            if key not in PLAIN_KEYS[:-1] and not key.startswith("unbalance "):
+                _refuse_misspelt(key, where)
+                continue
+            if key in entries:
+                raise DataError(f"'{key}' appears twice", where=where)
+            entries[key] = (match["text"], where)
+    return entries
+
+
+def _refuse_misspelt(key: str, where: str) -> None:
+    """DataError for a key similar to a known one; other comments (of a logger) are ignored."""
+    if difflib.get_close_matches(key.lower(), PLAIN_KEYS, 1, 0.75):
+        raise DataError(f"unknown entry '{key}'", where=where, hint=nearest(key, PLAIN_KEYS))
+
+
+def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
+    """(plane, direction, what) -> name of the column; DataError for any other column."""
+    names = {}
+    for column in table.columns:
+        if _SPEED.match(column):
+            continue
+        match = _COLUMN.match(column)
+        if match is None:
+            hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
+            raise DataError(f"the column '{column}' does not belong to a run-up", where=str(table.path), hint=hint)
+        names[(match["plane"], match["direction"], match["what"])] = column
+    if not names:
+        raise DataError("has no plane", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'")
+    return names
+
+
+def _speed_column(table: CsvTable) -> str:
+    for column in table.columns:
+        if _SPEED.match(column):
+            return column
+    raise DataError("no column 'speed'", where=str(table.path), hint="for example 'speed [rpm]'")
+
+
+def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
+    """A column in its SI unit; DataError where it has no unit, another dimension, or a missing number."""
+    check_columns(table, [column])
+    unit = table.units.get(column)
+    if unit is None:
+        raise DataError(f"the column '{column}' has no unit", where=str(table.path), hint=f"write it in brackets, for example [{si_unit}]")
+    try:
+        factor = parse_value(f"1 {unit}", si_unit)
+    except UnitError as error:
+        raise DataError(f"column '{column}': {error.what}", where=str(table.path), hint=error.hint) from None
+    chunks = [chunk[:, 0] for chunk in table.chunks([column])]
+    values = np.concatenate(chunks) if chunks else np.zeros(0)
+    if not np.all(np.isfinite(values)):
+        row = int(np.argmin(np.isfinite(values)))
+        hint = "leave out the whole row where nothing was measured"
+        raise DataError(f"column '{column}': a number is missing in row {row + 1} of the table", where=str(table.path), hint=hint)
+    return np.asarray(values * factor, np.float64)
+
+
+def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> FloatArray:
+    """(n_speed, n_plane, 2) of one quantity."""
+    for plane in planes:
+        for direction in DIRECTIONS:
+            if (plane, direction, what) not in columns:
+                unit = "um" if UNITS[what] == "m" else "deg"
+                raise DataError(
+                    f"no column '{plane} {direction} {what}'", where=str(table.path), hint=f"with its unit, for example [{unit}]"
+                )
+    return np.stack([np.stack([_in_si(table, columns[(p, d, what)], UNITS[what]) for d in DIRECTIONS], -1) for p in planes], 1)
+
+
+def _errors(
+    table: CsvTable,
+    columns: dict[tuple[str, str, str], str],
+    planes: tuple[str, ...],
+    head: dict[str, tuple[str, str]],
+    what: str,
+    amplitude: FloatArray,
+) -> FloatArray:
+    """Standard errors from their columns, or from the value above the table (of the amplitude, relative)."""
+    if any(quantity == what for _, _, quantity in columns):
+        return _stack(table, columns, planes, what)
+    if what not in head:
+        hint = "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the fits"
+        raise DataError(f"the {what} is missing", where=str(table.path), hint=hint)
+    if what == "phase error":
+        return np.full_like(amplitude, _value(head, what, "rad", table.path))
+    return amplitude * _value(head, what, "1", table.path)
+
+
+def _value(head: dict[str, tuple[str, str]], key: str, unit: str, path: Path) -> float:
+    if key not in head:
+        raise DataError(f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table")
+    return _parsed(*head[key], key, unit)
+
+
+def _parsed(text: str, where: str, key: str, unit: str) -> float:
+    try:
+        return parse_value(text, unit)
+    except UnitError as error:
+        raise DataError(f"{key}: {error.what}", where=where, hint=error.hint) from None
+
+
+def _threshold(head: dict[str, tuple[str, str]]) -> Uncertain | None:
+    if "threshold" not in head:
+        return None
+    text, where = head["threshold"]
+    value, _, error = text.partition("+-")
+    if not error.strip():
+        raise DataError("threshold: its uncertainty is missing", where=where, hint="for example 2772 rpm +- 6 rpm")
+    hertz = [_parsed(part.strip(), where, "threshold", "Hz") for part in (value, error)]
+    return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
+
+
+def _unbalances(head: dict[str, tuple[str, str]]) -> dict[str, complex]:
+    unbalances = {}
+    for key, (text, where) in head.items():
+        if not key.startswith("unbalance "):
+            continue
+        match = _UNBALANCE.match(text)
+        if match is None:
+            raise DataError(f"{key}: '{text}' is not a size and an angle", where=where, hint="for example 50 g.mm at 0 deg")
+        size, angle = _parsed(match["size"], where, key, "kg.m"), _parsed(match["angle"], where, key, "rad")
+        unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
+    return unbalances
+
+
+def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
+    if "shaker" not in head:
+        return None
+    text, where = head["shaker"]
+    match = _SHAKER.match(text)
+    if match is None:
+        raise DataError(f"shaker: '{text}' is not a force at a plane", where=where, hint="for example 2 N in x, 0 N in y at disc 1")
+    ratio = _value(head, "shaker frequency", "1", path)
+    if not ratio > 0:
+        raise DataError("shaker frequency: must be positive", where=head["shaker frequency"][1], hint="over the shaft's speed")
+    return Shaker(match["plane"], _parsed(match["x"], where, "shaker", "N"), _parsed(match["y"], where, "shaker", "N"), ratio)
+
+
+def write_run_up_csv(path: Path, run: RunUp) -> None:
+    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits; constant errors as comment lines."""
+    columns = {"speed [rpm]": run.rpm}
+    relative, phase = _common_errors(run)
+    for n, plane in enumerate(run.planes):
+        for d, direction in enumerate(DIRECTIONS):
+            title, phasor = f"{plane} {direction}", run.response[:, n, d]
+            columns[f"{title} amplitude [um]"] = np.abs(phasor) * 1e6
+            columns[f"{title} phase [deg]"] = np.degrees(np.angle(phasor))
+            if relative is None:
+                columns[f"{title} amplitude error [um]"] = run.amplitude_error[:, n, d] * 1e6
+            if phase is None:
+                columns[f"{title} phase error [deg]"] = np.degrees(run.phase_error[:, n, d])
+    with path.open("w", encoding="utf-8", newline="\n") as stream:
+        stream.writelines(f"# {line}\n" for line in _lines(run))
+        stream.write(",".join(columns) + "\n")
+        np.savetxt(stream, np.stack(list(columns.values()), 1), "%.6g", delimiter=",")
+
+
+def _common_errors(run: RunUp) -> tuple[float | None, float | None]:
+    """Errors of amplitude (relative) and phase [rad] that are constant over the run, else None."""
+    parts = (run.amplitude_error / np.abs(run.response), run.phase_error)
+    constants = [float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts]
+    return constants[0], constants[1]
+
+
+def _lines(run: RunUp) -> list[str]:
+    relative, phase = _common_errors(run)
+    lines = [f"load: {run.load:.9g} N"]
+    for plane, size in run.unbalance.items():
+        lines.append(f"unbalance {plane}: {abs(size) * 1e6:.9g} g.mm at {np.degrees(np.angle(size)):.9g} deg")
+    if run.shaker is not None:
+        lines.append(f"shaker: {run.shaker.x:.9g} N in x, {run.shaker.y:.9g} N in y at {run.shaker.plane}")
+        lines.append(f"shaker frequency: {run.shaker.frequency_ratio:.9g}")
+    if run.threshold is not None:
+        value, error = (30 / np.pi * speed for speed in (run.threshold.value, run.threshold.std_error))
+        lines.append(f"threshold: {value:.9g} rpm +- {error:.9g} rpm")
+    if relative is not None:
+        lines.append(f"amplitude error: {100 * relative:.9g} %")
+    if phase is not None:
+        lines.append(f"phase error: {np.degrees(phase):.9g} deg")
+    return lines
+
+
+# A run-up table begins with the load in a comment, within so many bytes.
+HEAD = 4096
+_RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
+
+
+def run_up_in(path: Path) -> RunUp | None:
+    """The run-up of a file, None where it is no run-up table."""
+    with path.open("rb") as stream:
+        head = stream.read(HEAD).decode("utf-8", "replace")
+    return read_run_up_csv(path) if _RUN_UP.search(head) else None

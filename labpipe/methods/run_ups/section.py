@@ -1,0 +1,300 @@
+"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods; its rules and lines."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.artefacts.recording_file import StoredRecording
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
+from labpipe.methods.run_ups.records import (
+    REJECTED,
+    Amount,
+    Cascade,
+    MeasuredRun,
+    MetamodelResult,
+    RunPrediction,
+    RunUp,
+    RunUpMethod,
+    RunUpResult,
+    findings,
+)
+from labpipe.methods.run_ups.report import cover_facts, run_up_sections
+from labpipe.methods.run_ups.result import listed_speeds_and_parameters, run_up_result
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
+from labpipe.methods.run_ups.settings import ProbeDoubts, RunSettings, RunUpSettings, turning
+from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.judging import Compared, CompareNumber, compare_covers
+from labpipe.project.rules import Rule
+from labpipe.project.work import Work
+from labpipe.records.finding import WARNING, of_level
+from labpipe.records.identification import RuleOutcome
+from labpipe.records.rig import Rig
+from labpipe.records.uncertain import Uncertain
+from labpipe.registry import nearest
+from labpipe.sections import PipelineSection
+from labpipe.spectra.orders import cascade_spectra, track_order
+from labpipe.spectra.settings import ShaftLines
+
+# Run-ups of a pipeline as they were measured: tables or tracked recordings, residuals subtracted, critical
+# speeds read off.
+
+# Lines of a stored cascade, more than a figure can show.
+MOST_LINES = 240
+NO_DOUBTS = ProbeDoubts()
+
+
+def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeDoubts = NO_DOUBTS) -> ReadRun:
+    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry. *probes*: those of tables."""
+    try:
+        read = _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
+        rig.excited(read.run)
+        return read
+    except LabpipeError as error:
+        error.where = error.where or f"run_ups, run '{settings.name}'"
+        raise
+
+
+def _tabled(settings: RunSettings, probes: ProbeDoubts) -> ReadRun:
+    run = _stated(settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None))
+    run = replace(run, doubts=probes.errors(run.planes))
+    if settings.subtracted is not None:
+        run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
+    return ReadRun(settings, run)
+
+
+def _stated(settings: RunSettings, run: RunUp) -> RunUp:
+    """The run with load, unbalance and threshold of the pipeline instead of the table's."""
+    threshold = settings.threshold
+    return replace(
+        run,
+        load=run.load if settings.load is None else settings.load,
+        unbalance=dict(settings.unbalance) or run.unbalance,
+        threshold=run.threshold if threshold is None else Uncertain(2 * np.pi * threshold.value, 2 * np.pi * threshold.std_error),
+    )
+
+
+def _recorded(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRun:
+    """The 1x of a recording, stretch by stretch, and its cascade."""
+    lines = ShaftLines(tacho=settings.tacho, pulses=settings.pulses, harmonics=settings.harmonics)
+    recording = _opened(settings.path, settings, output, folder)
+    run = _tracked(recording, lines, settings, dict(settings.unbalance))
+    if settings.subtracted is not None:
+        residual = _opened(settings.subtracted, settings, output, folder)
+        # Nothing was added before the residual run, where the run has its weights.
+        still = dict.fromkeys(dict(settings.unbalance), 0j)
+        run = _without_residual(run, _tracked(residual, lines, settings, still))
+    return ReadRun(settings, _stated(settings, run), _cascades(recording, lines))
+
+
+def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
+    """Subtract the residual run, interpolated to this run's speeds."""
+    inside = run.speed[(run.speed >= residual.speed[0]) & (run.speed <= residual.speed[-1])]
+    return difference(run, at_speeds(residual, inside))
+
+
+def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
+    if settings.recorded_by is None and not is_recording(path):
+        raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
+    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder)
+
+
+def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:
+    track = track_order(recording, lines, revolutions=settings.revolutions)
+    assert settings.load is not None
+    run = run_up_of(track, settings.name, settings.load, unbalance)
+    tacho = next(channel for channel in recording.channels if channel.name == settings.tacho)
+    turned = [effect.doubt for effect in tacho.doubts if effect.effect == "phase"]
+    of_keyphasor = [error for doubt in turned for error in turning(doubt, len(run.planes))]
+    return replace(run, doubts=(*run.doubts, *of_keyphasor))
+
+
+def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, ...]:
+    """Cascade of every response; groups of lines are reduced to their maximum, so that no peak is lost."""
+    spectra = cascade_spectra(recording, lines)
+    group = -(-spectra.frequency.size // MOST_LINES)
+    whole = spectra.frequency.size // group * group
+    frequency = spectra.frequency[:whole].reshape(-1, group).mean(axis=1)
+    thinned = spectra.amplitude[:, :whole].reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels)).max(axis=2)
+    return tuple(
+        Cascade(label, column(spectra.speed), column(frequency), tuple(column(row) for row in thinned[:, :, number]))
+        for number, label in enumerate(spectra.labels)
+    )
+
+
+# run_ups: the run-ups of a rotor -> journal coefficients by several methods, critical and threshold speeds,
+# uncertainties.
+
+Tell = Callable[[str], None]
+
+
+def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
+    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every run."""
+    return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
+
+
+def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None) -> RunUpResult:
+    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the pipeline file."""
+    rig = settings.rig
+    assert rig is not None
+    probes = settings.probes.doubts
+    return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs], tell)
+
+
+# Holding run-ups against rules: "run_ups.joint[held-out].critical_speed", ".threshold.covers", "run_ups.points.rank", "run_ups.warnings".
+
+
+MEASURED = "measured"
+SPEEDS = ("critical_speed", "threshold")
+ATTRIBUTES = ("std_error", "covers", "difference")
+METHOD_VALUES: dict[str, Callable[[RunUpMethod], float | None]] = {
+    "rank": lambda method: None if method.rank is None else float(method.rank),
+    "condition_number": lambda method: method.condition,
+    "chi2_reduced": lambda method: method.chi2_per_datum,
+    "chi2_p": lambda method: method.chi2_p,
+    "share_at_bound": lambda method: method.share_at_bound,
+}
+_ADDRESS = re.compile(r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$")
+HZ = 1 / (2 * np.pi)
+
+
+@dataclass(frozen=True)
+class _Address:
+    """Parts of a rule's address: method, run, item, attribute."""
+
+    method: str
+    run: str
+    item: str
+    attribute: str
+
+
+def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
+    """The outcome of a rule; ConfigError at its place for what the result does not have."""
+    if rule.item == "warnings":
+        return _warnings(rule, result)
+    match = _ADDRESS.match(rule.item)
+    if match is None:
+        raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
+    address = _Address(match["method"], match["run"] or "", match["item"], match["attribute"] or "")
+    if address.run and address.run not in [run.name for run in result.runs]:
+        raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs]))
+    if address.item in SPEEDS:
+        return _speed(rule, address, result, compare_number)
+    return _of_method(rule, address, result, compare_number)
+
+
+def _fault(rule: Rule, what: str, hint: str) -> ConfigError:
+    return ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
+
+
+def _warnings(rule: Rule, result: RunUpResult) -> RuleOutcome:
+    """A code that must be there, "not CODE" that must not, "none" for none at all."""
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
+    wanted = rule.bound.removeprefix("not ").strip()
+    passed = not codes if wanted == "none" else (wanted in codes) != rule.bound.startswith("not ")
+    return RuleOutcome(rule.section, rule.text, ", ".join(codes) or "none", passed)
+
+
+def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]:
+    methods: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
+    return {method.name: method for method in methods}
+
+
+def _of_method(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
+    """Rank, condition, chi-square, share at bounds, verdict of a method; the largest left-out error of a metamodel."""
+    predictors = _predictors(result)
+    if address.method not in predictors:
+        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+    predictor = predictors[address.method]
+    if isinstance(predictor, MetamodelResult):
+        if address.item != "left_out":
+            raise _fault(rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"]))
+        worst = max((_rms(validation.errors) for validation in predictor.left_out), default=None)
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
+    if address.item == "verdict":
+        return RuleOutcome(rule.section, rule.text, predictor.verdict, predictor.verdict == rule.bound)
+    if address.item not in METHOD_VALUES:
+        hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
+        raise _fault(rule, f"a method has no '{address.item}'", hint)
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
+
+
+def _rms(errors: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
+    """A critical or threshold speed of one run, or of every run that has it; the value shown is the first that fails, or the first."""
+    if address.attribute and address.attribute not in ATTRIBUTES:
+        raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
+    runs = [run for run in result.runs if address.run in ("", run.name)]
+    candidates = [(run, _amount(rule, address, result, run)) for run in runs]
+    selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
+    outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
+    return RuleOutcome(rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
+
+
+def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
+    if address.method == MEASURED:
+        return getattr(run, address.item)
+    predictors = _predictors(result)
+    if address.method not in predictors:
+        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+    prediction: RunPrediction | None = predictors[address.method].prediction(run.name)
+    return None if prediction is None else getattr(prediction, address.item)
+
+
+def _attribute(rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber) -> Compared:
+    if address.attribute == "covers":
+        interval = None if amount is None else amount.ci95
+        return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
+    if address.attribute == "difference":
+        measured: Amount | None = getattr(run, address.item)
+        return compare_number(rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1")
+    if amount is None:
+        return compare_number(rule, None, "Hz")
+    value = amount.std_error if address.attribute == "std_error" else amount.value
+    return compare_number(rule, None if value is None else HZ * value, "Hz")
+
+
+def run_up_lines(result: RunUpResult) -> Iterator[str]:
+    """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
+    yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
+    names = ["measured", *(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name for method in result.methods)]
+    yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
+    for run in result.runs:
+        columns = [run, *(method.prediction(run.name) for method in result.methods)]
+        yield f"  {run.name:<12}{run.load:>9.4g}" + "".join(f"{_speeds(column):>17}" for column in columns)
+    for method in result.methods:
+        if method.rank is not None:
+            chi2 = "" if method.chi2_per_datum is None else f", chi2 per datum {method.chi2_per_datum:.2f}"
+            yield f"  {method.title}: {method.verdict}, rank {method.rank} of {method.unknowns}{chi2}"
+
+
+def _speeds(owner: MeasuredRun | RunPrediction | None) -> str:
+    speeds = () if owner is None else (owner.critical_speed, owner.threshold)
+    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
+
+
+RUN_UPS = PipelineSection(
+    words="Coefficients from unbalance run-ups.",
+    settings=RunUpSettings,
+    standalone=True,
+    run=run_run_ups,
+    record=RunUpResult,
+    entry="run_ups",
+    outcome=run_up_outcome,
+    findings=findings,
+    parameters=listed_speeds_and_parameters,
+    report=run_up_sections,
+    cover=cover_facts,
+    terminal=run_up_lines,
+)

@@ -1,0 +1,1 @@
+"""Wear of a journal bearing from the response of its rotor."""

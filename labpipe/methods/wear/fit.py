@@ -1,0 +1,422 @@
+"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with its uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.budget import Source, changes_by, with_sources
+from labpipe.estimation.derived import drawn_densely
+from labpipe.estimation.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, excess_findings, quality_findings
+from labpipe.estimation.regression import triangle_of
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import (
+    Estimate,
+    condition_number,
+    correlation,
+    derived,
+    determination,
+    estimated,
+    inflation_factors,
+    student_limit,
+)
+from labpipe.estimation.weights import weight_doubt
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.wear.measured import MISFITS, Misfit, WornReceptance, worn_receptance
+from labpipe.methods.wear.model import WornModel, worn_model
+from labpipe.methods.wear.search import (
+    LEAST_INFORMATION,
+    Interval,
+    Minimum,
+    film_covariance,
+    healthy_minimum,
+    healthy_probability,
+    joint_region,
+    merged,
+    minima,
+    profile_interval,
+    refined,
+    start_mesh,
+    widened,
+    widened_region,
+)
+from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.fit_details import Region
+from labpipe.records.identification import Fit, FittedCurve, Goodness
+from labpipe.records.response import FrequencyResponse
+
+# Findings of a wear identification: bounds, further minima, identifiability, healthy bearing.
+
+# Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two parameters.
+RIVAL = 9.21
+AT_BOUND = 1e-4
+PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
+DISPLAY = {"m": (1e6, "um"), "rad": (180 / np.pi, "deg"), "Pa": (1e-5, "bar")}
+
+
+def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
+    """Names of the parameters at a bound."""
+    model = misfit.model
+    margin = AT_BOUND * (model.high - model.low)
+    at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
+    return tuple(name for name, hit in zip(model.names, at, strict=True) if hit)
+
+
+def bound_findings(names: Sequence[str]) -> list[Finding]:
+    """One finding per parameter at its bound."""
+    findings = []
+    for name in names:
+        reason = {
+            DEPTH: "no wear is visible, or it is deeper than depth_limit",
+            ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
+        }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
+        findings.append(Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it"))
+    return findings
+
+
+def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
+    """Further minima within RIVAL of the lowest chi-square."""
+    best = minima[0]
+    rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
+    if not rivals or DEPTH not in misfit.model.names:
+        return []
+    places = "; ".join(f"{_place(misfit, minimum)} (chi-square {minimum.chi2 - best.chi2:+.2g})" for minimum in rivals)
+    message = (
+        f"the misfit has further minima of nearly the same chi-square: {places}. Use more lines, all terms, or the complex "
+        "objective; prior knowledge of the bearing may select one"
+    )
+    return [Finding("multi-modal", message)]
+
+
+def _place(misfit: Misfit, minimum: Minimum) -> str:
+    values = misfit.model.values(minimum.parameters)
+    return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
+
+
+def angle_findings(identifiable: bool) -> list[Finding]:
+    """A finding where the angle is not identifiable."""
+    if identifiable:
+        return []
+    message = "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
+    return [Finding("not-identifiable", message)]
+
+
+def is_identifiable(interval: Interval) -> bool:
+    """False if the profile interval covers the whole range."""
+    return not (interval.open_low and interval.open_high)
+
+
+def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
+    """A finding where a healthy bearing is not ruled out; *mismatch*: the residual exceeds the noise."""
+    if probability < PROBABLY_WORN:
+        return []
+    odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
+    if mismatch:
+        message = f"the bearing may be healthy: {odds}, given a right model, which chi-square rejects"
+        return [Finding("perhaps-healthy", message)]
+    if probability >= PROBABLY_HEALTHY:
+        return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
+    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
+
+
+def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
+    """Starts, minima and meshes of the search, as a note; *mesh*: of the films that refine a minimum."""
+    total = sum(minimum.starts for minimum in minima)
+    best = minima[0]
+    cells = f"{mesh.around} x {mesh.across}"
+    return (
+        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil films of {cells} cells "
+        f"around tables of {settings.cells_around} x {settings.cells_across}."
+    )
+
+
+# Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with
+# its doubt.
+
+# Number of further minima that are refined as the best one is, and their largest excess of chi-square, relative.
+MOST_RIVALS, NEAR = 3, 0.5
+LEAST_SENSITIVITY = 1e-6
+# Increase of chi-square below which zero wear fits as well as the best wear.
+ALIKE = 1e-3
+# Rounds that estimate the residual's standard deviation; one without a prior, since no minimum moves then.
+SIZINGS = 2
+REGION_LEVEL = 0.95
+NAMES = {"complex": "ml", "log": "log-amplitude"}
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least chi-square without wear."""
+
+    misfit: Misfit
+    minima: tuple[Minimum, ...]
+    noise_covariance: FloatArray
+    film_covariance: FloatArray
+    healthy_chi2: float | None = None
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the scaled parameters, (n, n): by the noise and by the cells of the oil films."""
+        return self.noise_covariance + self.film_covariance
+
+    @property
+    def best(self) -> Minimum:
+        return self.minima[0]
+
+    @property
+    def dof(self) -> int:
+        """Real equations of the response minus parameters without a prior."""
+        n_response = self.misfit.residual(self.best.parameters).size - self.misfit.n_prior
+        return n_response - (len(self.misfit.model.names) - self.misfit.n_prior)
+
+
+def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
+    """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response, as one Fit.
+
+    ConfigError where settings, rotor and response do not fit together, FitError where the response cannot support the fit.
+    """
+    wear: WearSettings = settings.model_settings
+    measured = worn_receptance(response, settings, wear)
+    solved = _solve(measured, wear)
+    estimate = _estimate(solved)
+    parameters, findings = _reported(solved, estimate)
+    frequency = measured.frequency
+    lines = np.isin(response.frequency, frequency)
+    fit = Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator=NAMES[wear.objective],
+        band_hz=settings.band or (float(frequency[0]), float(frequency[-1])),
+        lines=frequency.size,
+        equations=estimate.dof + len(solved.misfit.model.names) - solved.misfit.n_prior,
+        dof=estimate.dof,
+        gof=estimate.gof,
+        parameters=parameters,
+        condition_number=condition_number(estimate.scaled_design),
+        correlation=correlation(solved.covariance),
+        converged=estimate.converged,
+        iterations=estimate.iterations,
+        findings=(
+            *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]),
+            *findings,
+            *quality_findings(response, [0, 1], [0, 1], lines),
+        ),
+        notes=(search_note(solved.minima, wear, solved.misfit.model.film_mesh),),
+        curve=_curve(measured, solved),
+        details=_region(solved, parameters),
+    )
+    return with_sources(fit, _sources(solved, measured, wear, len(parameters)))
+
+
+def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
+    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from its minimum, C J^T r.
+
+    Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
+    """
+    misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
+    doubts = misfit.model.rig.sources
+    if not measured.errors and not doubts:
+        return []
+    response, slopes = misfit.model.response(best)
+    modelled, of_parameters = measured.terms(response), measured.terms(slopes)
+    step = solved.noise_covariance @ misfit.jacobian(best)[: -misfit.n_prior or None].T
+    beside = np.zeros(n_parameter - len(misfit.model.names))
+
+    def values(change: ComplexArray) -> FloatArray:
+        moved = replace(measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change))
+        residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
+        return np.concatenate([-misfit.model.scale * (step @ residual), beside])
+
+    def by_bearings(source: str) -> FloatArray:
+        ends = []
+        for rig in misfit.model.rig.ends(source):
+            model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, with_slopes=False)
+            moved = measured.terms(model.response(best)[0])
+            ends.append(MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size)
+        return np.concatenate([-misfit.model.scale * (step @ (ends[0] - ends[1])) / 2, beside])
+
+    return [*changes_by(measured.errors, values), *((doubt, by_bearings(doubt.source)) for doubt in doubts)]
+
+
+def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
+    """Search on the tables, refine on the films; an unknown noise is estimated from the residual and the search repeated."""
+    misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
+    n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
+    if n_response <= len(misfit.model.names) - misfit.n_prior:
+        raise FitError(f"{n_response} equations cannot determine {len(misfit.model.names)} parameters", hint="use more lines or terms")
+    candidates = minima(misfit, start_mesh(wear, misfit))
+    for _ in range(0 if misfit.weighted else SIZINGS):
+        refined_misfit, ranked = _ranked(misfit, candidates[:1])
+        ratio = _size(refined_misfit, ranked[0])
+        misfit = misfit.sized(misfit.size * ratio)
+        if not misfit.n_prior:
+            candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
+            break
+        candidates = minima(misfit, start_mesh(wear, misfit))
+    misfit, ranked = _ranked(misfit, candidates)
+    healthy_chi2 = None
+    if DEPTH in misfit.model.names:
+        without, healthy = healthy_minimum(misfit, ranked[0])
+        healthy_chi2 = healthy.chi2
+        if healthy.chi2 < ranked[0].chi2 + ALIKE:
+            misfit, ranked = without, merged([healthy, *ranked])
+    jacobian = misfit.jacobian(ranked[0].parameters)
+    covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
+    return _Solved(misfit, tuple(ranked), covariance, film_covariance(misfit, ranked[0].parameters, covariance), healthy_chi2)
+
+
+def _size(misfit: Misfit, best: Minimum) -> float:
+    """Standard deviation of the residual without the prior's rows, 1e-12 at least."""
+    residual = misfit.residual(best.parameters)[: -misfit.n_prior or None]
+    n_free = len(misfit.model.names) - misfit.n_prior
+    return max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
+
+
+def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
+    """The minima, those of nearly the same chi-square refined on the films, the lowest first with its misfit."""
+    near = [
+        candidate
+        for candidate in candidates[:MOST_RIVALS]
+        if candidate.converged and candidate.chi2 <= candidates[0].chi2 + NEAR * (candidates[0].chi2 + 100)
+    ]
+    pairs = [refined(misfit, candidate) for candidate in near] or [refined(misfit, candidates[0])]
+    pairs.sort(key=lambda pair: (not pair[1].converged, pair[1].chi2))
+    others = [candidate for candidate in candidates if not any(candidate is other for other in near)]
+    return pairs[0][0], merged([*(pair[1] for pair in pairs), *others])
+
+
+def _estimate(solved: _Solved) -> Estimate:
+    """The estimate with its goodness, for the diagnostics."""
+    misfit, best, dof = solved.misfit, solved.best, solved.dof
+    measured, names = misfit.receptance, misfit.model.names
+    jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
+    measured_terms = measured.terms(measured.measured.matrix)
+    modelled_terms = measured.terms(misfit.model.response(best.parameters)[0])
+    r2, adjusted = determination(measured_terms, measured_terms - modelled_terms, len(names))
+    reduced, p_value = None, None
+    if misfit.weighted:
+        reduced = best.chi2 / misfit.excess / dof
+        p_value = weight_doubt(measured.measured, dof).p_value(reduced, dof)
+    return Estimate(
+        values=best.parameters,
+        covariance=solved.covariance,
+        scaled_design=triangle_of(jacobian[:, sensitive]) if sensitive else np.eye(1),
+        gof=Goodness(r2, adjusted, reduced, p_value),
+        dof=dof,
+        converged=best.converged,
+        iterations=sum(minimum.evaluations for minimum in solved.minima),
+    )
+
+
+def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
+    """Parameters in SI units and their findings."""
+    misfit, best = solved.misfit, solved.best
+    at = bounds_reached(misfit, best)
+    intervals = _intervals(solved)
+    identifiable = ANGLE not in intervals or is_identifiable(intervals[ANGLE])
+    factors = dict(zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False))
+    plain = [
+        _parameter(solved, number, factors.get(number), intervals.get(name), identifiable) for number, name in enumerate(misfit.model.names)
+    ]
+    findings = [*bound_findings([name for name in at if identifiable or name != ANGLE]), *rival_findings(solved.minima, misfit)]
+    if solved.healthy_chi2 is None:
+        return tuple(plain), findings
+    probability = healthy_probability(misfit, best, solved.healthy_chi2)
+    plain.append(derived("healthy_probability", "1", probability, 0.0, solved.dof))
+    plain[-1] = replace(plain[-1], std_error=None, ci95=None)
+    mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < MISMATCH_P
+    return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
+
+
+def _intervals(solved: _Solved) -> dict[str, Interval]:
+    """Profile intervals of depth and angle, widened by the error of the films' mesh."""
+    model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
+    noise, film = (np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance))
+    intervals = {}
+    for number, name in enumerate(model.names):
+        if name in (DEPTH, ANGLE):
+            interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
+            intervals[name] = widened(interval, parameters[number], limit * film[number], model.low[number], model.high[number])
+    return intervals
+
+
+def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool) -> Parameter:
+    """One parameter; an angle that is not identifiable and a parameter at its bound have no standard error."""
+    model = solved.misfit.model
+    name, scale = model.names[number], float(model.scale[number])
+    value = scale * float(solved.best.parameters[number])
+    error = scale * float(np.sqrt(solved.covariance[number, number]))
+    at_bound = name in bounds_reached(solved.misfit, solved.best)
+    parameter = estimated(name, UNITS[name], value, error, solved.dof, vif)
+    if interval is not None:
+        parameter = replace(parameter, ci95=(scale * interval.low, scale * interval.high))
+    if at_bound or (name == ANGLE and not identifiable):
+        ends = None if name == ANGLE and not identifiable else parameter.ci95 if interval is not None else None
+        parameter = replace(parameter, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound)
+    return parameter
+
+
+def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
+    """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
+    names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
+    findings = [*estimate_findings(estimate, names, solved.misfit.receptance.frequency.size), *excess_findings(estimate, biased)]
+    group = {name for collinear in (collinear_groups(estimate.scaled_design, names) if names else []) for name in collinear}
+    along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
+    return [finding for finding in findings if finding.code != "collinear" or not along]
+
+
+def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
+    """Indices of parameters off their bounds with non-zero sensitivity."""
+    misfit, best = solved.misfit, solved.best
+    lengths = np.linalg.norm(misfit.jacobian(best.parameters), axis=0)
+    at = bounds_reached(misfit, best)
+    return tuple(n for n, name in enumerate(misfit.model.names) if lengths[n] > LEAST_SENSITIVITY and name not in at)
+
+
+def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
+    """The joint region of depth and angle; none for a healthy rig or where the angle is not identifiable."""
+    model = solved.misfit.model
+    if DEPTH not in model.names or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None:
+        return ()
+    outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
+    wide = widened_region(outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2])
+    return (Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL),)
+
+
+def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
+    """Measured and fitted receptance in the fit's frame, all terms, between the lines too; of a tuning also the model before it."""
+    receptance = measured.measured
+    variance = None
+    if receptance.covariance is not None:
+        variance = np.einsum("lii->li", receptance.covariance).real.reshape(receptance.matrix.shape)
+    model, parameters = solved.misfit.model, solved.best.parameters
+    fitted = model.response(parameters)[0]
+    before = None if DEPTH in model.names else _untuned(model)
+
+    def at(frequency: FloatArray) -> ComplexArray:
+        return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]
+
+    dense_frequency, dense = drawn_densely(at, measured.frequency)
+    return FittedCurve(
+        measured.frequency,
+        receptance.matrix,
+        fitted,
+        variance=variance,
+        outputs=measured.names,
+        inputs=measured.names,
+        form="receptance",
+        before=before,
+        dense_frequency=dense_frequency,
+        dense=dense,
+    )
+
+
+def _untuned(model: WornModel) -> ComplexArray:
+    """The response at the prior means, on the films themselves."""
+    mean = np.array(model.prior.mean) / model.scale
+    return model.refined(mean, with_slopes=False).response(mean)[0]

@@ -1,0 +1,316 @@
+"""Coefficients of the bearings of a rotor as functions of wear and its conditions, and the response of the rotor with them.
+
+Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's coefficients.
+
+With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf: exact, and from the few
+dofs of the reduced rotor only.
+
+Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
+
+Tables are cached per bearing, load, speed, range and mesh: the fits of a pipeline share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.bearings.kinds import OperatingPoint
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.journal_bearing.table import PARAMETERS, JournalTable, TableRange, journal_table
+from labpipe.methods.rotor.response import ReducedRotor
+from labpipe.methods.rotor.rig import BearingPlace
+from labpipe.methods.rotor.shaft import Support
+from labpipe.spectra.convert import FROM_DIRECTIONAL
+
+# Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's
+# coefficients.
+
+
+@dataclass(frozen=True)
+class VaryingSupport:
+    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes (n, 2, 2) [SI]."""
+
+    support: Support
+    stiffness_slopes: FloatArray
+    damping_slopes: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (2, 2):
+            raise ConfigError(f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter")
+
+
+def response_with_slopes(
+    rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n, n_line, 2, 2).
+
+    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the reduced rotor.
+    Equation (rotor-slopes).
+    """
+    bearings = list(bearings)
+    response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
+    # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of matrices.
+    places = [(2 * number + row, 2 * number + column) for number in range(len(bearings)) for row, column in np.ndindex(2, 2)]
+    products = np.empty((2, len(places), rotor.omega.size, 2, 2), np.complex128)
+    for product, (row, column) in zip(products[0], places, strict=True):
+        np.multiply(to_output[:, :, row, None], from_force[:, column, None, :], out=product)
+    np.multiply(products[0], 1j * rotor.omega[:, None, None], out=products[1])
+    slopes = np.concatenate(
+        [_flat(bearing.stiffness_slopes for bearing in bearings), _flat(bearing.damping_slopes for bearing in bearings)], axis=1
+    )
+    return response, -(slopes @ products.reshape(slopes.shape[1], -1)).reshape(-1, *response.shape)
+
+
+def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
+    """Derivatives (n, 2, 2) of several bearings side by side, (n, 4 n_bearing)."""
+    return np.concatenate([of_one.reshape(-1, 4) for of_one in slopes], axis=1)
+
+
+def forward_backward(matrix: ComplexArray) -> ComplexArray:
+    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z (Mendes et al. 2017, eq. 18)."""
+    turned: ComplexArray = np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
+    return turned
+
+
+@dataclass(frozen=True)
+class WornRig:
+    """A rotor on all its bearings except the worn one; made once per speed and set of lines.
+
+    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of the exciter;
+    bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle [rad], from a table or the film itself.
+    """
+
+    rotor: ReducedRotor
+    bearing: Callable[[float, float], VaryingSupport]
+    output: int
+    force: int
+
+
+def worn_response(depth: float, angle: float, rig: WornRig, directional: bool = False) -> tuple[ComplexArray, ComplexArray]:
+    """Receptance (n_line, 2, 2) [m/N] with a wear of *depth* [m] at *angle* [rad] from the bottom, and its derivatives (2, n_line, 2, 2).
+
+    The derivatives are by depth and by angle [1/N, m/(N rad)]. *directional*: forward and backward instead of y and z.
+    """
+    response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
+    return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
+
+
+# Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation
+# pressure.
+
+# Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the films.
+WEAR_NODES = ((41, 9), (21, 7), (13, 5))
+# Further axes: nodes along them, and along the Sommerfeld number where it varies by less than this factor either way.
+FURTHER_NODES = 4
+NARROW, NARROW_NODES = 1.1, 3
+# Largest change of the displacement over clearance in the last step of a table's equilibria: far below what lies between its nodes.
+TABLE_TOLERANCE = 1e-5
+# The same of a film that corrects a table: tight, so that coefficients do not depend on the film it started from.
+FILM_TOLERANCE = 1e-9
+WEAR = ("wear_depth", "wear_angle")
+# Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation pressure [Pa].
+STEPS = {"wear_depth": 1e-6, "wear_angle": float(np.deg2rad(1.0)), "viscosity": 0.01, "clearance": 0.01, "cavitation_pressure": 2e3}
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure [Pa]; wear limits."""
+
+    depth: float
+    angle: float
+    viscosity_factor: float = 1.0
+    clearance_factor: float = 1.0
+    cavitation_pressure: float = 0.0
+
+    @property
+    def wide(self) -> bool:
+        """True if viscosity, clearance or cavitation pressure varies."""
+        return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
+
+    def of_table(self, worn: bool) -> TableRange:
+        """The table's axes, of a worn bearing or of one without wear."""
+        further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
+        n_depth, n_angle = WEAR_NODES[further]
+        ranges = TableRange(
+            depth=self.depth if worn else 0.0,
+            angle=self.angle,
+            viscosity_factor=self.viscosity_factor,
+            clearance_factor=self.clearance_factor,
+            cavitation_pressure=self.cavitation_pressure,
+            n_depth=n_depth,
+            n_angle=n_angle,
+            n_sommerfeld=FURTHER_NODES,
+            n_cavitation=FURTHER_NODES,
+            tolerance=TABLE_TOLERANCE,
+        )
+        return replace(ranges, n_sommerfeld=NARROW_NODES) if ranges.sommerfeld_factor < NARROW else ranges
+
+
+def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
+    interpolated = table.coefficients(bearing, speed)
+    return np.stack([interpolated.stiffness, interpolated.damping]), np.stack([interpolated.stiffness_slopes, interpolated.damping_slopes])
+
+
+def _point(bearing: JournalBearing) -> FloatArray:
+    return np.array([getattr(bearing, name) for name in PARAMETERS])
+
+
+def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, FloatArray]:
+    """Derivatives (2, 2, 2) of stiffness and damping by parameters *names* [N/m, N s/m per SI unit], by name.
+
+    By differences wide enough for a film of finite cells. Without wear K c / W and C c Omega / W depend on mu / c^2 only (and on the
+    cavitation pressure over the mean pressure): the derivative by clearance follows from that by viscosity, without films of its own.
+    """
+    alike = film.bearing.wear_depth == 0 and "clearance" in names
+    own_names = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
+    slopes = {name: _difference(film, name) for name in own_names if not (alike and name == "clearance")}
+    if alike:
+        scaled = np.stack([film.stiffness, film.damping]) + 2 * film.bearing.viscosity * slopes["viscosity"]
+        slopes["clearance"] = -scaled / film.bearing.clearance
+    return {name: slopes[name] for name in names}
+
+
+def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
+    """The derivative (2, 2, 2) by one parameter, from one film on either side."""
+    here = float(getattr(film.bearing, name))
+    step = STEPS[name] * (here if name in ("viscosity", "clearance") else 1.0)
+    ends = [here + step, here - step]
+    if name == "wear_depth":
+        ends[1] = max(ends[1], 0.0)
+    if name == "cavitation_pressure":
+        ends[0] = min(ends[0], 0.0)
+    films = [journal_equilibrium(replace(film.bearing, **{name: end}), film.load, film.speed, film.mesh, film) for end in ends]
+    change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
+    slope: FloatArray = change / (ends[0] - ends[1])
+    return slope
+
+
+@lru_cache(maxsize=32)
+def cached_table(bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh) -> JournalTable:
+    """The table of a bearing under its load [N] at *speed* [rad/s]; made at the first call."""
+    return journal_table(bearing, load, speed, ranges, mesh)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its *slopes*.
+
+    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
+    """
+
+    point: FloatArray
+    offset: FloatArray
+    slopes: FloatArray
+
+    def at(self, point: FloatArray) -> FloatArray:
+        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of PARAMETERS."""
+        moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
+        return moved
+
+
+@dataclass(frozen=True)
+class TabledBearing:
+    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in *fixed*.
+
+    film: the last film that corrected it, from which the next one starts.
+    """
+
+    place: BearingPlace
+    load: tuple[float, float]
+    speed: float
+    worn: bool
+    table: JournalTable | None
+    fixed: Support | None = None
+    correction: Correction | None = None
+    film: JournalEquilibrium | None = None
+
+    def support(self, values: Mapping[str, float], names: tuple[str, ...]) -> VaryingSupport:
+        """Coefficients at *values* by name (SI units), with their derivatives by the parameters *names*."""
+        if self.table is None:
+            assert self.fixed is not None
+            return VaryingSupport(self.fixed, *np.zeros((2, len(names), 2, 2)))
+        bearing = self._bearing(values)
+        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+        if self.correction is not None:
+            matrices = matrices + self.correction.at(_point(bearing))
+            by_parameter += self.correction.slopes
+        slopes = np.zeros((2, len(names), 2, 2))
+        for number, name in enumerate(names):
+            if name in PARAMETERS and (self.worn or name not in WEAR):
+                slopes[:, number] = by_parameter[:, PARAMETERS.index(name)]
+        return VaryingSupport(Support(self.place.node, *matrices), *slopes)
+
+    def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
+        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around them.
+
+        *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        """
+        if not self.place.is_film:
+            return self
+        bearing = self._bearing(values)
+        film = self._film(bearing, mesh)
+        if self.table is None:
+            return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping), film=film)
+        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+        slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
+        if with_slopes:
+            slopes = np.zeros_like(by_parameter)
+            names = [name for name in PARAMETERS if name in values and (self.worn or name not in WEAR)]
+            for name, slope in film_slopes(film, names).items():
+                number = PARAMETERS.index(name)
+                slopes[:, number] = slope - by_parameter[:, number]
+        correction = Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes)
+        return replace(self, correction=correction, film=film)
+
+    def _film(self, bearing: JournalBearing, mesh: FilmMesh) -> JournalEquilibrium:
+        """The film of a bearing on a mesh, started from the last one."""
+        if self.film is not None and self.film.bearing == bearing and self.film.mesh == mesh:
+            return self.film
+        return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)
+
+    def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:
+        """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a standard deviation with its signs.
+
+        A third of the change from half the cells each way: the error of a second-order method.
+        """
+        bearing = self._bearing(values)
+        fine = self._film(bearing, mesh)
+        coarse = journal_equilibrium(bearing, self.load, self.speed, mesh.halved() or mesh, fine.coarser)
+        return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
+
+    def shifted(self, change: FloatArray) -> TabledBearing:
+        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
+        if self.fixed is not None:
+            return replace(self, fixed=Support(self.place.node, self.fixed.stiffness + change[0], self.fixed.damping + change[1]))
+        assert self.correction is not None
+        return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
+
+    def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
+        varied = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
+        return replace(self.place.film("wear"), **varied)
+
+
+def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh) -> TabledBearing:
+    """A bearing of the rig with its table; ConfigError where a bearing with fixed wear would follow other parameters."""
+    if not place.is_film and not worn:
+        coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
+        return TabledBearing(place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping))
+    bearing = place.film("wear")
+    if not worn and not ranges.wide:
+        film = journal_equilibrium(bearing, load, speed, mesh)
+        return TabledBearing(place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping))
+    if bearing.wear_depth > 0 and not worn:
+        raise ConfigError(
+            f"'{place.name}' has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation pressure",
+            hint="leave them out, or its wear",
+        )
+    table = cached_table(bearing, load, speed, ranges.of_table(worn), mesh)
+    return TabledBearing(place, load, speed, worn, table)

@@ -1,0 +1,178 @@
+"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an unbalance line.
+
+The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a finer mesh than
+an identification uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.journal_bearing.kind import Wear
+from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
+from labpipe.methods.rotor.rig import RotorRig, worn_place
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.linear import shaken_rotor
+from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings, require_positive
+
+KIND = "virtual-journal-rig"
+AXES = ("y", "z")
+HEALTHY = (("healthy", Wear()),)
+# Lines that are solved at once: the free rotor has four equations per node.
+LINES_AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class JournalNoise(Settings):
+    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+
+    displacement: float = setting("value", "displacement sensors", unit="m", default=1e-6)
+    force: float = setting("value", "force transducer", unit="N", default=0.05)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualJournalRig(Settings):
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of `rotor`."""
+
+    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
+    name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
+    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    viscosity_error: float = setting("value", "true viscosity over the rotor file's, less one", unit="1", default=0.0)
+    clearance_error: float = setting("value", "true clearance over the rotor file's, less one", unit="1", default=0.0)
+    cavitation_pressure: float = setting("value", "true pressure at which the film tears", unit="Pa", default=0.0)
+    states: tuple[tuple[str, Wear], ...] = setting("sections", "states of the worn bearing by name", section=Wear, default=HEALTHY)
+    cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
+    cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
+    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
+    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=120.0)
+    lowest: float = setting("value", "and from here", unit="Hz", default=0.0)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
+    duration: float = setting("value", "length of one run", unit="s", default=60.0)
+    unbalance: float = setting("value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5)
+    noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
+    rig: RotorRig | None = None
+
+    def __post_init__(self) -> None:
+        if self.rig is not None:
+            worn_place(self.rig, self.bearing)
+        if not self.states:
+            raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
+        require_positive(self, "force", "bandwidth", "sample_rate", "duration")
+        if not self.bandwidth < self.sample_rate / 2:
+            raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
+        if not 0 <= self.lowest < self.bandwidth:
+            raise ConfigError("lowest must lie between 0 Hz and the bandwidth")
+        for name in ("viscosity_error", "clearance_error"):
+            if not abs(getattr(self, name)) < 0.5:
+                raise ConfigError(f"{name} must lie between -50 % and 50 %")
+        if self.cavitation_pressure > 0:
+            raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Every state under a force in y, then in z."""
+        return tuple(f"{state}-{axis}" for state, _ in self.states for axis in AXES)
+
+    def wear(self, run: str) -> Wear:
+        """The wear of the bearing in a run."""
+        return dict(self.states)[run.rpartition("-")[0]]
+
+    @property
+    def n_sample(self) -> int:
+        return round(self.duration * self.sample_rate)
+
+    @property
+    def mesh(self) -> FilmMesh:
+        return FilmMesh(self.cells_around, self.cells_across)
+
+
+def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig:
+    """The true rotor, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
+    if virtual.rig is None:
+        raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
+    nominal = worn_place(virtual.rig, virtual.bearing)
+    film = nominal.film("wear")
+    rig = virtual.rig.with_bearings(
+        viscosity=film.viscosity * (1 + virtual.viscosity_error),
+        clearance=film.clearance * (1 + virtual.clearance_error),
+        cavitation_pressure=virtual.cavitation_pressure,
+    )
+    return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
+
+
+def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
+    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
+    supports = rig.supports(mesh)
+    nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
+    parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
+    free: list[ReducedRotor] = [reduced_rotor(rig.rotor, nodes, part, rig.omega) for part in parts]
+    return np.concatenate([part.on(supports).response(rig.response, rig.force) for part in free])
+
+
+@lru_cache(maxsize=8)
+def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
+    """H on every line of a run that the force excites and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
+    rig = true_rig(virtual, wear.depth, wear.angle)
+    return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
+
+
+def _lines(virtual: VirtualJournalRig) -> FloatArray:
+    """Frequencies of the run's lines that the force excites, (n_line,) [Hz]."""
+    lines = fft.rfftfreq(virtual.n_sample, 1 / virtual.sample_rate)[1:]
+    return np.asarray(lines[(lines <= virtual.bandwidth) & (lines >= virtual.lowest)])
+
+
+def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Recording:
+    """Force f along one axis, displacements y and z [SI], turning from y to z; with independent noise."""
+    assert virtual.rig is not None
+    n, axis, h = virtual.n_sample, name[-1], _response(virtual, virtual.wear(name))
+    spectrum, at_lines = np.zeros(n // 2 + 1, np.complex128), np.zeros((n // 2 + 1, 2), np.complex128)
+    first = int(np.argmax(fft.rfftfreq(n, 1 / virtual.sample_rate)[1:] >= virtual.lowest)) + 1
+    excited = slice(first, first + h.shape[0] - 1)
+    spectrum[excited] = rng.standard_normal(h.shape[0] - 1) + 1j * rng.standard_normal(h.shape[0] - 1)
+    spectrum *= virtual.force * n / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2))
+    at_lines[excited] = h[:-1, :, AXES.index(axis)]
+    channels = [Channel("f", "force", "input", axis), *(Channel(dof, "displacement", "output", dof) for dof in AXES)]
+    turning = h[-1], virtual.unbalance, virtual.rig.omega
+    return shaken_rotor(virtual, name, channels, spectrum, at_lines, turning, rng)
+
+
+def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
+    """True parameters of the bearings, and wear depth [m] and angle [rad] of every state."""
+    rig = true_rig(virtual, 0.0, 0.0)
+    bearing = rig.place(virtual.bearing).bearing
+    states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}
+    film_values = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    return {**film_values, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
+
+
+def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
+    """Wear and film of the state of the runs; ConfigError where they are of several states."""
+    states = dict.fromkeys(virtual.wear(run) for run in runs)
+    if len(states) != 1:
+        raise ConfigError("'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]")
+    (wear,) = states
+    true_values = truth(virtual)
+    film = {name: float(true_values[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}
+    return {"wear_depth": wear.depth, "wear_angle": wear.angle, **film}
+
+
+JOURNAL_RIG = kind_of_recordings(
+    VirtualJournalRig,
+    runs=lambda virtual: virtual.runs,
+    record=_run,
+    logged=force_and_displacements,
+    truth=truth,
+    parameters=_parameters,
+)

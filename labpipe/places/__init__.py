@@ -1,1 +1,0 @@
-"""Files that lie elsewhere: in the buckets of an object storage."""

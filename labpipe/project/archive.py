@@ -1,0 +1,568 @@
+"""One file that holds a result with all it was made from: an RO-Crate in a ZIP.
+
+``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1 (https://w3id.org/ro/crate/1.1).
+
+No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said to be not stated.
+
+The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no size.
+
+Files are stored as they are, in the order of their names, at the first moment that ZIP knows: compression would make the bytes depend on
+the library that compresses. A recording that is compressed itself (.csv.gz) stays so.
+"""
+
+from __future__ import annotations
+
+import datetime
+import glob
+import hashlib
+import json
+import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+from urllib.parse import quote, unquote
+
+from labpipe import __version__
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.header import code_digest, commit, source_ref
+from labpipe.artefacts.identification_file import NAME as IDENTIFICATION
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING
+from labpipe.artefacts.writing import is_remote, output_file, path_of, shown
+from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.identify import rig_entry, settings_entry
+from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.measured import files_of_test
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.report import COMMENTS, drawn_from, is_drawn
+from labpipe.project.verification import artefacts_below, verified
+from labpipe.records.identification import Identification
+
+# What an archive holds: the files of a result, the pipeline, and every file that the pipeline names, with
+# all their digests.
+
+# The one folder of an archive, and the two in it.
+EXPERIMENT = "experiment"
+PROJECT, RESULTS = f"{EXPERIMENT}/project", f"{EXPERIMENT}/results"
+YAML = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256.
+
+    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the result depends on that.
+    """
+
+    name: str
+    role: str
+    path: Path
+    sha256: str = ""
+    size: int | None = None
+    kept: bool = True
+    day: str = ""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*. left_out: of no result."""
+
+    identification: Identification
+    pipeline: str
+    of: tuple[Member, ...]
+    results: tuple[Member, ...]
+    left_out: tuple[Path, ...] = ()
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """All files, in the order of their names."""
+        return tuple(sorted((*self.of, *self.results), key=lambda member: member.name))
+
+
+def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Contents:
+    """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the recordings.
+
+    DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that an archive cannot hold.
+    """
+    identification = read_identification(folder / IDENTIFICATION)
+    _check_same(identification, pipeline, folder)
+    for artefact in verified(folder, pipeline.folder):
+        if artefact.faults:
+            raise DataError(artefact.faults[0], where=str(artefact.path), hint="run `labpipe run` again")
+    names = _names_of_result(folder, identification, pipeline)
+    reports = [f"report.{name}" for name in COMMENTS if (folder / f"report.{name}").is_file()]
+    for name in reports:
+        if not is_drawn(folder / name, drawn_from(folder / IDENTIFICATION)):
+            hint = f"remove it or draw it again by `labpipe report {folder}`"
+            raise DataError("was not drawn from this result, or edited since", where=str(folder / name), hint=hint)
+    recordings = [name for name in names if name.endswith(RECORDING)]
+    results = [
+        Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=not (digests_only and name in recordings))
+        for name in (*names, *reports)
+    ]
+    left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
+    noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
+    digests = {reference.path: reference.sha256 for reference in noted} | {
+        source["path"]: source["sha256"] for source in identification.sources
+    }
+    main, files = _project(pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only)
+    return Contents(identification, main, tuple(map(_digested, files)), tuple(map(_digested, results)), tuple(left_out))
+
+
+def _digested(member: Member) -> Member:
+    """The member with digest and size; one that is not kept and lies elsewhere has the digest that the result names."""
+    if is_remote(member.path):
+        return member
+    return replace(member, sha256=source_ref(member.path, member.path.parent).sha256, size=member.path.stat().st_size)
+
+
+def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
+    """DataError where the result was made by another build, or by a pipeline that says something else."""
+    if identification.code != code_digest():
+        what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
+        raise DataError(what, where=str(folder / IDENTIFICATION), hint="run `labpipe run` again, or make the archive with that build")
+    stated, made = settings_entry(pipeline), dict(identification.settings)
+    for entries in (stated, made):
+        # With the conditions as the recordings showed them.
+        entries.pop("tests", None)
+    differing = [name for name in dict.fromkeys((*stated, *made)) if stated.get(name) != made.get(name)]
+    differing += ["rig"] if rig_entry(pipeline) != identification.rig else []
+    if differing:
+        what = f"says something else under '{differing[0]}' than the result in {folder} was made with"
+        raise DataError(what, where=str(pipeline.path), hint="write into the file what --set said, and run it again")
+
+
+def _names_of_result(folder: Path, identification: Identification, pipeline: Pipeline) -> list[str]:
+    """The artefacts of this very result by their names; what earlier pipelines left in the folder is none."""
+    named = [reference["path"] for reference in identification.inputs]
+    named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
+    files_there = [name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts]
+    measured = [name for name in files_there if name.endswith(".parquet") and "/" not in name]
+    recordings = [f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs]
+    return sorted({IDENTIFICATION, *files_there, *(name for name in recordings if (folder / name).is_file())})
+
+
+def _role_of_result(name: str) -> str:
+    if name == IDENTIFICATION:
+        return "result: parameters, standard errors, findings, outcomes of rules"
+    if name.startswith("report."):
+        return "report"
+    kinds = {RECORDING: "calibrated recording", ".results.parquet": "results of many tests", ".json": "fits of a test"}
+    return next((role for suffix, role in kinds.items() if name.endswith(suffix)), "measured response, decays or spectra of a test")
+
+
+def _project(pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool) -> tuple[str, list[Member]]:
+    """The pipeline's name in the archive, and it with all files that it names, in folders as they are.
+
+    digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings were last changed.
+    """
+    raw = [path for test in pipeline.tests for source in test.recordings for path in (source.path, *source.joined)]
+    ready = [path for test in pipeline.tests for frf in test.frfs for path in frf.paths]
+    remote = next(filter(is_remote, raw), None)
+    if remote is not None and not digests_only:
+        what = "lies in an object storage, and is not brought into the archive"
+        raise DataError(what, where=shown(remote), hint="--digests-only keeps its digest")
+    settings, named = _named_by(pipeline.path)
+    roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
+    roles |= {path: "table or file that the settings name" for path in map(_absolute, (*pipeline.side_files, *named)) if path not in roles}
+    roles |= dict.fromkeys(settings, "rig, bearing or other settings")
+    roles |= {_absolute(pipeline.path): "pipeline: the procedure"}
+    home = Path(os.path.commonpath([path.parent for path in roles if not is_remote(path)]))
+    members = []
+    for path, role in roles.items():
+        kept = not (digests_only and role == "recording")
+        name = shown(path) if is_remote(path) else f"{PROJECT}/{path.relative_to(home).as_posix()}"
+        day = _day(path) if dated and role == "recording" and not is_remote(path) else ""
+        members.append(Member(name, role, path, digests.get(name, ""), kept=kept, day=day))
+    return f"{PROJECT}/{_absolute(pipeline.path).relative_to(home).as_posix()}", members
+
+
+def _absolute(path: Path) -> Path:
+    """The path without '..', links as they are; a URL as it is."""
+    return path if is_remote(path) else Path(os.path.abspath(path))
+
+
+def _day(path: Path) -> str:
+    """The day [UTC] on which a file was last changed: that of a test of a dataset that states none."""
+    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
+
+
+def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
+    """The settings files that a settings file names, itself first, and those that they name; all other files that any of them names."""
+    settings, others = [_absolute(path)], list[Path]()
+    for file in settings:
+        for node in _texts(load_marked(file)):
+            target = _absolute(file.parent / node.text)
+            if target in settings or not _is_named(node, file.parent):
+                continue
+            (settings if target.suffix in YAML else others).append(target)
+    return settings, list(dict.fromkeys(others))
+
+
+def _is_named(node: Marked, folder: Path) -> bool:
+    """Whether a text names a file; ConfigError where it does by a path that holds on this machine only."""
+    try:
+        address = path_of(node.text)
+    except ConfigError:
+        return False
+    if is_remote(address) or len(node.text) > 1000 or "\n" in node.text or "\0" in node.text:
+        return False
+    if address.is_absolute() and (address.is_file() or (glob.has_magic(node.text) and glob.glob(node.text))):
+        what = f"'{node.text}' holds on this machine only, and not in an archive"
+        raise ConfigError(what, where=node.where, hint="name the file relative to the one that names it")
+    try:
+        return (folder / address).is_file()
+    except OSError:
+        return False
+
+
+def _texts(node: Marked) -> Iterator[Marked]:
+    """The texts in a tree."""
+    parts: Sequence[Marked] = (
+        tuple(node.content.values()) if isinstance(node.content, dict) else node.content if isinstance(node.content, list) else ()
+    )
+    if node.text and not parts:
+        yield node
+    for part in parts:
+        yield from _texts(part)
+
+
+# ``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1
+# (https://w3id.org/ro/crate/1.1).
+
+NAME = "ro-crate-metadata.json"
+VERSION = "https://w3id.org/ro/crate/1.1"
+# Of the context of version 1.1 the term is no part; that of 1.2 defines it so.
+CONTEXT = [f"{VERSION}/context", {"sha256": "http://schema.org/sha256"}]
+FAMILY = "https://w3id.org/ro/crate/"
+NO_LICENCE = "Not stated. Whoever made this archive decides what may be done with it."
+UNKNOWN = "application/octet-stream"
+FORMATS = {
+    ".csv": "text/csv", ".txt": "text/plain", ".dat": "text/plain", ".asc": "text/plain", ".lvm": "text/plain", ".md": "text/markdown",
+    ".html": "text/html", ".pdf": "application/pdf", ".json": "application/json", ".yaml": "application/yaml", ".yml": "application/yaml",
+    ".parquet": "application/vnd.apache.parquet", ".h5": "application/x-hdf5", ".hdf5": "application/x-hdf5", ".wav": "audio/vnd.wave",
+    ".mat": "application/x-matlab-data", ".gz": "application/gzip", ".zst": "application/zstd",
+    ".xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
+}  # fmt: skip
+
+Entity = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A file as the metadata list it; *day*: on which it was last changed, empty where it does not matter."""
+
+    name: str
+    size: int
+    sha256: str
+    day: str = ""
+
+
+@dataclass(frozen=True)
+class Crate:
+    """What verification reads of the metadata: the files, the pipeline's name, and how many files are listed by their digest only."""
+
+    files: tuple[Listed, ...]
+    pipeline: str
+    left_out: int
+
+
+def metadata(contents: Contents, date: str) -> bytes:
+    """The metadata of an archive; the same bytes for the same contents and *date* (ISO 8601)."""
+    graph = [*_heads(contents, date), *(_entity(member) for member in contents.members), *_run(contents)]
+    return (json.dumps({"@context": CONTEXT, "@graph": graph}, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _heads(contents: Contents, date: str) -> Iterator[Entity]:
+    """The metadata file itself, the archive as a whole, its one folder."""
+    title = contents.identification.title
+    files = [{"@id": _id(member)} for member in contents.members if member.kept]
+    yield {"@id": NAME, "@type": "CreativeWork", "conformsTo": {"@id": VERSION}, "about": {"@id": "./"}}
+    yield {
+        "@id": "./",
+        "@type": "Dataset",
+        "name": title,
+        "description": f"{title}: procedure, rig and recordings of a test, the result that labpipe made of them, and its report.",
+        "datePublished": date,
+        "license": NO_LICENCE,
+        "conformsTo": {"@id": VERSION},
+        "mainEntity": {"@id": quote(contents.pipeline)},
+        "mentions": {"@id": "#run"},
+        "hasPart": [{"@id": f"{EXPERIMENT}/"}, *files],
+    }
+    yield {"@id": f"{EXPERIMENT}/", "@type": "Dataset", "name": title, "hasPart": files}
+
+
+def _id(member: Member) -> str:
+    """The identifier of a file: its path, or what stands for a file that the archive does not hold."""
+    return quote(member.name) if member.kept else f"#left-out/{quote(member.name)}"
+
+
+def _entity(member: Member) -> Entity:
+    path = PurePosixPath(member.name)
+    entity = {
+        "@id": _id(member),
+        "@type": "File" if member.kept else "CreativeWork",
+        "name": path.name if member.kept else member.name,
+        "description": member.role if member.kept else f"{member.role}; not in the archive, known by its digest",
+        "encodingFormat": FORMATS.get(path.suffix.lower(), UNKNOWN),
+        "sha256": member.sha256,
+    }
+    sized = {} if member.size is None else {"contentSize": str(member.size)}
+    return entity | sized | ({"dateModified": member.day} if member.day else {})
+
+
+def _run(contents: Contents) -> Iterator[Entity]:
+    """The run as an action, and the software that did it."""
+    commit_hash = commit()
+    yield {
+        "@id": "#run",
+        "@type": "CreateAction",
+        "name": f"labpipe run {PurePosixPath(contents.pipeline).name}",
+        "instrument": {"@id": "#labpipe"},
+        "object": [{"@id": _id(member)} for member in contents.of],
+        "result": [{"@id": _id(member)} for member in contents.results],
+    }
+    yield {
+        "@id": "#labpipe",
+        "@type": "SoftwareApplication",
+        "name": "labpipe",
+        "version": __version__ + (f" (commit {commit_hash})" if commit_hash else ""),
+        "softwareVersion": __version__,
+        "identifier": [{"@id": "#code"}, *([{"@id": "#commit"}] if commit_hash else [])],
+    }
+    yield {"@id": "#code", "@type": "PropertyValue", "name": "SHA-256 of the source", "value": code_digest()}
+    if commit_hash:
+        yield {"@id": "#commit", "@type": "PropertyValue", "name": "commit", "value": commit_hash}
+
+
+def read_metadata(content: bytes, where: str) -> Crate:
+    """What the metadata say; DataError where they are no RO-Crate, or not one of labpipe's."""
+    try:
+        graph = json.loads(content.decode("utf-8"))["@graph"]
+        entities: Mapping[str, Entity] = {entity["@id"]: entity for entity in graph}
+        main = _root(entities)
+        files = tuple(_listed(entity, where) for entity in entities.values() if entity["@type"] == "File")
+        left_out = sum(name.startswith("#left-out/") for name in entities)
+        pipeline = unquote(main["mainEntity"]["@id"])
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DataError(f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})", where=where, hint=f"{VERSION}") from None
+    if pipeline not in {file.name for file in files}:
+        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where=where)
+    return Crate(files, pipeline, left_out)
+
+
+def _root(entities: Mapping[str, Entity]) -> Entity:
+    """The entity that the metadata are about, found as RO-Crate says."""
+    crates = (entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY))
+    descriptor = next((described for described in crates if "about" in described), {})
+    return entities[descriptor["about"]["@id"]]
+
+
+def _reference(entry: Any) -> Any:
+    return entry.get("@id") if isinstance(entry, dict) else entry
+
+
+def _listed(entity: Entity, where: str) -> Listed:
+    name, day = unquote(entity["@id"]), entity.get("dateModified", "")
+    size, sha256 = entity["contentSize"], entity["sha256"]
+    if not (isinstance(size, str) and size.isascii() and size.isdigit() and isinstance(sha256, str) and isinstance(day, str)):
+        raise DataError(f"lists '{cut(name)}' without its size and digest", where=where)
+    return Listed(name, int(size), sha256, day)
+
+
+# The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no
+# size.
+
+ZIP, ELN = ".zip", ".eln"
+EPOCH = (1980, 1, 1, 0, 0, 0)
+CHUNK = 1 << 20
+LONGEST_METADATA = 1 << 28
+ENCRYPTED = 0x1
+# What reading a damaged member raises.
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError)
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a path is that of an archive by its ending, and no folder."""
+    return path.suffix.lower() in (ZIP, ELN) and not path.is_dir()
+
+
+def check_output(path: Path) -> None:
+    """ConfigError for the name of an archive that has another ending, or that is there already."""
+    if path.suffix.lower() not in (ZIP, ELN):
+        raise ConfigError(f"no archive has the ending '{path.suffix}'", where=str(path), hint=f"known: {ZIP}, {ELN}")
+    if path.exists():
+        raise ConfigError("is there already", where=str(path), hint="name another file, or remove this one; an archive is never replaced")
+
+
+def write_archive(contents: Contents, path: Path, date: str) -> None:
+    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name around all."""
+    check_output(path)
+    around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
+    with output_file(path) as target, zipfile.ZipFile(target, "x") as archive:
+        for member in (member for member in contents.members if member.kept):
+            digest = hashlib.sha256()
+            with member.path.open("rb") as source, _opened(archive, around + member.name, member.size or 0) as goal:
+                while chunk := source.read(CHUNK):
+                    digest.update(chunk)
+                    goal.write(chunk)
+            if digest.hexdigest() != member.sha256:
+                raise DataError("changes while it is archived", where=str(member.path), hint="try again when it is finished")
+        content = metadata(contents, date)
+        with _opened(archive, around + NAME, len(content)) as goal:
+            goal.write(content)
+
+
+@contextmanager
+def _opened(archive: zipfile.ZipFile, name: str, size: int) -> Iterator[IO[bytes]]:
+    info = zipfile.ZipInfo(name, EPOCH)
+    info.create_system, info.external_attr, info.file_size = 3, (stat.S_IFREG | 0o644) << 16, size
+    with archive.open(info, "w") as stream:
+        yield stream
+
+
+@dataclass(frozen=True)
+class Opened:
+    """An archive whose names are safe: its *members* by their names in the crate, and the metadata."""
+
+    path: Path
+    archive: zipfile.ZipFile
+    members: dict[str, zipfile.ZipInfo]
+    metadata: bytes
+
+    def unpack(self, listed: Listed, folder: Path) -> str:
+        """Write a listed file below a folder; what does not hold, empty where all does."""
+        info = self.members.get(listed.name)
+        if info is None:
+            return "is missing"
+        if info.file_size != listed.size:
+            return f"has {info.file_size} bytes in place of {listed.size}"
+        target = folder / listed.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        digest = hashlib.sha256()
+        try:
+            with target.open("wb") as goal:
+                for chunk in self._chunks(info):
+                    digest.update(chunk)
+                    goal.write(chunk)
+        except DamagedError as error:
+            return error.what
+        return "" if digest.hexdigest() == listed.sha256 else "is not the file that the archive lists: its SHA-256 is another"
+
+    def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
+        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written is no fault of the archive."""
+        try:
+            with self.archive.open(info) as stream:
+                while chunk := stream.read(CHUNK):
+                    yield chunk
+        except DAMAGE as error:
+            raise DamagedError(f"is damaged ({cut(str(error))})", where=str(self.path)) from None
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Opened]:
+    """An archive to be read; DataError for what is no ZIP, for names that lead out of it, and without metadata."""
+    if not path.is_file():
+        what = "is no regular file" if path.exists() else "no such file"
+        raise DataError(what, where=str(path), hint="name a file that `labpipe archive` wrote")
+    try:
+        archive = zipfile.ZipFile(path)
+    except DAMAGE as error:
+        raise DataError(f"is no ZIP file, or a damaged one ({cut(str(error))})", where=str(path), hint="have it sent again") from None
+    with archive:
+        members: dict[str, zipfile.ZipInfo] = {}
+        for info in archive.infolist():
+            _check_safe(info, members, path)
+            if not info.is_dir():
+                members[info.filename] = info
+        for name in members:
+            if above := next((str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""):
+                raise DataError("is a file and a folder", where=f"{path}: {cut(above)!r}", hint="labpipe writes no such archive")
+        around = _around(members, path)
+        members = {name.removeprefix(around): info for name, info in members.items()}
+        yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))
+
+
+def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path: Path) -> None:
+    """DataError for an entry that must not be unpacked."""
+    name = info.orig_filename
+    parts = name.removesuffix("/").split("/")
+    if "\0" in name or "\\" in name or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):
+        what = "has a name that leads out of the archive, or is none"
+    elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
+        what = "is no regular file"
+    elif info.flag_bits & ENCRYPTED:
+        what = "is encrypted"
+    elif info.filename in members:
+        what = "is there twice"
+    else:
+        return
+    raise DataError(what, where=f"{path}: {cut(name)!r}", hint="labpipe writes no such archive")
+
+
+def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
+    """The folder around all of an .eln, as a prefix; empty for a crate at the top. DataError without metadata."""
+    if NAME in members:
+        return ""
+    tops = {PurePosixPath(name).parts[0] for name in members}
+    if len(tops) == 1 and f"{(top := tops.pop())}/{NAME}" in members:
+        return f"{top}/"
+    raise DataError(f"holds no {NAME}", where=str(path), hint="name a file that `labpipe archive` wrote")
+
+
+def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> bytes:
+    if info.file_size > LONGEST_METADATA:
+        raise DataError(f"has more than {LONGEST_METADATA >> 20} MB", where=f"{path}: {NAME}")
+    try:
+        return archive.read(info)
+    except DAMAGE as error:
+        raise DataError(f"is damaged ({cut(str(error))})", where=f"{path}: {NAME}", hint="have it sent again") from None
+
+
+# An archive taken apart again: every file held against its digest, then the result where verification and
+# the pipeline find it.
+
+
+@dataclass(frozen=True)
+class Unpacked:
+    """The folders of an archive that was unpacked, and what does not hold of its files, by their names.
+
+    left_out: files of which the archive holds the digest only, without which the pipeline cannot be run.
+    """
+
+    pipeline: Path
+    results: Path
+    files: int
+    left_out: int
+    faults: tuple[tuple[str, str], ...]
+
+
+def unpacked(path: Path, folder: Path) -> Unpacked:
+    """Unpack an archive into a folder; DataError where it cannot be read as one."""
+    with opened(path) as archive:
+        crate = read_metadata(archive.metadata, f"{path}: {NAME}")
+        listed = {file.name: file for file in crate.files}
+        faults = [(name, "is not listed among the metadata") for name in archive.members if name not in listed]
+        for file in listed.values():
+            fault = archive.unpack(file, folder)
+            if fault:
+                faults.append((file.name, fault))
+            else:
+                _date(file, folder)
+    return Unpacked(folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults)))
+
+
+def _date(file: Listed, folder: Path) -> None:
+    """Have a file the day on which it was last changed: the day of a test of a dataset that states none."""
+    try:
+        day = datetime.datetime.fromisoformat(file.day).replace(hour=12, tzinfo=datetime.UTC).timestamp()
+    except ValueError:
+        return
+    os.utime(folder / file.name, (day, day))

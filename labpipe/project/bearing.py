@@ -1,0 +1,190 @@
+"""bearing: a bearing file -> stiffness and damping at its load and speed, alone or over a sweep of one entry."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.json_file import without_nan
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.bearings.kinds import BearingCoefficients, BearingDoubts, bearing_doubts
+from labpipe.project.bearing_file import BearingFile, setting_at
+from labpipe.project.marked_yaml import set_entry
+from labpipe.project.sweep import Sweep
+from labpipe.raw_files.frf_csv import write_frf_csv
+from labpipe.records.uncertain import doubt_of
+
+SCHEMA = "labpipe/bearing/1"
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The coefficients of a bearing, with what the doubts of its numbers leave of them; None without doubts."""
+
+    coefficients: BearingCoefficients
+    doubts: BearingDoubts | None = None
+
+
+def evaluated(file: BearingFile) -> Evaluated:
+    """The coefficients of the file as it is now, with their doubts; errors say which file."""
+    (whole,) = _evaluated(file, [lambda: None], file.doubts)
+    return whole
+
+
+def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
+    """The coefficients at every value of the sweep, in its order; the doubt of the swept entry itself does not count."""
+
+    def setter(value: float) -> Callable[[], None]:
+        return lambda: set_entry(file.tree, f"{sweep.key}={value!r} {sweep.unit}")
+
+    return _evaluated(file, [setter(float(value)) for value in sweep.values], [key for key in file.doubts if key != sweep.key])
+
+
+def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]) -> list[Evaluated]:
+    """The file at each of the *points*, which set its entries: all settings in one go, since kinds evaluate many at once."""
+    settings = []
+    for point in points:
+        point()
+        settings.append(file.settings())
+        for key in keys:
+            settings.extend(file.ends(key))
+    coefficients = file.coefficients(settings)
+    if not keys:
+        return [Evaluated(point) for point in coefficients]
+    sources = [doubt_of(file.doubts[key], key, setting_at(file.kind.settings, key).unit) for key in keys]
+    size = 1 + 2 * len(keys)
+    rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
+    return [Evaluated(row[0], bearing_doubts(sources, list(zip(row[1::2], row[2::2], strict=True)))) for row in rows]
+
+
+def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
+    """Entries of --json: kind, dofs, stiffness, damping, equilibrium, and where known the range over a ball passage. SI units."""
+    coefficients = whole.coefficients
+    equilibrium = {amount.name: amount.value for amount in coefficients.rest}
+    equilibrium |= {key: values.tolist() for key, values in coefficients.element_state.items()}
+    entry: dict[str, Any] = {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "kind": file.kind_name,
+        "name": name,
+        "dofs": list(coefficients.dofs),
+        "stiffness": coefficients.stiffness.tolist(),
+        "damping": coefficients.damping.tolist(),
+        "equilibrium": equilibrium,
+        "model": {amount.name: amount.value for amount in coefficients.notes} | dict(coefficients.words),
+        "warnings": [{"code": finding.code, "message": finding.message} for finding in coefficients.findings],
+    }
+    if coefficients.shares:
+        entry["shares"] = {amount.name: amount.value for amount in coefficients.shares}
+    if coefficients.poles is not None:
+        entry["poles"] = [[float(pole.real), float(pole.imag)] for pole in coefficients.poles]
+    if coefficients.shaft:
+        entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
+    if coefficients.lowest is not None and coefficients.highest is not None:
+        entry["passage"] = {"stiffness_min": coefficients.lowest.tolist(), "stiffness_max": coefficients.highest.tolist()}
+    if whole.doubts is not None:
+        entry["uncertainty"] = _doubt_entry(whole.doubts, coefficients)
+    return entry
+
+
+def _doubt_entry(doubts: BearingDoubts, coefficients: BearingCoefficients) -> dict[str, Any]:
+    """Standard uncertainties by all sources, and the change by one standard uncertainty of each."""
+    names = [amount.name for amount in coefficients.rest]
+    changes = zip(doubts.sources, doubts.stiffness, doubts.damping, doubts.rest, strict=True)
+    return {
+        "stiffness": doubts.stiffness_error.tolist(),
+        "damping": doubts.damping_error.tolist(),
+        "equilibrium": dict(zip(names, doubts.rest_error.tolist(), strict=True)),
+        "sources": [
+            {
+                "source": source.source,
+                "std_error": source.std_error,
+                "unit": source.unit,
+                "stiffness": stiffness.tolist(),
+                "damping": damping.tolist(),
+                "equilibrium": dict(zip(names, rest.tolist(), strict=True)),
+            }
+            for source, stiffness, damping, rest in changes
+        ],
+    }
+
+
+def bearing_json(entry: dict[str, Any]) -> str:
+    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at rest."""
+    return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
+    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
+    from labpipe.document.charts import svg_file
+    from labpipe.report.bearing_figures import stiffness_figure
+
+    coefficients = whole.coefficients
+    output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, whole)), encoding="utf-8")
+    output.write_path("stiffness.svg").write_text(svg_file(stiffness_figure(name, coefficients)), encoding="utf-8")
+    names = ["bearing.json", "stiffness.svg"]
+    for file_name, figure in (file.kind.figures(name, coefficients) if file.kind.figures else {}).items():
+        output.write_path(file_name).write_text(svg_file(figure), encoding="utf-8")
+        names.append(file_name)
+    response = file.kind.response and file.kind.response(file.settings(), coefficients)
+    if response is not None:
+        write_frf_csv(output.write_path("transfer.csv"), response)
+        names.append("transfer.csv")
+    return names
+
+
+def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
+    """sweep.csv with every coefficient, and their curves; the names of the files."""
+    from labpipe.document.charts import svg_file
+    from labpipe.report.bearing_figures import sweep_figures
+
+    columns = sweep_columns(sweep, points)
+    with output.write_path("sweep.csv").open("w", encoding="utf-8", newline="\n") as stream:
+        stream.write(",".join(columns) + "\n")
+        for row in zip(*columns.values(), strict=True):
+            stream.write(",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n")
+    names = ["sweep.csv"]
+    for kind, figure in sweep_figures(name, sweep.label, sweep.values, [point.coefficients for point in points]).items():
+        output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
+        names.append(f"sweep-{kind}.svg")
+    return names
+
+
+def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
+    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the codes of the warnings.
+
+    With doubts, standard uncertainties u_k_i_j and u_c_i_j follow.
+    """
+    columns: dict[str, Any] = {f"{sweep.key} [{sweep.unit}]": sweep.values}
+    coefficients = [point.coefficients for point in points]
+    for symbol, attribute in (("k", "stiffness"), ("c", "damping")):
+        matrices = np.stack([getattr(point, attribute) for point in coefficients])
+        if symbol == "k" or matrices.any():
+            columns |= _by_element(symbol, coefficients[0], matrices)
+    for number, amount in enumerate(coefficients[0].shares):
+        columns[f"share_{amount.name} [{amount.unit}]"] = np.array([point.shares[number].value for point in coefficients])
+    for number, amount in enumerate(coefficients[0].rest):
+        columns[f"{amount.name} [{amount.unit}]"] = np.array([point.rest[number].value for point in coefficients])
+    doubts = [point.doubts for point in points if point.doubts is not None]
+    if doubts:
+        columns |= _by_element("u_k", coefficients[0], np.stack([doubted.stiffness_error for doubted in doubts]))
+        errors = np.stack([doubted.damping_error for doubted in doubts])
+        columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
+    columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
+    return columns
+
+
+def _by_element(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
+    """Columns of the elements of matrices (n_point, n_dof, n_dof) by title."""
+    per_speed = ".s" if symbol.endswith("c") else ""
+    columns = {}
+    for (i, row), (j, column) in ((r, c) for r in enumerate(first.dofs) for c in enumerate(first.dofs)):
+        force, _, motion = first.unit(i, j).partition("/")
+        columns[f"{symbol}_{row}_{column} [{force}{per_speed}/{motion}]"] = matrices[:, i, j]
+    return columns

@@ -1,0 +1,126 @@
+"""Reading a bearing file: its kind, and the entries of that kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
+from labpipe.errors import LabpipeError
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
+from labpipe.quantities import UnitError, is_number
+from labpipe.records.settings import FileKind, Setting, settings_of
+from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain, split_doubt
+from labpipe.registry import nearest
+
+
+@dataclass(frozen=True)
+class BearingFile:
+    """A bearing file that is being read: its path, kind, the tree of its entries, and the *doubts* of its numbers by their keys."""
+
+    path: Path
+    kind_name: str
+    kind: BearingKind
+    tree: Marked
+    doubts: Mapping[str, Uncertain] = field(default_factory=dict)
+
+    def settings(self) -> Any:
+        """The settings as the file has them now; ConfigErrors with every fault at its place."""
+        faults = Faults(self.path.parent)
+        settings = read_settings(self.kind.settings, self.tree, "", faults)
+        faults.raise_any()
+        return settings
+
+    def settings_at(self, entries: Sequence[str], conditions: Sequence[tuple[float, str]]) -> Any:
+        """The settings with *entries* set to (value, unit), one each."""
+        for entry, (value, unit) in zip(entries, conditions, strict=True):
+            set_entry(self.tree, f"{entry}={value!r} {unit}")
+        return self.settings()
+
+    def ends(self, key: str) -> list[Any]:
+        """The settings with the number of a key one standard uncertainty above its value, and below it."""
+        number, unit = self.doubts[key], setting_at(self.kind.settings, key).unit
+        ends = []
+        for sign in (1.0, -1.0, 0.0):
+            set_entry(self.tree, f"{key}={number.value + sign * number.std_error!r} {unit}".rstrip())
+            if sign:
+                ends.append(self.settings())
+        return ends
+
+    def coefficients(self, settings: list[Any]) -> list[BearingCoefficients]:
+        """The coefficients of every settings; errors say which file."""
+        try:
+            return self.kind.coefficients(settings)
+        except LabpipeError as error:
+            error.where = error.where or str(self.path)
+            raise
+
+
+def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
+    """The bearing file with its kind known; ConfigError where the file or its kind cannot be read."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    kind = kind_of(tree, "", faults)
+    faults.raise_any()
+    assert kind is not None
+    doubts = taken_doubts(tree, kind, "", kind.settings, faults)
+    faults.raise_any()
+    return BearingFile(path, tree.content["kind"].text, kind, tree, doubts)
+
+
+def setting_at(owner: type, key: str) -> Setting:
+    """The declared setting of a key such as loads.z; KeyError where there is none."""
+    first, _, rest = key.partition(".")
+    declared = settings_of(owner)[first][0]
+    return declared if not rest or declared.section is None else setting_at(declared.section, rest)
+
+
+def taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
+    """The numbers of a mapping that carry a doubt, by their keys; in the tree their values stand alone after that."""
+    doubts: dict[str, Uncertain] = {}
+    if not isinstance(node.content, dict):
+        return doubts
+    for name, (declared, _) in settings_of(owner).items():
+        entry = node.content.get(name)
+        if entry is None:
+            continue
+        if declared.section is not None:
+            doubts |= taken_doubts(entry, kind, join(key, name), declared.section, faults)
+            continue
+        entry = in_one_line(entry, declared)
+        if declared.kind != "value" or not is_doubtful(entry.text):
+            continue
+        value, doubt = split_doubt(entry.text)
+        if name in kind.bare_units and is_number(value):
+            value = f"{value} {kind.bare_units[name]}"
+        try:
+            doubts[join(key, name)] = parse_uncertain(f"{value} +- {doubt}", declared.unit)
+        except UnitError as error:
+            faults.add_unit(entry, join(key, name), error)
+        node.content[name] = Marked(value, entry.where, entry.key_where, value)
+    return doubts
+
+
+def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
+    """The kind that the entry `kind` of a bearing names; None and a fault where there is none of that name."""
+    entries = faults.mapping(tree, key)
+    if "kind" not in entries:
+        faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(BEARINGS.names())}")
+        return None
+    name = entries["kind"].text
+    if name not in BEARINGS.names():
+        faults.add(entries["kind"], join(key, "kind"), f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
+        return None
+    kind: BearingKind = BEARINGS.load(name)
+    for entry, unit in kind.bare_units.items():
+        if entry in entries and isinstance(entries[entry].content, (int, float)):
+            entries[entry].text += f" {unit}"
+    return kind
+
+
+BEARING_FILE = FileKind(open_bearing)

@@ -1,0 +1,439 @@
+"""Index of a results folder: an SQLite file kept up to date with the results below it, and its queries.
+
+Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can be deleted at any time.
+
+It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged is made again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import math
+import re
+import sqlite3
+import time
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe import __version__
+from labpipe.artefacts.dataset_file import amount_of
+from labpipe.artefacts.header import code_digest
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.json_file import RECORD_FAULTS, read_bytes
+from labpipe.artefacts.writing import finished, output_file
+from labpipe.errors import ConfigError, DataError, cut
+from labpipe.quantities import UnitError, si_amount
+from labpipe.records.finding import WARNING, Parameter
+from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
+from labpipe.registry import nearest
+from labpipe.sections import section
+
+# Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it
+# can be deleted at any time.
+
+INDEX = ".labpipe-catalogue.sqlite"
+# Condition of the tests that gives a result's date; by default that of its file.
+DATE = "date"
+
+_TABLES = """
+CREATE TABLE result (
+    id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT, version TEXT, date TEXT,
+    tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER
+);
+CREATE TABLE value (
+    id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
+    fit TEXT, term TEXT, test TEXT, model TEXT, estimator TEXT, low_hz REAL, high_hz REAL,
+    parameter TEXT, value REAL, unit TEXT, std_error REAL, random_error REAL, changes TEXT,
+    ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
+);
+CREATE TABLE condition (
+    result INTEGER REFERENCES result ON DELETE CASCADE, test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
+);
+CREATE INDEX value_parameter ON value (parameter, fit);
+CREATE INDEX condition_name ON condition (result, test, name);
+"""
+# Where SQLite keeps a number for the application.
+_STAMP = slice(60, 64)
+# An index of another version or build is made anew.
+MADE_BY = f"{__version__} {code_digest()}"
+
+
+@contextmanager
+def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
+    """The index of a folder, brought up to date; in memory for a read-only folder.
+
+    DataError for a missing folder or one without results.
+    """
+    if not folder.is_dir():
+        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+    with closing(_opened(folder)) as connection:
+        if _bring_up_to_date(connection, folder):
+            _keep(connection, folder)
+        if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
+            raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`")
+        yield connection
+
+
+def _opened(folder: Path) -> sqlite3.Connection:
+    """The index in memory: as it was kept, or empty where none of this version was, or a damaged one."""
+    try:
+        kept = read_bytes(folder / INDEX)
+    except (DataError, OSError):
+        kept = b""
+    if kept and kept == _stamped(kept):
+        connection = sqlite3.connect(":memory:")
+        try:
+            connection.deserialize(kept)
+            if connection.execute("SELECT version FROM made_by").fetchone() == (MADE_BY,):
+                return connection
+        except sqlite3.Error:
+            # Of another program, under our name.
+            connection.close()
+    connection = sqlite3.connect(":memory:")
+    connection.executescript(_TABLES)
+    connection.execute("CREATE TABLE made_by (version TEXT)")
+    connection.execute("INSERT INTO made_by VALUES (?)", (MADE_BY,))
+    return connection
+
+
+def _stamped(database: bytes) -> bytes:
+    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index is noticed."""
+    first, last = database[: _STAMP.start], database[_STAMP.stop :]
+    return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
+
+
+def _keep(connection: sqlite3.Connection, folder: Path) -> None:
+    """Write the index beside the results, as a whole: several processes may do so at once. Not to a folder that may not be written."""
+    if (folder / INDEX).exists() and not (folder / INDEX).is_file():
+        return
+    try:
+        with output_file(folder / INDEX) as path:
+            path.write_bytes(_stamped(connection.serialize()))
+    except (DataError, OSError):
+        return
+
+
+def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
+    """Read new and changed results, remove deleted ones; True if there were any."""
+    before = connection.total_changes
+    stamps = dict(connection.execute("SELECT path, stamp FROM result"))
+    here = {path.relative_to(folder).as_posix(): path for path in finished(folder.rglob(NAME))}
+    for name in stamps.keys() - here.keys():
+        _remove(connection, name)
+    for name, path in here.items():
+        try:
+            status = path.stat()
+        except FileNotFoundError:
+            # Removed since the folder was listed.
+            continue
+        stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
+        if stamps.get(name) != stamp:
+            _remove(connection, name)
+            _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
+    connection.commit()
+    return connection.total_changes != before
+
+
+def _remove(connection: sqlite3.Connection, name: str) -> None:
+    for (number,) in connection.execute("SELECT id FROM result WHERE path = ?", (name,)).fetchall():
+        for table, column in (("value", "result"), ("condition", "result"), ("result", "id")):
+            connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (number,))
+
+
+def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
+    try:
+        rows = _rows(read_identification(path), file_date)
+    except (DataError, *RECORD_FAULTS) as error:
+        what = error.what if isinstance(error, DataError) else f"holds what no labpipe wrote ({type(error).__name__}: {error})"
+        rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
+    number = 0
+    for table, row in rows:
+        if table == "result":
+            number = _insert(connection, table, {"path": name, "stamp": stamp, **row})
+        else:
+            _insert(connection, table, {"result": number, **row})
+
+
+def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
+    """The rows of a result with their tables; one of RECORD_FAULTS for entries of other types than labpipe writes."""
+    conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
+    dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
+    entry = {
+        "title": identification.title,
+        "rig": identification.rig.get("name", ""),
+        "pipeline": identification.pipeline,
+        "version": identification.version,
+        "date": dates[-1] if dates else file_date,
+        "tests": len(conditions) if identification.dataset is None else identification.dataset.tests,
+        "dataset": int(identification.dataset is not None),
+        "verdict": verdict(identification),
+        "warnings": ", ".join(sorted(_all_codes(identification))),
+    }
+    rows = [("result", _checked(entry))]
+    for listed in listed_parameters(identification):
+        rows.append(("value", _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"]))))))
+    for test, of_test in conditions.items():
+        for condition, text in of_test.items():
+            amount, unit = amount_of(text)
+            rows.append(("condition", _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit})))
+    return rows
+
+
+def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
+    """Conditions as texts: people write numbers as well."""
+    for condition in conditions.values():
+        if not isinstance(condition, (str, int, float)):
+            raise TypeError(f"{condition!r} is no condition")
+    return {str(name): str(condition) for name, condition in conditions.items()}
+
+
+def _checked(row: dict[str, Any]) -> dict[str, Any]:
+    """The row; TypeError or OverflowError for what the index cannot hold."""
+    for name, entry in row.items():
+        if entry is not None and not isinstance(entry, (str, int, float)):
+            raise TypeError(f"{name} is a {type(entry).__name__}")
+        if isinstance(entry, str):
+            entry.encode()
+        if isinstance(entry, int) and abs(entry) >= 1 << 63:
+            raise OverflowError(f"{name} is too large")
+    return row
+
+
+def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
+    parameter = listed.parameter
+    low, high = interval(parameter)
+    return {
+        **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
+        **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
+        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
+        **{"std_error": parameter.full_error, "random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))},
+        **{"ci_low": low, "ci_high": high},
+        **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
+    }
+
+
+def interval(parameter: Parameter) -> tuple[float | None, float | None]:
+    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not noise."""
+    return (None, None) if parameter.ci95 is None else parameter.ci95
+
+
+def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
+    """Add a row and return its number. Table and column names are constants of this module."""
+    marks = ", ".join("?" for _ in row)
+    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values()))
+    return int(cursor.lastrowid or 0)
+
+
+def verdict(identification: Identification) -> str:
+    """Outcome of the rules in a word."""
+    if identification.failed:
+        return "incomplete"
+    if not identification.outcomes:
+        return "no rules"
+    return "accepted" if identification.accepted else "not accepted"
+
+
+def _all_codes(identification: Identification) -> set[str]:
+    """The warnings of all fits, and of every other section."""
+    of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
+    pairs = (pair for name, record in identification.sections.items() for pair in section(name).findings(record))
+    of_many = {counted.finding.code for counted in identification.dataset.of_level(WARNING)} if identification.dataset else set()
+    return of_fits | of_many | {finding.code for _, finding in pairs if finding.level == WARNING}
+
+
+# Queries of the index: results, and values of parameters, by rig, condition, date, fit and parameter.
+
+_WHERE = re.compile(r"^\s*(?P<name>[\w.-]+)\s*(?P<sign>>=|<=|!=|=|>|<)\s*(?P<bound>.+?)\s*$")
+# Relative tolerance in SI of two amounts written alike.
+SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Criteria of a query; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400 N", "direction = up"."""
+
+    rig: str = ""
+    fit: str = ""
+    test: str = ""
+    parameter: str = ""
+    since: str = ""
+    until: str = ""
+    where: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultRow:
+    """One identification.json."""
+
+    path: str
+    date: str
+    rig: str
+    title: str
+    tests: int
+    verdict: str
+    warnings: str
+    fault: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueRow:
+    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric ones.
+
+    random_error: standard error without what given numbers add; changes: by each of these, as JSON.
+    """
+
+    path: str
+    date: str
+    fit: str
+    term: str
+    test: str
+    model: str
+    estimator: str
+    low_hz: float
+    high_hz: float
+    parameter: str
+    value: float
+    unit: str
+    std_error: float | None
+    random_error: float | None
+    changes: str
+    ci_low: float | None
+    ci_high: float | None
+    warnings: str
+    conditions: dict[str, str]
+    amounts: dict[str, tuple[float, str]]
+
+    @property
+    def label(self) -> str:
+        """Label of the value beside others of the same parameter."""
+        return self.test or self.path.removesuffix("/identification.json")
+
+
+VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts"))
+
+# Columns of which no result lacks the number, though it may not be one.
+NUMBERS = ("value", "low_hz", "high_hz")
+
+
+def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
+    """The results with at least one test that meets the criteria, the oldest first."""
+    clauses, values = _result_clauses(criteria)
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, "")
+        clauses.append(clause)
+        values.extend(bounds)
+    columns = [field.name for field in dataclasses.fields(ResultRow)]
+    sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
+    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
+    entries: list[dict[str, Any]] = [dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows]
+    return [ResultRow(**entry) for entry in entries]
+
+
+def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
+    """The parameters that meet the criteria, by date, result and fit; ConfigError for a name that no result has."""
+    clauses, bound = _result_clauses(criteria, "v.date")
+    for column in ("fit", "test", "parameter"):
+        pattern = getattr(criteria, column)
+        if pattern:
+            _check_name(index, column, pattern)
+            clauses.append(f"v.{column} GLOB ?")
+            bound.append(pattern)
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, " AND c.test = v.test")
+        clauses.append(clause)
+        bound.extend(bounds)
+    columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
+    sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
+    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY v.date, r.path, v.id", bound).fetchall()
+    cache: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
+    value_rows = []
+    for *row, number in rows:
+        # SQLite has no not-a-number.
+        named = zip(VALUE_COLUMNS, row, strict=True)
+        entries: dict[str, Any] = {name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named}
+        key = (number, entries["test"])
+        if key not in cache:
+            cache[key] = _conditions(index, *key)
+        conditions, amounts = cache[key]
+        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts))
+    return value_rows
+
+
+def _conditions(index: sqlite3.Connection, result: int, test: str) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
+    rows = index.execute("SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?", (result, test)).fetchall()
+    texts = {name: text for name, text, _, _ in rows}
+    return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
+
+
+def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], list[Any]]:
+    clauses, bound = [], []
+    if criteria.rig:
+        clauses.append("r.rig LIKE ?")
+        bound.append(f"%{criteria.rig}%".replace("*", "%"))
+    for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
+        if day:
+            clauses.append(f"{date} {sign} ?")
+            bound.append(checked_day(day))
+    return clauses, bound
+
+
+def checked_day(text: str) -> str:
+    """The day in ISO form; ConfigError for what is none."""
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ConfigError(f"'{text}' is not a date", hint="write it as 2026-11-03") from None
+
+
+def _where(clauses: Sequence[str]) -> str:
+    return f" WHERE {' AND '.join(clauses)}" if clauses else ""
+
+
+def _check_name(index: sqlite3.Connection, column: str, pattern: str) -> None:
+    names = [name for (name,) in index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")]
+    if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
+        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
+
+
+def split_condition(text: str) -> tuple[str, str, str]:
+    """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
+    match = _WHERE.match(text)
+    if match is None:
+        raise ConfigError(f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'")
+    return match["name"], match["sign"], match["bound"]
+
+
+def with_datasets(index: sqlite3.Connection) -> list[str]:
+    """The paths of the results whose tests stand in a dataset beside them."""
+    return [path for (path,) in index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")]
+
+
+def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
+    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
+    name, sign, limit = split_condition(text)
+    units = {unit for (unit,) in index.execute("SELECT DISTINCT unit FROM condition WHERE name = ?", (name,))}
+    if not units:
+        names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
+        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
+    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ? AND "
+    try:
+        amount, unit = si_amount(limit)
+    except UnitError as error:
+        if sign not in ("=", "!="):
+            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
+        return f"{begin}c.text {sign} ?)", [name, limit]
+    if unit not in units:
+        raise ConfigError(f"'{text}': the condition '{name}' is in {', '.join(sorted(units - {''})) or 'words'}, not in {unit}")
+    near = SAME * max(abs(amount), SAME)
+    test = {"=": "BETWEEN ? AND ?", "!=": "NOT BETWEEN ? AND ?"}.get(sign)
+    if test is not None:
+        return f"{begin}c.unit = ? AND c.amount {test})", [name, unit, amount - near, amount + near]
+    # Amounts equal within the tolerance fall on the side of the sign that includes equality.
+    edge = amount + near if sign in ("<=", ">") else amount - near
+    return f"{begin}c.unit = ? AND c.amount {sign} ?)", [name, unit, edge]

@@ -1,0 +1,408 @@
+"""What results below a folder hold: search, comparison of two results, trends over conditions or time.
+
+What the results below a folder hold: those of single results by their index, those of many tests by their datasets.
+
+Both are kept. The index spares reading the JSON of a lab's results, of which each is small and may be replaced; a dataset is columns
+already, its parts never change, and it is asked where it lies, however large it grows.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import re
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from scipy import special
+
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.dataset_file import AMOUNT, CONDITION, Part, amount_of, columns_of_conditions, parts, read_part
+from labpipe.artefacts.identification_file import NAME
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.project.catalogue import (
+    DATE,
+    SAME,
+    VALUE_COLUMNS,
+    Filter,
+    ResultRow,
+    ValueRow,
+    checked_day,
+    open_index,
+    results,
+    split_condition,
+    values,
+    with_datasets,
+)
+from labpipe.quantities import UnitError, si_amount
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import ListedParameter
+from labpipe.registry import nearest
+from labpipe.uncertainty.amounts import joint_errors, matrix_of
+from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
+
+# Queries of a dataset of results: its parts are read column by column, and only those whose folders can
+# hold what is asked for.
+
+# Columns of the dataset by those of a listed value, where they differ.
+_NAMES = {"std_error": "full_error"}
+_GIVEN = ("path", "date")
+_NAMED = ("fit", "test", "parameter")
+_COMPARE = {">=": pc.greater_equal, "<=": pc.less_equal, ">": pc.greater, "<": pc.less}
+
+
+def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
+    """The parameters in the dataset of a *folder* that meet the criteria, by date and test; *name*: of the folder as lists show it.
+
+    ConfigError for a name or a condition that no test has.
+    """
+    table = _chosen(folder, criteria)
+    for column in _NAMED:
+        pattern = getattr(criteria, column)
+        if pattern:
+            table = _by_name(table, column, pattern)
+    table = _at_conditions(table, criteria.where)
+    conditions = list(columns_of_conditions(table.column_names))
+    units = {condition: _unit(table, condition) for condition in conditions}
+    rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
+    return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, conditions, units) for row in rows]
+
+
+def dataset_parameters(folder: Path) -> list[ListedParameter]:
+    """The parameters of all fits in the dataset of a *folder*, by date and test, with what comparing them takes."""
+    return [
+        ListedParameter(
+            fit=row.fit,
+            parameter=Parameter(row.parameter, row.value, row.unit, std_error=row.std_error),
+            test=row.test,
+            term=row.term,
+            model=row.model,
+            estimator=row.estimator,
+            band_hz=(row.low_hz, row.high_hz),
+            random=row.random_error,
+            changes=json.loads(row.changes),
+        )
+        for row in dataset_values(folder, ".", Filter())
+    ]
+
+
+def has_test(folder: Path, criteria: Filter) -> bool:
+    """Whether a dataset has a test at the conditions and of the days of the criteria."""
+    return bool(_at_conditions(_chosen(folder, criteria), criteria.where).num_rows)
+
+
+def _chosen(folder: Path, criteria: Filter) -> pa.Table:
+    """The rows with a value of the rigs and days asked for."""
+    columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
+    tables = [read_part(part, columns) for part in parts(folder) if _may_hold(part, criteria)]
+    if not tables:
+        return pa.table({name: pa.array([], pa.string()) for name in (*_NAMED, "date")})
+    table = pa.concat_tables(tables, promote_options="default")
+    return table.filter(pc.is_valid(table["parameter"]))
+
+
+def _may_hold(part: Part, criteria: Filter) -> bool:
+    since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
+    in_time = (not since or part.date >= since) and (not until or part.date <= until)
+    return in_time and (not criteria.rig or bool(_pattern(f"*{criteria.rig}*").match(part.rig)))
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    """A name in which '*' stands for any characters."""
+    return re.compile(".*".join(re.escape(piece) for piece in text.split("*")) + r"\Z", re.IGNORECASE | re.DOTALL)
+
+
+def _by_name(table: pa.Table, column: str, pattern: str) -> pa.Table:
+    names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
+    kept = [name for name in names if re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, re.DOTALL)]
+    if not kept:
+        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
+    return table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
+
+
+def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
+    for text in conditions:
+        table = table.filter(_holds(table, text))
+    return table
+
+
+def _holds(table: pa.Table, text: str) -> Any:
+    """Whether a condition such as "preload >= 400 N" holds, for every row; ConfigError for one that cannot be read or that no test has."""
+    name, sign, bound = split_condition(text)
+    if CONDITION + name not in table.column_names:
+        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, list(columns_of_conditions(table.column_names))))
+    try:
+        amount, unit = si_amount(bound)
+    except UnitError as error:
+        if sign not in ("=", "!="):
+            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
+        return (pc.equal if sign == "=" else pc.not_equal)(table[CONDITION + name], bound)
+    present = _unit(table, name)
+    if unit != present:
+        raise ConfigError(f"'{text}': the condition '{name}' is in {present or 'words'}, not in {unit}")
+    near = SAME * max(abs(amount), SAME)
+    values = table[AMOUNT + name]
+    if sign in ("=", "!="):
+        same = pc.less_equal(pc.abs(pc.subtract(values, amount)), near)
+        return same if sign == "=" else pc.invert(same)
+    return _COMPARE[sign](values, amount + near if sign in ("<=", ">") else amount - near)
+
+
+def _unit(table: pa.Table, condition: str) -> str:
+    """The unit of a condition's amounts; empty for words, and where tests have it in different dimensions."""
+    texts = (text for text in pc.unique(table[CONDITION + condition]).to_pylist() if text is not None)
+    units = {amount_of(text)[1] for text in texts}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _value_row(row: dict[str, Any], path: str, conditions: Sequence[str], units: dict[str, str]) -> ValueRow:
+    entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
+    texts = {name: text for name in conditions if (text := row[CONDITION + name]) is not None}
+    return ValueRow(
+        **entries,
+        path=path,
+        changes=json.dumps(dict(row["changes"])),
+        conditions=texts,
+        amounts={name: (amount, units[name]) for name in texts if (amount := row.get(AMOUNT + name)) is not None},
+    )
+
+
+def folders(names: Sequence[str], folder: Path) -> Iterator[tuple[str, Path]]:
+    """The folders of results with a dataset, by the paths of their results below *folder*."""
+    for name in names:
+        home = Path(name).parent
+        yield home.as_posix(), folder / home
+
+
+# What the results below a folder hold: those of single results by their index, those of many tests by their
+# datasets.
+
+Row = TypeVar("Row", ResultRow, ValueRow)
+
+
+def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
+    """The parameters that meet the criteria in all results below a folder, by date and result.
+
+    ConfigError for a name or a condition that none of them has; DataError for a folder without results.
+    """
+    with open_index(folder) as index:
+        asked: list[Callable[[], list[ValueRow]]] = [lambda: values(index, criteria)] if _has_values(index) else []
+        for name, home in folders(with_datasets(index), folder):
+            asked.append(lambda name=name, home=home: dataset_values(home, name, criteria))  # type: ignore[misc]
+        return _all_of(asked)
+
+
+def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
+    """The results below a folder with at least one test that meets the criteria, the oldest first; errors as of `found_values`."""
+    with open_index(folder) as index:
+        homes = dict(folders(with_datasets(index), folder))
+        if not homes or not criteria.where:
+            return results(index, criteria)
+        asked: list[Callable[[], list[ResultRow]]] = [lambda: results(index, criteria)] if _has_values(index) else []
+        everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
+        for row in everything:
+            home = Path(row.path).parent.as_posix()
+            if home in homes:
+                asked.append(lambda row=row, path=homes[home]: [row] if has_test(path, criteria) else [])  # type: ignore[misc]
+        return _all_of(asked)
+
+
+def _has_values(index: sqlite3.Connection) -> bool:
+    return bool(index.execute("SELECT 1 FROM value LIMIT 1").fetchone())
+
+
+def _all_of(asked: list[Callable[[], list[Row]]]) -> list[Row]:
+    """The rows of all that have what is asked for; the first ConfigError where none has."""
+    rows: list[Row] = []
+    faults: list[ConfigError] = []
+    for ask in asked:
+        try:
+            rows.extend(ask())
+        except ConfigError as error:
+            faults.append(error)
+    if faults and len(faults) == len(asked):
+        raise faults[0]
+    return sorted(rows, key=lambda row: (row.date, row.path))
+
+
+# Comparison of two results, parameter by parameter.
+
+LEVEL = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """One parameter in two results, in SI units.
+
+    p_value: probability of an equal or larger difference by the standard errors alone, corrected for the number of parameters compared
+    (Holm); None where a standard error is missing.
+    """
+
+    fit: str
+    test: str
+    parameter: str
+    unit: str
+    first: float
+    second: float
+    std_error: float | None
+    p_value: float | None
+
+    @property
+    def differs(self) -> bool:
+        return self.p_value is not None and self.p_value < LEVEL
+
+
+def differences(first: Iterable[ListedParameter], second: Iterable[ListedParameter]) -> list[Difference]:
+    """The parameters common to two results, in the order of the first one; DataError when there is none.
+
+    z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in common, two-sided against the
+    normal distribution, Holm's correction over all of them. Parameters are matched by fit, term, band, test, name and unit; the test's name
+    is ignored where each result has one test only.
+    """
+    mine, others = list(first), list(second)
+    one_test = all(len({listed.test for listed in side}) == 1 for side in (mine, others))
+    theirs = {_key(listed, one_test): listed for listed in others}
+    pairs = [_difference(listed, partner) for listed in mine if (partner := theirs.get(_key(listed, one_test))) is not None]
+    if not pairs:
+        names = [", ".join(dict.fromkeys(listed.fit for listed in side)) or "none" for side in (mine, others)]
+        raise DataError(f"the two have no fit in common (fits: {names[0]}; {names[1]})", hint="name, term, band and test must be the same")
+    with_p_value = [number for number, pair in enumerate(pairs) if pair.p_value is not None]
+    corrected = holm(np.array([pairs[number].p_value for number in with_p_value], np.float64))
+    for number, p_value in zip(with_p_value, corrected, strict=True):
+        pairs[number] = replace(pairs[number], p_value=float(p_value))
+    return pairs
+
+
+def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
+    band = f"{listed.band_hz[0]:g}-{listed.band_hz[1]:g}"
+    return listed.fit, listed.term, band, "" if one_test else listed.test, listed.parameter.name, listed.parameter.unit
+
+
+def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
+    """The difference with its p-value before the correction."""
+    change = matrix_of([mine.changes, other.changes])
+    errors = mine.random_error, other.random_error
+    error = (
+        float(np.sqrt(errors[0] ** 2 + errors[1] ** 2 + np.sum((change[:, 1] - change[:, 0]) ** 2))) if errors[0] and errors[1] else None
+    )
+    value, other_value = mine.parameter.value, other.parameter.value
+    p_value = None if error is None else 2 * float(special.ndtr(-abs(other_value - value) / error))
+    return Difference(
+        fit=f"{mine.fit} of {mine.term}" if mine.term else mine.fit,
+        test=mine.test,
+        parameter=mine.parameter.name,
+        unit=mine.parameter.unit,
+        first=value,
+        second=other_value,
+        std_error=error,
+        p_value=p_value,
+    )
+
+
+# Trend of a parameter over a condition or over time in selected results, and values beyond their control
+# limits.
+
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Series:
+    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending."""
+
+    fit: str
+    parameter: str
+    over: str
+    condition_unit: str
+    condition: FloatArray
+    rows: tuple[ValueRow, ...]
+
+    @property
+    def unit(self) -> str:
+        return self.rows[0].unit
+
+    @property
+    def values(self) -> FloatArray:
+        """Values of the parameter, (n,) [unit]."""
+        return np.array([row.value for row in self.rows])
+
+    @property
+    def errors(self) -> FloatArray:
+        """Standard errors (n,) [unit] of each test alone, NaN where missing; or, where tests have sources in common, covariance (n, n)."""
+        errors = np.array([np.nan if row.random_error is None else row.random_error for row in self.rows])
+        return joint_errors(errors, matrix_of([json.loads(row.changes) for row in self.rows]))
+
+    @property
+    def line(self) -> WeightedFit | None:
+        """The weighted straight line; None where values, errors or differences of the condition are missing."""
+        try:
+            return straight_trend(self.condition, self.values, self.errors)
+        except FitError:
+            return None
+
+    @property
+    def limits(self) -> ControlLimits | None:
+        """Control limits of the values in the order of their dates; None for fewer than three."""
+        return control_limits(np.array([row.value for row in self.by_date])) if len(self.rows) >= FEWEST else None
+
+    @property
+    def by_date(self) -> list[ValueRow]:
+        return sorted(self.rows, key=lambda row: row.date)
+
+    @property
+    def outside(self) -> list[ValueRow]:
+        """The values beyond the control limits."""
+        return [] if self.limits is None else [self.by_date[place] for place in self.limits.outside]
+
+
+def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
+    """One series for each fit, term and band; tests without the condition, or with a date that is none, are ignored.
+
+    ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
+    """
+    names = list(dict.fromkeys(name for row in rows for name in row.amounts))
+    if over != DATE and over not in names:
+        raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*names, DATE)))
+    groups: dict[tuple[str, str, str], list[ValueRow]] = {}
+    for row in rows:
+        if _day(row) is not None if over == DATE else over in row.amounts:
+            band = f" {row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
+            name = f"{row.fit} of {row.term}" if row.term else row.fit
+            groups.setdefault((name + band, row.parameter, row.unit), []).append(row)
+    return [_series(fit, parameter, over, group) for (fit, parameter, _), group in groups.items()]
+
+
+def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
+    if over == DATE:
+        first = min(row.date for row in rows if _day(row) is not None)
+        pairs, unit = [(float(_days(first, row.date)), row) for row in rows], f"d since {first}"
+    else:
+        units = sorted({row.amounts[over][1] for row in rows})
+        if len(units) > 1:
+            raise ConfigError(f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension")
+        pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
+    pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
+    return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))
+
+
+def _day(row: ValueRow) -> datetime.date | None:
+    """The day of a value; None for a condition `date` that is no date."""
+    try:
+        return datetime.date.fromisoformat(row.date[:10])
+    except ValueError:
+        return None
+
+
+def undated(rows: Sequence[ValueRow]) -> list[ValueRow]:
+    """The values whose date is none."""
+    return [row for row in rows if _day(row) is None]
+
+
+def _days(first: str, day: str) -> int:
+    return (datetime.date.fromisoformat(day[:10]) - datetime.date.fromisoformat(first[:10])).days

@@ -1,0 +1,178 @@
+"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) * x_2".
+
+Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number with unit and doubt, a name
+of `constants:`, or the cosine or sine of an angle; the units of all factors and of the channel must give the unit of the sum.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from labpipe.project.marked_yaml import Marked
+from labpipe.project.settings_reader import Faults, join
+from labpipe.quantities import QUANTITIES, Dimension, UnitError, name_of_dimension, parse_unit
+from labpipe.records.recording import Number, Term
+from labpipe.records.uncertain import parse_uncertain
+from labpipe.registry import nearest
+
+_SIGN = re.compile(r"(?:^|\s)([+-])(?:\s+|$)")
+_LEADING = re.compile(r"^([+-])\s*(?=\D)")
+_NUMBER = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*(.*)$")
+_TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factor of a term: its value and dimension, the number with doubt behind it, and the factor's derivative by that."""
+
+    value: float
+    dimension: Dimension
+    number: Number | None = None
+    derivative: float = 1.0
+
+
+def read_constants(node: Marked | None, faults: Faults) -> dict[str, Factor]:
+    """The entries of ``constants:`` by name; faults for those that are no value with a unit."""
+    constants: dict[str, Factor] = {}
+    if node is None:
+        return constants
+    for name, entry in faults.mapping(node, "constants").items():
+        try:
+            constants[name] = parse_factor(entry.text, name)
+        except UnitError as error:
+            faults.add_unit(entry, join("constants", name), error)
+    return constants
+
+
+def parse_factor(text: str, name: str) -> Factor:
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its doubt. UnitError for anything else."""
+    turn = _TURN.match(text.strip())
+    if turn is not None:
+        return _turned(turn[1], turn[2], turn[3], name)
+    match = _NUMBER.match(text.replace("±", "+-").partition("+-")[0].strip())
+    if match is None:
+        raise UnitError(f"'{text}' is not a value with its unit", "for example 30 kg +- 0.1 kg")
+    dimension = parse_unit(match[1] or "1").dimension
+    unit = name_of_dimension(dimension)
+    uncertain = parse_uncertain(text, unit)
+    number = Number(name, uncertain.value, uncertain.std_error, unit, uncertain.source) if uncertain.std_error > 0 else None
+    return Factor(uncertain.value, dimension, number)
+
+
+def _turned(sign: str, function: str, angle_text: str, name: str) -> Factor:
+    """The cosine or sine of an angle with its doubt."""
+    angle = parse_uncertain(angle_text.strip(), "rad")
+    size = -1.0 if sign == "-" else 1.0
+    value, slope = (math.cos(angle.value), -math.sin(angle.value)) if function == "cos" else (math.sin(angle.value), math.cos(angle.value))
+    number = Number(name, angle.value, angle.std_error, "rad", angle.source) if angle.std_error > 0 else None
+    return Factor(size * value, parse_unit("1").dimension, number, size * slope)
+
+
+@dataclass(frozen=True)
+class SumReader:
+    """Reads sums: *quantities* of all channels by name, the rig's *constants*."""
+
+    quantities: Mapping[str, str]
+    constants: Mapping[str, Factor]
+
+    def terms(self, text: str, name: str) -> tuple[Term, ...]:
+        """The terms of the sum of channel *name*; UnitError for what cannot be read or has another unit."""
+        return tuple(self._term(sign, part, name) for sign, part in _parts(text))
+
+    def _term(self, sign: float, text: str, name: str) -> Term:
+        factors: list[Factor] = []
+        members: list[str] = []
+        for piece in (part.strip() for part in text.split("*")):
+            if piece in self.quantities:
+                members.append(piece)
+            elif piece in self.constants:
+                factors.append(self.constants[piece])
+            else:
+                factors.append(self._typed(piece, text, name))
+        if len(members) != 1:
+            what = "no channel" if not members else f"{len(members)} channels"
+            raise UnitError(f"'{text}' holds {what}", "a term is one channel times numbers, for example -30 kg * a_x")
+        self._check_unit(factors, members[0], text, name)
+        return _term_of(members[0], sign, factors)
+
+    def _typed(self, piece: str, term: str, name: str) -> Factor:
+        """A number that stands in the sum itself."""
+        if not _NUMBER.match(piece) and not _TURN.match(piece):
+            hint = nearest(piece, [*self.quantities, *self.constants])
+            if re.search(r"[+-]", piece):
+                hint = "plus and minus between channels stand between blanks: f_x - m_s * a_x"
+            raise UnitError(f"'{piece}' is neither a channel nor one of the constants", hint)
+        return parse_factor(piece, f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}" if piece != term else name)
+
+    def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
+        """UnitError unless the term has the dimension of the sum's quantity."""
+        wanted = parse_unit(QUANTITIES[self.quantities[name]].si_unit).dimension
+        of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
+        total = of_member
+        for factor in factors:
+            total = _combined(total, factor.dimension, 1)
+        if any(abs(power) > 1e-9 for power in _combined(total, wanted, -1)):
+            unit = QUANTITIES[self.quantities[name]].si_unit
+            what = f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {self.quantities[name]}"
+            needed = name_of_dimension(_combined(wanted, of_member, -1))
+            raise UnitError(what, f"the factor of {member} is {'a pure number' if needed == '1' else f'in {needed}'}")
+
+
+def _combined(first: Dimension, second: Dimension, sign: int) -> Dimension:
+    """Dimension of a product (sign 1) or quotient (-1)."""
+    m, kg, s, a, k, rad = (exponent + sign * other for exponent, other in zip(first, second, strict=True))
+    return m, kg, s, a, k, rad
+
+
+def _term_of(member: str, sign: float, factors: list[Factor]) -> Term:
+    value = sign * math.prod(factor.value for factor in factors)
+    numbers: dict[Number, float] = {}
+    for place, factor in enumerate(factors):
+        if factor.number is not None:
+            others = math.prod(other.value for at, other in enumerate(factors) if at != place)
+            numbers[factor.number] = numbers.get(factor.number, 0.0) + sign * others * factor.derivative
+    return Term(member, value, tuple(numbers), tuple(numbers.values()))
+
+
+def _parts(text: str) -> list[tuple[float, str]]:
+    """(sign, term) of a sum; UnitError where a term is missing."""
+    text = text.strip()
+    if not text:
+        raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")
+    pieces = _SIGN.split(_LEADING.sub(r"\1 ", text))
+    terms = [(1.0, pieces[0])] if pieces[0].strip() else []
+    terms += [(-1.0 if sign == "-" else 1.0, term) for sign, term in zip(pieces[1::2], pieces[2::2], strict=True)]
+    if not all(term.strip() for _, term in terms):
+        raise UnitError(f"'{text}' lacks a term", "for example f_x - m_s * a_x")
+    return [(sign, term.strip()) for sign, term in terms]
+
+
+def expanded(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
+    """The sum of channel *name* in recorded channels, sums in it written out; UnitError for one that holds itself."""
+    if name in above:
+        raise UnitError(f"the sum holds itself: {' of '.join((*above[above.index(name) :], name))}", "write it in recorded channels")
+    terms: dict[str, Term] = {}
+    for term in sums[name]:
+        inner = expanded(sums, term.channel, (*above, name)) if term.channel in sums else (Term(term.channel, 1.0),)
+        for part in inner:
+            whole = _product(term, part)
+            terms[part.channel] = _added(terms[part.channel], whole) if part.channel in terms else whole
+    return tuple(terms.values())
+
+
+def _product(outer: Term, inner: Term) -> Term:
+    """A term of a sum that is itself a member: d(ab) = a db + b da."""
+    scaled = inner.times(outer.factor)
+    by_derivatives = Term(inner.channel, 0.0, outer.numbers, tuple(inner.factor * derivative for derivative in outer.derivatives))
+    return replace(_added(scaled, by_derivatives), factor=scaled.factor)
+
+
+def _added(first: Term, second: Term) -> Term:
+    """Two terms of one channel as one."""
+    numbers = dict(zip(first.numbers, first.derivatives, strict=True))
+    for number, derivative in zip(second.numbers, second.derivatives, strict=True):
+        numbers[number] = numbers.get(number, 0.0) + derivative
+    return Term(first.channel, first.factor + second.factor, tuple(numbers), tuple(numbers.values()))

@@ -1,0 +1,292 @@
+"""What a file's own metadata say of its channels or FRFs: quantity, unit, role, direction; what they do not say stays open."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.project.rig_file import DEFAULT_ROLES
+from labpipe.project.settings_reader import DECIDE
+from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings, unit_of
+from labpipe.raw_files.screening import TimeAxisScreen
+from labpipe.raw_files.table import TEXT_SUFFIXES, Table
+from labpipe.raw_files.text_columns import TextColumns
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.records.frf_layout import MECHANICAL
+from labpipe.records.response import FORMS
+
+# What a recording's own metadata say of its channels: quantity, unit, role, direction; what they do not
+# say, a person must.
+
+# Largest number of rows read.
+MOST_ROWS = 1 << 21
+# Relative deviation of the steps of a time axis.
+EVEN = 1e-3
+# A copy is looked for where a column exceeds this share of its peak, at so many samples at least.
+FAINT, LEAST_LOUD = 0.01, 8
+
+_RECORDED = ("force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature", "moment")
+_BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
+_POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
+_BY_NAME = (
+    ("tacho", r"tacho|keyphasor|key.?phasor|trigger|rpm|drehzahl"),
+    ("force", r"force|hammer|kraft|load.?cell|impact|impuls|excitation|anregung|shaker|\bf[xyz]?\d*\b"),
+    ("acceleration", r"acc|beschl|\ba[xyz]?\d*\b"),
+    ("velocity", r"vel|\bv[xyz]?\d*\b"),
+    ("displacement", r"disp|prox|probe|eddy|gap|weg|\b[xyz]\d*\b"),
+    ("current", r"current|strom|\bi\d*\b"),
+)
+
+
+@dataclass(frozen=True)
+class GuessedChannel:
+    """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE for a sensor in volts.
+
+    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from the name alone.
+    """
+
+    key: str
+    column: str
+    quantity: str
+    unit: str
+    role: str
+    dof: str
+    sensitivity: str = ""
+    invert: bool = False
+    guess: str = ""
+
+    @property
+    def decisions(self) -> tuple[str, ...]:
+        """Decisions that the user must take, as text."""
+        questions = {
+            "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not needed",
+            "unit": f"the unit of the recorded numbers, for example {QUANTITIES[self.quantity].si_unit}"
+            if self.quantity in QUANTITIES
+            else "the unit of the recorded numbers",
+            "sensitivity": "recorded volts per quantity, for example 8 V/mm",
+        }
+        decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
+        return (*decisions, self.guess) if decisions and self.guess else decisions
+
+
+def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
+    """Distinct columns of a table and their first rows (n_row, n_column) [recorded units]."""
+    names = tuple(dict.fromkeys(table.columns))
+    chunks: list[FloatArray] = []
+    rows = 0
+    for chunk in table.chunks(names):
+        chunks.append(chunk[: MOST_ROWS - rows])
+        rows += chunks[-1].shape[0]
+        if rows >= MOST_ROWS:
+            break
+    return names, np.concatenate(chunks)
+
+
+def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
+    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed, and positive."""
+    return [name for name, column in zip(names, rows.T, strict=True) if step_of(column)]
+
+
+def step_of(column: FloatArray) -> float:
+    """The step of a column (n_row,) [recorded units] that is a time axis, 0 for any other."""
+    screen = TimeAxisScreen("")
+    try:
+        screen.add(column)
+        return 1 / screen.sample_rate()
+    except DataError:
+        return 0.0
+
+
+def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
+    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel of its own.
+
+    A copy equals the other column, or is it under a window: everywhere between zero and the other, and somewhere nearly equal.
+    """
+    copied: dict[str, str] = {}
+    for number, name in enumerate(names):
+        for other in range(len(names)):
+            if other == number or names[other] in copied:
+                continue
+            reason = _copied(rows[:, number], rows[:, other], other < number)
+            if reason:
+                copied[name] = f"{reason} of {names[other]}"
+                break
+    return copied
+
+
+def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
+    """How a column repeats another; '' where it does not."""
+    if np.array_equal(column, other):
+        return "a copy" if is_later and np.any(column) else ""
+    size = np.abs(other)
+    loud = size > FAINT * size.max(initial=0.0)
+    if np.count_nonzero(loud) < LEAST_LOUD:
+        return ""
+    share = column[loud] / other[loud]
+    windowed = share.min() >= 0 and share.max() <= 1 + EVEN and share.max() > 1 - 0.1 and share.min() < 1 - 0.1
+    return "a windowed copy" if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max()) else ""
+
+
+def guess_channels(names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None) -> list[GuessedChannel]:
+    """A channel for every column by its name, unit and sensitivity; the force of a rig with one response acts along it."""
+    keys: list[str] = []
+    for name in names:
+        keys.append(_key(name, keys))
+    guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
+    guessed = [_sensed(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
+    if len({_node(name) for name in names if _node(name)}) > 1:
+        guessed = [_at_node(channel) for channel in guessed]
+    outputs = [channel for channel in guessed if channel.role == "output"]
+    return [_along(channel, outputs) for channel in guessed]
+
+
+def _at_node(channel: GuessedChannel) -> GuessedChannel:
+    """The channel with the node before its direction, where there are several nodes."""
+    node = _node(channel.column)
+    return replace(channel, dof=f"{node}.{channel.dof}") if node else channel
+
+
+def _guess(name: str, key: str, unit: str) -> GuessedChannel:
+    plain_name = re.sub(r"[_\W]+", " ", _BRACKETS.sub(" ", name).lower())
+    by_name = next((quantity for quantity, pattern in _BY_NAME if re.search(pattern, plain_name)), DECIDE)
+    quantity = _measured_in(unit)
+    sensitivity = guess = ""
+    if quantity in ("voltage", "") and by_name not in (DECIDE, "tacho"):
+        # A sensor's volts, or a number without a unit: the quantity follows from the name.
+        sensitivity = DECIDE if quantity == "voltage" else ""
+        quantity = by_name
+        guess = f"{quantity} is a guess from the name"
+    elif by_name == "force" and quantity not in ("force", "moment"):
+        guess = f"the name says force, the unit {quantity}"
+        quantity = DECIDE
+    elif by_name == "tacho":
+        quantity, unit = "tacho", unit or "V"
+    quantity = quantity or DECIDE
+    role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
+    invert = bool(_node(name)) and "-" in name
+    return GuessedChannel(key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess)
+
+
+def _sensed(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
+    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says what is measured."""
+    match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
+    if match is None or _measured_in(channel.unit) != "voltage":
+        return channel
+    try:
+        dimensions = [reading.dimension for reading in readings(match[1])]
+    except UnitError:
+        return channel
+    volt = parse_unit("V").dimension
+    for quantity in _RECORDED:
+        wanted = tuple(u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True))
+        if wanted in dimensions and quantity != "voltage":
+            role = DEFAULT_ROLES.get(quantity, "reference")
+            return replace(channel, quantity=quantity, role=role, sensitivity=sensitivity.strip(), guess="")
+    return channel
+
+
+def _measured_in(unit: str) -> str:
+    """The quantity that is recorded in a unit; nothing for a number or an unknown unit."""
+    if not unit:
+        return ""
+    try:
+        dimensions = [reading.dimension for reading in readings(unit)]
+    except UnitError:
+        return ""
+    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension in dimensions)
+    return next(matching, "")
+
+
+def _node(name: str) -> str:
+    """The node of a point and direction such as "12-Z" of a universal file, '' for other names."""
+    match = _POINT.match(name)
+    return match[1] if match else ""
+
+
+def _direction(name: str) -> str:
+    """x, y or z where the name has one as a word or at its end."""
+    plain_name = _BRACKETS.sub(" ", name)
+    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(r"[a-z]([XYZ])\b", plain_name)
+    return match[1].lower() if match else ""
+
+
+def _key(name: str, used_keys: Sequence[str]) -> str:
+    """A short name for a channel: the column's without its unit, in letters, digits and underscores."""
+    plain = re.sub(r"\W+", "_", _BRACKETS.sub(" ", name)).strip("_").lower() or "channel"
+    key = plain if plain[0].isalpha() else f"ch_{plain}"
+    number = 1
+    while key in used_keys:
+        number += 1
+        key = f"{plain}_{number}"
+    return key
+
+
+def _along(channel: GuessedChannel, outputs: Sequence[GuessedChannel]) -> GuessedChannel:
+    """A force whose name has no direction acts along the only response."""
+    if channel.role != "input" or channel.dof != channel.key or len(outputs) != 1:
+        return channel
+    return replace(channel, dof=outputs[0].dof)
+
+
+# The columns of an FRF in a table of another program, as far as their names say.
+
+_NAMES = (
+    ("frequency", r"^freq|frequenz|^f$|^f ?[\[(]"),
+    ("coherence", r"coh|kohärenz|gamma"),
+    ("phase_rad", r"(phase|arg|winkel).*\brad"),
+    ("phase_deg", r"phase|arg\b|winkel"),
+    ("re", r"^re(al|\b)|\breal|realteil"),
+    ("im", r"^im(ag|\b)|\bimag|imaginärteil"),
+    ("amplitude_db", r"(amp|mag|betrag|abs|h\b|frf).*\bdb\b"),
+    ("amplitude", r"amp|mag|betrag|\babs|^\|?h\|?\b"),
+)
+_WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
+
+
+@dataclass(frozen=True)
+class GuessedFrf:
+    """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency (n_frequency,)
+    [Hz] and size (n_frequency,) [unit of the file] as they stand there.
+    """
+
+    columns: dict[str, str]
+    unit: str
+    frequency: FloatArray
+    size: FloatArray
+
+
+def guessed_frf(path: Path) -> GuessedFrf | None:
+    """The FRF of a text table whose header names a frequency and the parts of complex numbers; None for any other file."""
+    if plain_suffix(path) not in TEXT_SUFFIXES:
+        return None
+    table = TextColumns(path)
+    columns: dict[str, str] = {}
+    for name in table.columns:
+        kind = next((kind for kind, pattern in _NAMES if re.search(pattern, name, re.IGNORECASE)), "")
+        if kind and kind not in columns:
+            columns[kind] = name
+    phase = next((kind for kind in ("phase_deg", "phase_rad") if kind in columns), "phase")
+    parts = next((pair for pair in _WHOLE if {part.replace("phase", phase) for part in pair} <= columns.keys()), None)
+    if parts is None or "frequency" not in columns:
+        return None
+    used = ["frequency", *(part.replace("phase", phase) for part in parts), "coherence"]
+    columns = {kind: columns[kind] for kind in used if kind in columns}
+    numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
+    size = np.hypot(numbers["re"], numbers["im"]) if parts == ("re", "im") else numbers[parts[0]]
+    return GuessedFrf(columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size)
+
+
+def _unit_of_frf(unit: str) -> str:
+    """The unit, in labpipe's notation where it is SI; '' for one that is none of an FRF."""
+    for form in MECHANICAL:
+        try:
+            return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
+        except UnitError:
+            continue
+    return ""

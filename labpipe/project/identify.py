@@ -1,0 +1,136 @@
+"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held against it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from labpipe import __version__
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.header import SourceRef, code_digest
+from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
+from labpipe.artefacts.json_file import entry_of
+from labpipe.artefacts.parquet import made_again
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import DataError
+from labpipe.project.judging import judge
+from labpipe.project.measured import MeasuredTest
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.tests import Test
+from labpipe.project.work import COMPARE_PREFIX, Work
+from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.sections import section
+
+# What a result is fresh by.
+BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
+
+
+def identify_stage(
+    pipeline: Pipeline,
+    tests: Sequence[MeasuredTest],
+    sources: Sequence[SourceRef],
+    output: OutputFolder,
+    tell: Callable[[str], None] = lambda _: None,
+    jobs: int = 0,
+    test_fits: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
+    failed: Sequence[Failed] = (),
+    inputs: Sequence[SourceRef] = (),
+) -> Identification:
+    """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
+
+    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by their name in the
+    pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
+    *inputs*: the digests of what was measured itself, by which a change of a rig, a sensor or a recording reaches the result.
+    """
+    basis = Identification(
+        fits=(),
+        sources=tuple(dataclasses.asdict(source) for source in sources),
+        settings=settings_entry(pipeline, tests),
+        rig=rig_entry(pipeline),
+        version=__version__,
+        failed=tuple(failed),
+        inputs=tuple(dataclasses.asdict(reference) for reference in inputs),
+        code=code_digest(),
+    )
+    existing = _existing(output)
+    if existing is not None and _same_work(existing, basis):
+        return existing
+    work = Work(pipeline, tests, output, tell=tell, jobs=jobs, test_fits=test_fits, failed=list(failed))
+    records = _run_sections(work)
+    identification = dataclasses.replace(
+        basis,
+        fits=tuple(work.fits),
+        title=pipeline.title,
+        pipeline=pipeline.path.name,
+        responses=tuple(work.responses),
+        spectra=tuple(work.spectra),
+        outcomes=judge(pipeline.rules, work.fits, records, incomplete=bool(work.failed)),
+        failed=tuple(work.failed),
+        sections=records,
+    )
+    write_identification(output.write_path(NAME), identification)
+    return identification
+
+
+def _run_sections(work: Work) -> dict[str, Any]:
+    """The records of all sections by their key; fits are collected in the work."""
+    records: dict[str, Any] = {}
+    for name, settings in work.pipeline.sections.items():
+        entry = section(name)
+        record = entry.run(settings, work)
+        if entry.fits:
+            work.fits.extend(record)
+        else:
+            records[name] = record
+    return records
+
+
+def _same_work(existing: Identification, basis: Identification) -> bool:
+    """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
+    failed_tests = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
+    same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
+    return same and failed_tests == basis.failed
+
+
+def _existing(output: OutputFolder) -> Identification | None:
+    """The result on disk, or None when there is none that this version reads."""
+    path = output.read_path(NAME)
+    if not path.exists():
+        return None
+    try:
+        existing = read_identification(path)
+    except DataError as error:
+        output.remarks.append(made_again(error, path))
+        return None
+    if not existing.digest and existing.code == code_digest():
+        output.remarks.append(made_again(DamagedError("carries no digest"), path))
+        return None
+    return existing
+
+
+def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
+    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work; conditions as the *tests* had them."""
+    measured = {test.name: test.conditions for test in tests}
+    entry: dict[str, Any] = {
+        "frf": pipeline.frf,
+        **pipeline.sections,
+        "rules": [[rule.section, rule.text] for rule in pipeline.rules],
+        "tests": [_test_entry(test, measured.get(test.name, {})) for test in pipeline.tests],
+        "title": pipeline.title,
+        "pipeline": pipeline.path.name,
+    }
+    return json.loads(json.dumps(entry_of(entry)))
+
+
+def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
+    frf_entry = {"frf": test.frf} if test.frf is not None else {}
+    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **frf_entry}
+
+
+def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
+    """The rig as the report shows it."""
+    rig = pipeline.rig or next((source.rig for test in pipeline.tests for source in test.recordings), None)
+    return {} if rig is None else json.loads(json.dumps(dataclasses.asdict(rig)))

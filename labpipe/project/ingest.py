@@ -1,0 +1,230 @@
+"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.header import Header, SourceRef, source_ref
+from labpipe.artefacts.parquet import fresh_path, has_header
+from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredRecording, open_recording, recording_contents
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, readings
+from labpipe.raw_files.joined_table import JoinedTable
+from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.table import Table, check_columns, open_table
+from labpipe.records.rig import Rig, RigChannel
+
+# Ends of the range of a channel that cannot clip.
+FAR = (-1e300, 1e300)
+# Rates are written down with this many digits at least.
+SAME_RATE = 1e-4
+# Samples that are calibrated at once.
+IN_CACHE = 1 << 12
+
+
+def is_recording(path: Path) -> bool:
+    """Whether the file is already a calibrated recording of labpipe's own."""
+    return path.name.endswith(SUFFIX) or (path.suffix == ".parquet" and path.is_file() and has_header(path))
+
+
+def ingest(
+    source: Path, rig: Rig, output: OutputFolder, name: str, base: Path, joined: Sequence[Path] = (), by: str = ""
+) -> StoredRecording:
+    """The calibrated recording of a raw file, made unless the one on disk is fresh.
+
+    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which paths in the
+    header are relative. *joined*: further files with channels of the same run, joined *by* time or sample. Raises DataError with file
+    and line for what cannot be used.
+    """
+    if is_recording(source):
+        return open_recording(source)
+    table = _joined([source, *joined], rig, by) if joined else open_table(source)
+    parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
+    header = Header("recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined)))
+    if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
+        return open_recording(fresh)
+    target = output.write_path(name + SUFFIX)
+    recording = _write(table, rig, target, header, source.stem)
+    for path, reference in zip((source, *joined), header.inputs, strict=True):
+        if source_ref(path, base) != reference:
+            raise changed_while_read(path)
+    return recording
+
+
+def changed_while_read(path: Path) -> DataError:
+    """The fault of a file that was written to meanwhile."""
+    return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
+
+
+def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
+    """The files of one run as one table; DataError where they shall be joined on a time that one of them lacks."""
+    tables = [open_table(path) for path in paths]
+    untimed = [table for table in tables if rig.time not in table.columns]
+    if by == "time" and untimed:
+        what = f"has no time column '{rig.time}'" if rig.time else "cannot be joined on time: the rig file names no time column"
+        raise DataError(what, where=str(untimed[0].path), hint="by: sample joins row by row")
+    return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
+
+
+def check_table(table: Table, rig: Rig) -> list[str]:
+    """The columns of the rig's channels, the time before them; DataError for one that is missing, or whose unit is another."""
+    timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
+    check_columns(table, timed)
+    if rig.time and table.units.get(rig.time) == "Hz":
+        hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
+        raise DataError(f"'{rig.time}' is a frequency, no time", where=str(table.path), hint=hint)
+    for channel in rig.channels:
+        _check_unit(table, channel)
+    return timed
+
+
+def channel_screen(rig: Rig) -> ChannelScreen:
+    """The search for faults of a rig's measured channels."""
+    return ChannelScreen([channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels])
+
+
+class Calibration:
+    """What makes the recorded columns of a rig's channels SI units, and adds its sums."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._scale = np.array([channel.scale for channel in rig.channels])
+        self._offset = np.array([channel.offset for channel in rig.channels])
+        self._sums = rig.sums.T if rig.derived else None
+        self._changes = (self._scale != 1) | (self._offset != 0)
+
+    def measured(self, chunk: FloatArray) -> FloatArray:
+        """Recorded columns (n, n_measured) [unit of the file] in SI units; those of a file that holds these already are not copied."""
+        if not self._changes.any():
+            return chunk
+        block: FloatArray = chunk * self._scale
+        block += self._offset
+        return block
+
+    def of_channel(self, number: int, recorded: FloatArray) -> FloatArray:
+        """The numbers (n,) [unit of the file] of one measured channel in SI units."""
+        values: FloatArray = np.asarray(recorded, np.float64)
+        return values * self._scale[number] + self._offset[number] if self._changes[number] else values
+
+    def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
+        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by side."""
+        block = np.empty((columns[0].size, len(columns)))
+        for start in range(0, block.shape[0], IN_CACHE):
+            piece = slice(start, start + IN_CACHE)
+            for number, column in enumerate(columns):
+                # Single precision becomes double where it is put.
+                block[piece, number] = self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
+        return block
+
+    def with_sums(self, block: FloatArray) -> FloatArray:
+        """The measured channels (n, n_measured) [SI] and beside them the sums, (n, n_channel) [SI]."""
+        return block if self._sums is None else np.concatenate([block, block @ self._sums], axis=1)
+
+
+def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> StoredRecording:
+    timed = check_table(table, rig)
+    channels = rig.all_channels
+    time = TimeAxisScreen(rig.time) if rig.time else None
+    if time is None:
+        stated_rate(table, rig)
+    screen, calibration = channel_screen(rig), Calibration(rig)
+    try:
+        with RecordingWriter(target, channels) as writer:
+            for chunk in table.chunks(timed):
+                if time is not None:
+                    time.add(chunk[:, 0] * rig.time_scale)
+                block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
+                screen.add(block)
+                writer.write(calibration.with_sums(block))
+            sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
+            contents = recording_contents(channels, sample_rate, name, screen.levels())
+            findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())
+            writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
+    except DataError as error:
+        error.where = error.where or str(table.path)
+        raise
+    return writer.recording()
+
+
+def contradictions(table: Table, rig: Rig) -> list[DataError]:
+    """Every point in which a file and a rig file do not agree: columns, units, rate."""
+    columns = [channel.column for channel in rig.channels]
+    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in [*([rig.time] if rig.time else []), *columns]]
+    checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
+    if rig.time is None:
+        checks.append(partial(stated_rate, table, rig))
+    faults: list[DataError] = []
+    for check in checks:
+        try:
+            check()
+        except DataError as error:
+            error.where = ""
+            faults.append(error)
+    return faults
+
+
+def stated_rate(table: Table, rig: Rig) -> float:
+    """The sampling rate [Hz] that the rig file or the file itself states; DataError when none does, or both do and differ."""
+    file_rate = table.sample_rate
+    if rig.sample_rate is None and file_rate is None:
+        message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
+        raise DataError(message, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
+    if rig.sample_rate is not None and file_rate is not None and abs(file_rate / rig.sample_rate - 1) > SAME_RATE:
+        message = f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
+        raise DataError(message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it")
+    return float(rig.sample_rate or file_rate or 0.0)
+
+
+def _check_unit(table: Table, channel: RigChannel) -> None:
+    """DataError when the file states another unit for the column than the rig file does."""
+    stated = table.units.get(channel.column)
+    if stated is None:
+        return
+    try:
+        theirs, ours = readings(stated), readings(channel.unit)
+    except UnitError:
+        return
+    if not set(theirs) & set(ours):
+        what = f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by the rig file"
+        raise DataError(what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'")
+
+
+def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
+    """The recorded values at which the logger clips, in SI units of the channel, increasing; pulses have flat ends and none."""
+    if channel.limits is None:
+        return FAR if channel.channel.quantity == "tacho" else None
+    low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
+    return low, high
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """A name for each file from its stem, numbered where a stem comes again."""
+    # In their order; of each stem how often it came. A fleet has a hundred thousand of them.
+    names: dict[str, None] = {}
+    numbers: dict[str, int] = {}
+    for path in paths:
+        stem = path.name.removesuffix(SUFFIX) if path.name.endswith(SUFFIX) else path.stem
+        name, number = stem, numbers.get(stem, 1)
+        while name in names:
+            number += 1
+            name = f"{stem}-{number}"
+        numbers[stem] = number
+        names[name] = None
+    return list(names)
+
+
+def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:
+    """`ingest` for many files of one rig."""
+    paths = list(sources)
+    return [ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)]
+
+
+def recording_refs(recording: StoredRecording, base: Path) -> tuple[SourceRef, ...]:
+    """The references by which a result names the raw files behind a recording."""
+    return recording.header.inputs or (source_ref(recording.path, base),)

@@ -1,0 +1,166 @@
+"""inspect: a file as it lies on disk -> its overview: what it says of itself, levels, envelope, spectrum, what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
+from labpipe.artefacts.recording_file import StoredRecording, open_recording
+from labpipe.artefacts.writing import output_file
+from labpipe.errors import DataError
+from labpipe.project.ingest import contradictions, is_recording
+from labpipe.project.ready_response import is_response, load_response
+from labpipe.project.report import format_of
+from labpipe.project.rig_file import time_scale
+from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
+from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.table import open_table
+from labpipe.records.recording import ChannelOverview, Overview
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import Rig
+from labpipe.records.spectra import ChannelSpectra, FreeDecays
+
+BLOCK = 1 << 16
+TIME_NAMES = ("t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time", "uhrzeit")
+
+
+def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra:
+    """The overview of a recording, free decays or a raw file, or the response or spectra of a file; DataError for one that cannot be read.
+
+    Recordings and tables are read once, block by block; what is kept does not grow with their length.
+    """
+    if is_response(file):
+        return load_response(file)
+    if file.is_file() and file.name.endswith(SPECTRA_SUFFIX):
+        return read_spectra(file)
+    if file.is_file() and file.name.endswith(DECAY_SUFFIX):
+        return _of_decays(read_decays(file), file.name)
+    if file.is_file() and is_recording(file):
+        return _of_recording(open_recording(file))
+    return _of_table(file, rig)
+
+
+def write_card(content: Overview | FrequencyResponse | ChannelSpectra, file: str, path: Path) -> None:
+    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md)."""
+    from labpipe.document.render import DOCUMENTS
+    from labpipe.report.card import recording_card, response_card, spectra_card
+
+    if isinstance(content, ChannelSpectra):
+        document = spectra_card(content, file)
+    else:
+        document = response_card(content, file) if isinstance(content, FrequencyResponse) else recording_card(content)
+    written: bytes = DOCUMENTS.load(format_of(path))(document)
+    with output_file(path) as target:
+        target.write_bytes(written)
+
+
+class _Look:
+    """Levels, envelope and spectrum of the channels of one file, fed with blocks (n, n_channel)."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.screen = ChannelScreen(names)
+        self._names = tuple(names)
+        self._envelopes, self._spectra = EnvelopeTrack(len(names)), SpectrumTrack(len(names))
+
+    def add(self, block: FloatArray) -> None:
+        self.screen.add(block)
+        self._envelopes.add(block)
+        self._spectra.add(block)
+
+    def channels(self, units: Sequence[str], about: Sequence[str], sample_rate: float | None) -> tuple[ChannelOverview, ...]:
+        screen = self.screen
+        levels = np.column_stack([screen.minimum, screen.maximum, screen.mean, screen.rms]).tolist()
+        tracks = zip(self._envelopes.envelopes(), self._spectra.spectra(sample_rate), strict=True)
+        rows = zip(self._names, units, about, levels, tracks, strict=True)
+        return tuple(
+            ChannelOverview(name, unit, role, minimum=low, maximum=high, mean=mean, rms=rms, envelope=envelope, spectrum=spectrum)
+            for name, unit, role, (low, high, mean, rms), (envelope, spectrum) in rows
+        )
+
+
+def _of_recording(recording: StoredRecording) -> Overview:
+    look = _Look([channel.name for channel in recording.channels])
+    for block in recording.blocks(BLOCK):
+        look.add(block)
+    rate = recording.sample_rate
+    rate_text = f"{rate:g} Hz, {recording.n_sample / rate:g} s"
+    about = [f"{channel.role} {channel.dof}" for channel in recording.channels]
+    channels = look.channels([channel.unit for channel in recording.channels], about, rate)
+    return Overview(
+        recording.name,
+        "calibrated recording",
+        n_sample=recording.n_sample,
+        sample_rate=rate,
+        rate=rate_text,
+        channels=channels,
+        findings=recording.findings,
+    )
+
+
+def _of_decays(decays: FreeDecays, file: str) -> Overview:
+    """Overview of free decays, one after the other."""
+    look = _Look([port.label for port in decays.outputs])
+    for decay in decays.decays:
+        look.add(decay.samples)
+    lengths = [decay.samples.shape[0] / decays.sample_rate for decay in decays.decays]
+    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s" + (f" to {max(lengths):.4g} s" if len(lengths) > 1 else "")
+    return Overview(
+        file,
+        "free decays",
+        n_sample=sum(decay.samples.shape[0] for decay in decays.decays),
+        sample_rate=decays.sample_rate,
+        rate=f"{decays.sample_rate:g} Hz, {number}",
+        channels=look.channels(decays.units, [f"output {port.dof}" for port in decays.outputs], decays.sample_rate),
+        findings=decays.findings,
+    )
+
+
+def _of_table(file: Path, rig: Rig | None) -> Overview:
+    """Overview of a raw file; rate from the file itself or from its time column."""
+    table = open_table(file)
+    names = list(dict.fromkeys(table.columns))
+    frequencies = [name for name in names if table.units.get(name) == "Hz"]
+    times = [name for name in names if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
+    look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
+    rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
+    if any(name.lower() in TIME_NAMES for name in frequencies):
+        rate_text = f"a spectrum: '{frequencies[0]}' is a frequency in Hz, no time"
+    try:
+        for chunk in table.chunks(names):
+            look.add(chunk)
+            if time is not None:
+                time.add(chunk[:, names.index(times[0])])
+        if rate is not None:
+            rate_text = f"{rate:g} Hz"
+        elif time is not None:
+            per_unit = time.sample_rate()
+            rate, rate_text = per_unit / time_scale(times[0]), f"{per_unit:g} samples per unit of '{times[0]}'"
+    except DataError as error:
+        error.where = error.where or str(file)
+        raise
+    if rate is None and rig is not None:
+        rate = rig.sample_rate
+    channels = look.channels([table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate)
+    against = None if rig is None else tuple(str(contradiction) for contradiction in contradictions(table, rig))
+    time_name = times[0] if times else ""
+    return Overview(
+        file.name,
+        "raw file",
+        n_sample=look.screen.n_sample,
+        sample_rate=rate,
+        rate=rate_text,
+        channels=channels,
+        findings=look.screen.findings(),
+        time=time_name,
+        contradictions=against,
+    )
+
+
+def _role(column: str, rig: Rig | None) -> str:
+    """Channel, role and dof of a column by the rig file."""
+    channels = [channel.channel for channel in (rig.channels if rig is not None else ()) if channel.column == column]
+    return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

@@ -1,0 +1,261 @@
+"""Holding a result against the pipeline's accept and expect rules."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from labpipe.display import amount_text, with_error
+from labpipe.errors import ConfigError
+from labpipe.project.rules import Rule
+from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
+from labpipe.records.comparison import Comparison, ConditionMatrices
+from labpipe.records.dataset import PartialOutcome
+from labpipe.records.finding import WARNING, Parameter, of_level
+from labpipe.records.identification import Fit, RuleOutcome
+from labpipe.records.uncertain import parse_uncertain, split_doubt
+from labpipe.registry import nearest
+from labpipe.sections import names_of, section
+
+# Numbers held against a rule, and how they are shown: in the unit in which the rule is written.
+
+# (value [SI], whether it meets the rule, the value in the rule's unit)
+Compared = tuple[float | str | None, bool, str]
+# (rule, value, unit) -> the same of a number
+CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool, str]]
+_COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+
+
+def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool, str]:
+    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule; one that could not be given meets none."""
+    try:
+        text = "" if value is None else found_text(rule, value, unit)
+        if rule.kind == "+-":
+            wanted = parse_uncertain(rule.bound, unit)
+            return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text
+        bound = parse_value(rule.bound, unit)
+    except UnitError as error:
+        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
+    if rule.kind == "=":
+        return value, value is not None and value == bound, text
+    return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text
+
+
+def found_text(rule: Rule, value: float, unit: str) -> str:
+    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one; UnitError for a wrong one."""
+    written = written_unit(split_doubt(rule.bound)[0])
+    return with_error(in_unit(value, unit, written), None, written) if written else amount_text(value, None, unit)
+
+
+def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> Compared:
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule; the interval as text, in SI and in the unit of the rule."""
+    try:
+        wanted = parse_value(rule.bound, unit)
+        if ci95 is None:
+            return "no interval", False, "no interval"
+        low, high = ci95
+        ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
+    except UnitError as error:
+        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
+    return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends
+
+
+def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
+    """The expanded uncertainty, half the 95 % interval where noise alone is known; relative to the value where the rule is in per cent."""
+    if parameter.ci95 is None:
+        return None, False, ""
+    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
+    if rule.bound.endswith("%"):
+        return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
+    return compare_number(rule, half, parameter.unit)
+
+
+# Holding a result against the pipeline's accept and expect rules.
+
+# Warnings with which nothing is accepted: the size of the error is not known.
+FORBIDDING = ("feedback",)
+
+_FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
+    "gof": lambda fit: fit.gof.r2_adjusted,
+    "r2": lambda fit: fit.gof.r2,
+    "chi2_reduced": lambda fit: fit.gof.chi2_reduced,
+    "chi2_p": lambda fit: fit.gof.chi2_p,
+    "condition_number": lambda fit: fit.condition_number,
+    "lines": lambda fit: float(fit.lines),
+}
+
+
+def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False) -> tuple[RuleOutcome, ...]:
+    """The outcome of every rule on fits, and on the *records* of sections by their key.
+
+    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete* result, where tests failed, such a
+    rule fails. A value whose bias cannot be known is not accepted, whatever the rules say and where there are none.
+    """
+    rules = tuple(rules)
+    outcomes: list[RuleOutcome] = []
+    for rule in rules:
+        try:
+            outcomes.append(_on_section(rule, records) or whole_outcome(rule, judged_part(rule, fits)))
+        except ConfigError:
+            if not incomplete:
+                raise
+            outcomes.append(unfounded(rule))
+    return (*outcomes, *forbidden(rules, fits))
+
+
+def unfounded(rule: Rule) -> RuleOutcome:
+    """The failed outcome of a rule that addresses what an incomplete result does not have."""
+    return RuleOutcome(rule.section, rule.text, None, False)
+
+
+def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
+    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings expects that one."""
+    expected = {(rule.fit, rule.bound) for rule in rules if rule.item == "warnings"}
+    codes: dict[str, str] = {}
+    for fit in fits:
+        for finding in of_level(WARNING, fit.findings):
+            if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
+                codes.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
+    return tuple(RuleOutcome("accept", text, code, False, shown=code) for text, code in codes.items())
+
+
+def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
+    """The outcome of a rule on the record of a section other than the fits; None for a rule on fits."""
+    for name, record in records.items():
+        outcome = section(name).outcome
+        if outcome is not None and rule.fit in names_of(name, record):
+            ruled: RuleOutcome = outcome(rule, record, compare_number)
+            return ruled
+    return None
+
+
+def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
+    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses (bands, terms, tests)."""
+    addressed = _addressed(rule, fits)
+    if not addressed or rule.item == "count":
+        return PartialOutcome(addressed=len(addressed))
+    if rule.item == "warnings":
+        compared = [_compare_warnings(rule, fit) for fit in addressed]
+    else:
+        having = _having(rule, addressed)
+        if not having:
+            names = dict.fromkeys(parameter.name for fit in addressed for parameter in fit.parameters)
+            hint = nearest(_split(rule.item, addressed)[0], [*names, *_FIT_VALUES, "warnings", "count"])
+            return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{_split(rule.item, addressed)[0]}'", hint))
+        compared = [_compare_item(rule, fit) for fit in having]
+    first = next((pair for pair in compared if not pair[1]), compared[0])
+    return PartialOutcome(outcome=RuleOutcome(rule.section, rule.text, *first), addressed=len(addressed))
+
+
+def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
+    """The outcome of a rule on all fits; ConfigError at its place where it addresses none."""
+    if rule.item == "count" and partial.addressed:
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(partial.addressed), "1"))
+    if partial.outcome is not None:
+        return partial.outcome
+    what, hint = partial.fault or ("no such fit in the result", "")
+    raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
+
+
+def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
+    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the centre of a band."""
+    addressed = [fit for fit in fits if fit.name == rule.fit]
+    if rule.which:
+        addressed = [fit for fit in addressed if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
+    return addressed
+
+
+def _is_centre(text: str, centre: float) -> bool:
+    try:
+        return abs(parse_value(text, "Hz") - centre) < 1e-6 * max(abs(centre), 1.0)
+    except UnitError:
+        return False
+
+
+def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
+    """ "collinear" must be among the warnings, "not collinear" must not; "none" means no warning at all."""
+    codes = [finding.code for finding in of_level(WARNING, fit.findings)]
+    code = rule.bound
+    if code == "none":
+        passed = not codes
+    elif code.startswith("not "):
+        passed = code.removeprefix("not ").strip() not in codes
+    else:
+        passed = code in codes
+    text = ", ".join(codes) or "none"
+    return text, passed, text
+
+
+def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
+    """The fits that have the parameter of the rule; of a calibration, only the first line has the linear range."""
+    if rule.item in _FIT_VALUES:
+        return fits
+    name, _ = _split(rule.item, fits)
+    return [fit for fit in fits if name in [parameter.name for parameter in fit.parameters]]
+
+
+def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
+    """(parameter, attribute) of "k_xx.significant"; the names of dofs may hold points themselves."""
+    if any(parameter.name == item for fit in fits for parameter in fit.parameters):
+        return item, ""
+    name, _, attribute = item.rpartition(".")
+    return (name, attribute) if name else (item, "")
+
+
+def _compare_item(rule: Rule, fit: Fit) -> Compared:
+    if rule.item in _FIT_VALUES:
+        return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
+    name, attribute = _split(rule.item, [fit])
+    parameter = fit.parameter(name)
+    if attribute == "significant":
+        text = str(bool(parameter.significant)).lower()
+        return text, text == rule.bound, text
+    if attribute == "std_error":
+        return compare_number(rule, parameter.full_error, parameter.unit)
+    if attribute == "expanded":
+        return compare_expanded(rule, parameter)
+    return compare_number(rule, parameter.value, parameter.unit)
+
+
+# Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
+# "name.verdict".
+
+
+def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an unknown item."""
+    comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
+    if rule.item == "verdict":
+        return RuleOutcome(rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound)
+    if rule.item == "count":
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(len(comparison.points)), "1"))
+    name, _, attribute = rule.item.partition(".")
+    amount = _amount(rule, comparison, name)
+    if attribute == "covers":
+        return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))
+    if attribute == "expanded":
+        return RuleOutcome(rule.section, rule.text, *compare_expanded(rule, amount))
+    value = amount.full_error if attribute == "std_error" else amount.value
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, amount.unit))
+
+
+def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
+    try:
+        return comparison.amount(name)
+    except KeyError:
+        hint = nearest(name, [*(amount.name for amount in comparison.amounts), "verdict", "count"])
+        raise ConfigError(f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint) from None
+
+
+# Holding a study against rules: "study.fit[noise].item", "study.fit.item" for every noise level,
+
+
+def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: CompareNumber) -> RuleOutcome:
+    """The outcome of a rule on an amount of a matrix; ConfigError for an unknown one."""
+    matrix = next(candidate for candidate in matrices if candidate.name == rule.fit)
+    try:
+        amount = matrix.amount(rule.item)
+    except KeyError:
+        hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
+        raise ConfigError(f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint) from None
+    return RuleOutcome(rule.section, rule.text, *compare_number(rule, amount.value, amount.unit))

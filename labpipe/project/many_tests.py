@@ -1,0 +1,165 @@
+"""A run over so many tests that their results are kept as a dataset: nothing of a test stays in memory once its rows are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from labpipe import __version__
+from labpipe.artefacts.dataset_file import parts, write_parts
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.header import SourceRef, code_digest, source_ref
+from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
+from labpipe.artefacts.parquet import made_again, read_header
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import ConfigError, DataError
+from labpipe.estimation.levels import LEVELS
+from labpipe.project.identify import rig_entry, settings_entry
+from labpipe.project.judging import unfounded, whole_outcome
+from labpipe.project.one_test import Done, Job, failed_result
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.rules import Rule
+from labpipe.project.tests import Test
+from labpipe.records.dataset import DatasetSummary, PartialOutcome, TestResult, summary_of
+from labpipe.records.identification import Identification, RuleOutcome
+
+# From so many tests on, where nothing needs all of them at once.
+DATASET_FROM = 100
+# Tests whose rows make a part of the dataset.
+PART_TESTS = 500
+
+
+def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
+    """Whether the results of a pipeline are kept as a dataset; ConfigError where it is asked for and cannot be.
+
+    *independent*: the fits that need no other one.
+    """
+    if pipeline.results == "whole" or (pipeline.results == "auto" and len(pipeline.tests) < DATASET_FROM):
+        return False
+    what = hindrance(pipeline, independent)
+    if what and pipeline.results == "dataset":
+        raise ConfigError(f"results: {what}, which needs all tests at once", where=str(pipeline.path), hint="write results: whole")
+    return not what
+
+
+def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
+    """What needs the results of all tests at once; empty where nothing does."""
+    others = [name for name in pipeline.sections if name != "identify"]
+    if others:
+        return f"the section {others[0]} is there"
+    dependent = [fit.name for fit in pipeline.fits if fit.name not in independent]
+    if dependent:
+        return f"the fit {dependent[0]} begins with another one"
+    levels = [name for test in pipeline.tests for name in (*test.conditions, *test.recorded) if name in LEVELS]
+    return f"the condition '{levels[0]}' asks whether the rig is linear" if levels else ""
+
+
+class Gathered:
+    """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed up.
+
+    Tests are taken in their order, whatever the order in which they end: the same results give the same bytes.
+    """
+
+    def __init__(self, jobs: Sequence[Job], output: OutputFolder) -> None:
+        self._jobs, self._output = jobs, output
+        self._places = {job.test.name: place for place, job in enumerate(jobs)}
+        self._early: dict[int, Done] = {}
+        self._next = 0
+        self._waiting: list[TestResult] = []
+        self.parts: list[str] = []
+        self.summary = DatasetSummary()
+
+    def add(self, done: Done) -> None:
+        """Take the outcome of a test."""
+        self._output.remarks.extend(done.remarks)
+        self._early[self._places[done.test]] = done
+        while self._next in self._early:
+            result = outcome_of(self._early.pop(self._next), self._jobs[self._next].test)
+            self.summary = self.summary.with_more(summary_of(result))
+            self._waiting.append(result)
+            self._next += 1
+            if self._next % PART_TESTS == 0 or self._next == len(self._jobs):
+                self.parts.extend(write_parts(self._waiting, self._output))
+                self._waiting.clear()
+
+
+def outcome_of(done: Done, test: Test) -> TestResult:
+    """The result of a test that ended, or why it has none."""
+    if done.failed is not None:
+        return failed_result(test, done.failed.message)
+    assert done.result is not None
+    return done.result
+
+
+def identified(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
+    """The result of all tests: identification.json, which sums the dataset up. Parts of an earlier run that are no longer of it go."""
+    failed = gathered.summary.failed
+    if failed and not gathered.summary.index.tests:
+        raise DataError(f"{failed[0].message} (and none of the other {gathered.summary.index.failed - 1} tests could be evaluated)")
+    _remark_damaged(output, gathered.parts)
+    identification = summed_up(pipeline, gathered.summary)
+    identification = replace(identification, inputs=tuple(asdict(_part_ref(output, name)) for name in gathered.parts))
+    write_identification(output.write_path(NAME), identification)
+    for name in (*gathered.parts, NAME):
+        output.leave_same(name)
+    return identification
+
+
+def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
+    """The result of many tests without the parts of its dataset; ConfigError for a rule that addresses nothing where no test failed."""
+    return Identification(
+        fits=(),
+        title=pipeline.title,
+        pipeline=pipeline.path.name,
+        sources=tuple(asdict(source_ref(path, pipeline.folder)) for path in pipeline.side_files),
+        settings=settings_of_many(pipeline),
+        rig=rig_entry(pipeline),
+        outcomes=(*_outcomes(pipeline.rules, summary), *summary.forbidden),
+        version=__version__,
+        code=code_digest(),
+        failed=summary.failed,
+        dataset=summary.index,
+    )
+
+
+def settings_of_many(pipeline: Pipeline) -> dict[str, Any]:
+    """The settings of a pipeline as JSON holds them, without the tests: these stand in the dataset."""
+    return {name: entry for name, entry in settings_entry(pipeline).items() if name != "tests"}
+
+
+def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOutcome]:
+    """The outcome of every rule over all tests."""
+    for rule, partial in zip(rules, summary.partial or (PartialOutcome(),) * len(rules), strict=True):
+        try:
+            yield whole_outcome(rule, partial)
+        except ConfigError:
+            if not summary.failed:
+                raise
+            yield unfounded(rule)
+
+
+def _part_ref(output: OutputFolder, name: str) -> SourceRef:
+    return SourceRef(name, source_ref(output.read_path(name), output.target).sha256)
+
+
+def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
+    """Name what was found damaged in the folder, and have parts that are not of this result removed."""
+    for part in parts(output.target):
+        try:
+            read_header(part.path, "")
+        except DamagedError as error:
+            output.remarks.append(made_again(error, part.path))
+        name = part.path.relative_to(output.target).as_posix()
+        if name not in names:
+            output.outdate(name)
+    _remark_result(output.target / NAME, output)
+
+
+def _remark_result(path: Path, output: OutputFolder) -> None:
+    if path.exists():
+        try:
+            read_identification(path)
+        except DataError as error:
+            output.remarks.append(made_again(error, path))

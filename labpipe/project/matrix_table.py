@@ -1,0 +1,186 @@
+"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.errors import DataError
+from labpipe.quantities import to_display
+from labpipe.raw_files.rows_csv import write_table_csv
+from labpipe.raw_files.table import load_extra
+from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_unit
+from labpipe.records.identification import Fit, Identification
+
+# Coefficients of a rotor code by our names.
+ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in ("k", "c") for axes in ("xx", "xy", "yx", "yy")}
+# Whirl frequencies of a rotor table where the fit's band does not give them.
+N_WHIRL = 9
+
+
+def write_matrix_csv(artefact: Path, target: Path) -> None:
+    """The matrices of a result as CSV: one row for every point and coefficient."""
+    write_table_csv(matrix_table(_matrices(artefact)[1]), target)
+
+
+def write_matrix_parquet(artefact: Path, target: Path) -> None:
+    """The same as Parquet."""
+    matrix_table(_matrices(artefact)[1]).to_parquet(target, index=False)
+
+
+def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
+    """A result and its matrices; DataError where it has none."""
+    if artefact.suffix != ".json":
+        raise DataError("holds no matrix of tests", where=str(artefact), hint="they stand in identification.json")
+    identification = read_identification(artefact)
+    matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
+    if not matrices:
+        raise DataError("holds no matrix of tests", where=str(artefact), hint="the pipeline needs a section matrix:")
+    return identification, matrices
+
+
+def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
+    """One row for every point and coefficient: conditions with their units, value with its doubt, repeats, theory [SI]."""
+    rows = []
+    for matrix in matrices:
+        for point in matrix.points:
+            # Columns have the same names whatever the levels, so no prefix that suits them.
+            units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]
+            conditions = {
+                f"{axis.name} [{unit}]": to_display(level, unit)
+                for axis, unit, level in zip(matrix.axes, units, matrix.levels_of(point), strict=True)
+            }
+            beside = {f"{entry.name} [{entry.unit}]": entry.value for entry in point.beside}
+            for value in point.values:
+                parameter = value.parameter
+                low, high = parameter.ci95 or (None, None)
+                rows.append(
+                    {
+                        "matrix": matrix.name,
+                        "fit": matrix.fit,
+                        **conditions,
+                        **beside,
+                        "coefficient": parameter.name,
+                        "value": parameter.value,
+                        "unit": parameter.unit,
+                        "std_error": parameter.full_error,
+                        "std_error_random": parameter.std_error,
+                        "ci95_low": low,
+                        "ci95_high": high,
+                        "repeats": value.repeats,
+                        "scatter": value.scatter,
+                        "theory": value.theory,
+                        "warnings": " ".join(point.warnings),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def write_rotor_xlsx(artefact: Path, target: Path) -> None:
+    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `frequency` [rad/s], one sheet each, as an Excel file.
+
+    Of every level of the other conditions: a sheet over the speed with the coefficients at whirl in step with it (synchronous), and one
+    for every speed over the whirl frequency. DataError where no condition is a speed, or coefficients are missing.
+    """
+    load_extra("openpyxl", "excel", artefact)
+    sheets = dict(rotor_sheets(*_matrices(artefact)))
+    with pd.ExcelWriter(target, engine="openpyxl") as writer:
+        for name, table in sheets.items():
+            table.to_excel(writer, sheet_name=name, index=False)
+
+
+def write_rotor_csv(artefact: Path, target: Path) -> None:
+    """The same tables below each other as CSV, the name of the sheet in the first column."""
+    sheets = rotor_sheets(*_matrices(artefact))
+    write_table_csv(pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").reset_index(), target)
+
+
+def rotor_sheets(identification: Identification, matrices: tuple[ConditionMatrix, ...]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Name and table of every sheet."""
+    number = 0
+    for matrix in matrices:
+        place = next((n for n, axis in enumerate(matrix.axes) if condition_unit(axis.name, axis.unit) == "rpm"), None)
+        if place is None:
+            raise DataError(f"matrix '{matrix.name}' has no speed among its conditions", hint="over: [speed, ...]")
+        groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
+        for point in matrix.points:
+            groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
+        for points in groups.values():
+            number += 1
+            others = [axis.text(matrix.levels_of(points[0])[n]) for n, axis in enumerate(matrix.axes) if n != place]
+            speeds = [matrix.levels_of(point)[place] for point in points]
+            courses = [_course(identification, matrix, point) for point in points]
+            yield (
+                _sheet(number, "synchronous"),
+                _table(
+                    2 * np.pi * np.array(speeds),
+                    np.array([_at(course, np.array([speed]))[0] for course, speed in zip(courses, speeds, strict=True)]),
+                    others,
+                ),
+            )
+            for speed, course in zip(speeds, courses, strict=True):
+                whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
+                yield _sheet(number, f"{60 * speed:.0f} rpm"), _table(2 * np.pi * whirl, _at(course, whirl), others)
+
+
+def _sheet(number: int, what: str) -> str:
+    """A name of at most 31 characters, as spreadsheets allow."""
+    return f"{number} {what}"[:31]
+
+
+# Frequency (n,) [Hz] and dynamic stiffness H (n, 2, 2) [N/m] over it.
+Course = tuple[FloatArray, ComplexArray]
+
+
+def _course(identification: Identification, matrix: ConditionMatrix, point: MatrixPoint) -> Course:
+    """The mean course of the repeats at a point: that of the fitted models, or of K, C and M where fits hold none."""
+    fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
+    drawn = [detail.course for fit in fits for detail in fit.details if detail.course is not None]
+    if drawn:
+        low, high = (end(course[0][place] for course in drawn) for end, place in ((max, 0), (min, -1)))
+        frequency = np.linspace(low, high, N_WHIRL)
+        return frequency, np.mean([_interpolated(*course, frequency) for course in drawn], axis=0)
+    return _of_coefficients(matrix, point, fits)
+
+
+def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:
+    missing = [name for name in ROTOR_NAMES if point.value(name) is None]
+    if missing:
+        raise DataError(f"matrix '{matrix.name}' lacks {', '.join(missing)}", hint="a rotor code needs K and C whole")
+    stiffness, damping, mass = (_square(point, letter) for letter in "kcm")
+    band = fits[0].band_hz if fits else (0.0, 0.0)
+    frequency = np.linspace(*band, N_WHIRL)
+    jw = 2j * np.pi * frequency[:, None, None]
+    return frequency, np.asarray(stiffness + jw * damping + jw**2 * mass)
+
+
+def _square(point: MatrixPoint, letter: str) -> FloatArray:
+    """K, C or M (2, 2) [SI]; zero where the model has none."""
+    values = [point.value(f"{letter}_{axes}") for axes in ("xx", "xy", "yx", "yy")]
+    return np.array([0.0 if value is None else value.parameter.value for value in values]).reshape(2, 2)
+
+
+def _interpolated(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
+    flat = matrix.reshape(frequency.size, -1)
+    columns = [np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag) for column in flat.T]
+    return np.asarray(np.stack(columns, axis=1).reshape(at.size, 2, 2))
+
+
+def _at(course: Course, frequency: FloatArray) -> ComplexArray:
+    """H (n, 2, 2) [N/m] at frequencies (n,) [Hz]; beyond the band that was measured, that of its end."""
+    return _interpolated(*course, frequency)
+
+
+def _table(omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:
+    """Rows over omega (n,) [rad/s] of k = Re H and c = Im H / w, and the other conditions in words."""
+    columns: dict[str, object] = {"frequency": omega}
+    for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):
+        columns[f"k{axes}"] = stiffness[:, row, column].real
+    for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):
+        columns[f"c{axes}"] = stiffness[:, row, column].imag / omega
+    return pd.DataFrame({**columns, "at": ", ".join(others)})

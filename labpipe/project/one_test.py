@@ -1,0 +1,377 @@
+"""The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, and what it comes to."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import errno
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+
+from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_conditions, read_rows
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
+from labpipe.artefacts.parquet import header_of, made_again
+from labpipe.artefacts.places import StorageError, fetched, status
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING
+from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.estimation.settings import FitSettings
+from labpipe.project.frf import RIGS, ready_refs
+from labpipe.project.ingest import ingest, recording_refs
+from labpipe.project.judging import forbidden, judged_part
+from labpipe.project.measured import (
+    MeasuredTest,
+    fits_file_name,
+    load_measured,
+    load_ready_measured,
+    measure_test,
+    measured_file_name,
+    measured_files,
+)
+from labpipe.project.raw_recording import raw_recording
+from labpipe.project.recorded_conditions import recorded_conditions
+from labpipe.project.rules import Rule
+from labpipe.project.tests import Test
+from labpipe.project.work import fits_of
+from labpipe.records.dataset import DatasetRow, TestResult, accepted, rows_of_fit
+from labpipe.records.finding import Finding
+from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import nearest
+from labpipe.report.wording import fit_title
+from labpipe.spectra.settings import FrfSettings
+
+# One test of a result whose tests stand in a dataset, as a result by itself.
+
+
+def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
+    """The fits and the response of one test from the files in the *folder* of the result; ConfigError for a test that it does not have."""
+    rows = read_rows(folder)
+    names = rows["test"].to_pylist()
+    if test not in names:
+        raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, list(dict.fromkeys(names))))
+    row = rows.slice(names.index(test), 1).to_pylist()[0]
+    if row["failed"] is not None:
+        raise ConfigError(f"test '{test}' could not be evaluated: {row['failed']}")
+    conditions = {name: text for name in columns_of_conditions(rows.column_names) if (text := row[CONDITION + name]) is not None}
+    measured = [load_measured(path) for path in measured_files(folder, test)]
+    fits = folder / fits_file_name(test)
+    return dataclasses.replace(
+        identification,
+        fits=tuple(read_fits(fits)) if fits.exists() else (),
+        responses=tuple(measurement for measurement in measured if isinstance(measurement, FrequencyResponse)),
+        spectra=tuple(measurement for measurement in measured if isinstance(measurement, ChannelSpectra)),
+        settings={**identification.settings, "tests": [{"name": test, "conditions": conditions}]},
+        dataset=None,
+    )
+
+
+# What one test among many comes to, as the dataset of results holds it: its rows, and what the rules find
+# in it.
+
+# Condition of a test that says on which day it was run; by default that on which its file was last changed.
+DATE = "date"
+
+
+def result_of_test(
+    test: Test,
+    conditions: Mapping[str, str],
+    fits: Sequence[Fit],
+    findings: Sequence[Finding],
+    rules: Sequence[Rule],
+    sources: Sequence[SourceRef],
+    digest: str,
+) -> TestResult:
+    """The result of a test from its *fits* and the *findings* of its measurement; *sources* are its files, *digest* that of its fits."""
+    partial = tuple(judged_part(rule, fits) for rule in rules)
+    outcomes = forbidden(rules, fits)
+    common = {
+        **identity(test, conditions),
+        "accepted": accepted(partial, outcomes),
+        "source": digest_of_sources(sources),
+        "digest": digest,
+    }
+    return TestResult(
+        # A test without fits has a row as well: the dataset knows that it was worked on.
+        rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)) or (DatasetRow(**common),),  # type: ignore[arg-type]
+        findings=(*((test.name, finding) for finding in findings), *((fit_title(fit), of_fit) for fit in fits for of_fit in fit.findings)),
+        partial=partial,
+        forbidden=outcomes,
+    )
+
+
+def failed_result(test: Test, message: str, sources: Sequence[SourceRef] = ()) -> TestResult:
+    """The result of a test that could not be evaluated, and why."""
+    row = DatasetRow(**identity(test, test.conditions), failed=message, source=digest_of_sources(sources))  # type: ignore[arg-type]
+    return TestResult(rows=(row,))
+
+
+def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
+    """What all rows of a test share: whose they are, of which day, at which conditions."""
+    return {"rig": rig_name(test), "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
+
+
+def rig_name(test: Test) -> str:
+    """The rig of the test's recordings."""
+    return next((source.rig.name for source in test.recordings if source.rig.name), UNNAMED)
+
+
+def day_of(test: Test, conditions: Mapping[str, str]) -> str:
+    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
+    try:
+        return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
+    except ValueError:
+        return _changed(next(path for path in files_of(test)))
+
+
+def files_of(test: Test) -> list[Path]:
+    """The files that a test was recorded in, or its ready responses."""
+    recorded = [path for source in test.recordings for path in (source.path, *source.joined)]
+    return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
+
+
+def _changed(path: Path) -> str:
+    try:
+        seconds = _seconds(path)
+    except (OSError, DataError):
+        # Gone since; the test has failed for that reason.
+        seconds = 0.0
+    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).date().isoformat()
+
+
+def _seconds(path: Path) -> float:
+    if not is_remote(path):
+        return path.stat().st_mtime
+    status_of_file = status(path)
+    return 0.0 if status_of_file is None else status_of_file.changed
+
+
+def digest_of_sources(sources: Sequence[SourceRef]) -> str:
+    """SHA-256 over the digests of a test's files, or that of the file where it is one; empty where none could be read."""
+    digests = [source.sha256 for source in sources]
+    if len(digests) <= 1:
+        return digests[0] if digests else ""
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+# The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, so
+# that any process can do it.
+
+Tell = Callable[[str], None]
+# Errors of the machine, not of a recording: no room left, or a disk that takes nothing.
+HALTING = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+
+def silent(_message: str) -> None:
+    """Tells nobody."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that one test needs.
+
+    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the run's output folder;
+    scratch: the run's folder for what is not finished. rules: of a run whose results are kept as a dataset, by which the test is judged
+    by itself; None for others. measured_before: its response is there, by `labpipe frf`, and its recordings are not looked at.
+    """
+
+    test: Test
+    names: tuple[str, ...]
+    _: KW_ONLY
+    frf: FrfSettings | None
+    fits: tuple[FitSettings, ...]
+    pipeline_path: Path
+    target: Path
+    scratch: Path
+    rules: tuple[Rule, ...] | None = None
+    measured_before: bool = False
+
+    @property
+    def folder(self) -> Path:
+        return self.pipeline_path.parent
+
+    @property
+    def fits_name(self) -> str:
+        return fits_file_name(self.test.name)
+
+    @property
+    def measured_name(self) -> str:
+        return measured_file_name(self.test.name, self.frf)
+
+    def absolute(self) -> Job:
+        """The same job, to be done by a process that works in another folder."""
+        recordings = tuple(source.absolute() for source in self.test.recordings)
+        test = dataclasses.replace(self.test, recordings=recordings, frfs=tuple(frf.absolute() for frf in self.test.frfs))
+        paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
+        return dataclasses.replace(self, test=test, **paths)
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its *result* for a dataset.
+
+    halts: it failed by a fault of the machine that other tests will meet as well, such as a full disk.
+    """
+
+    test: str
+    sources: tuple[SourceRef, ...] = ()
+    failed: Failed | None = None
+    remarks: tuple[str, ...] = ()
+    result: TestResult | None = None
+    halts: bool = False
+
+
+def work(job: Job) -> Done:
+    """Do the job; a fault of its input is its outcome, and what was finished before the fault stays."""
+    remarks: list[str] = []
+    try:
+        with brought(job) as near:
+            sources, result = _worked(near, remarks)
+    except LabpipeError as error:
+        failed = Failed(job.test.name, str(error))
+        return Done(job.test.name, failed=failed, remarks=tuple(remarks), halts=isinstance(error, StorageError))
+    except OSError as error:
+        if error.errno is None:
+            raise
+        failed = Failed(job.test.name, f"{error.filename or 'output'}: {os.strerror(error.errno).lower()}")
+        return Done(job.test.name, failed=failed, halts=error.errno in HALTING)
+    except Exception as error:
+        error.add_note(f"in test '{job.test.name}' of {job.pipeline_path}")
+        raise
+    return Done(job.test.name, sources, remarks=tuple(remarks), result=result)
+
+
+@contextmanager
+def brought(job: Job) -> Iterator[Job]:
+    """The job with recordings of this machine: those of an object storage lie in its scratch folder meanwhile."""
+    paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
+    with fetched([] if job.measured_before else paths, job.scratch) as here:
+        recordings = tuple(source.at(here) for source in job.test.recordings)
+        yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))
+
+
+def _worked(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
+    """What went into the test, and its result for a dataset."""
+    with output_folder(job.target, job.scratch, remarks) as output:
+        sources = sources_before(job) if job.measured_before else measure(job, output)
+    if job.fits:
+        with output_folder(job.target, job.scratch, remarks) as output:
+            fit(job, output)
+    return sources, None if job.rules is None else _result(job, job.rules, sources)
+
+
+def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:
+    """What the finished test comes to, from its files."""
+    fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
+    conditions, findings = job.test.conditions, []
+    if job.test.recordings:
+        header = header_of(job.target / job.measured_name)
+        conditions, findings = header.contents["conditions"], list(header.findings)
+    return result_of_test(job.test, conditions, fits, findings, rules, sources, digest)
+
+
+def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:
+    """ingest and frf of the test; the references of the raw files or ready responses behind it."""
+    recorded = _measured_as_read(job, output, tell)
+    if recorded is None:
+        recorded = _measured_from_calibrated(job, output, tell)
+    return (*recorded, *(source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths))
+
+
+def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
+    """The test measured from its raw files as they are read; their references. None where they need a calibrated recording, or where a
+    fault was met.
+
+    A fault is told by the longer way, which looks at whole files before anything is measured from them.
+    """
+    if job.frf is None or job.test.recorded or not job.test.recordings or any(source.joined for source in job.test.recordings):
+        return None
+    n_remark = len(output.remarks)
+    try:
+        raw = [raw_recording(source.path, source.rig, job.folder) for source in job.test.recordings]
+        recordings = [recording for recording in raw if recording is not None]
+        if len(recordings) < len(raw):
+            return None
+        tell(f"frf       {job.test.name or job.pipeline_path.stem}")
+        measure_test(recordings, job.frf, output, job.test.name, job.test.conditions)
+        for recording in recordings:
+            recording.check_unchanged()
+    except DataError:
+        del output.remarks[n_remark:]
+        output.write_path(job.measured_name).unlink(missing_ok=True)
+        return None
+    for name in job.names:
+        # Of an earlier run, which made one.
+        output.outdate(f"recordings/{name}{RECORDING}")
+    return tuple(recording.source_ref() for recording in recordings)
+
+
+def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
+    """The test measured from calibrated recordings, made where they are not there; the references of the raw files."""
+    stored = []
+    for source, name in zip(job.test.recordings, job.names, strict=True):
+        tell(f"ingest    {source.path.name}")
+        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by))
+    if stored:
+        if job.frf is None:
+            raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
+        tell(f"frf       {job.test.name or job.pipeline_path.stem}")
+        conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
+        measure_test(stored, job.frf, output, job.test.name, conditions)
+    return tuple(reference for recording in stored for reference in recording_refs(recording, job.folder))
+
+
+def sources_before(job: Job) -> tuple[SourceRef, ...]:
+    """The references of the raw files behind a response that is there, by the calibrated recordings beside it, or else its own."""
+    path = job.target / job.measured_name
+    if job.test.recordings and not path.exists():
+        raise DataError("no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+    recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
+    if job.test.recordings and RIGS in (header := header_of(path)).parameters:
+        recorded = list(header.inputs)
+    elif all(recording.exists() for recording in recordings):
+        recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
+    else:
+        recorded = [source_ref(path, job.target)]
+    return (*recorded, *(source_ref(ready_path, job.folder) for ready in job.test.frfs for ready_path in ready.paths))
+
+
+def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
+    """What was measured of the test, and its ready responses."""
+    measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
+    return [*measured, *(load_ready_measured(ready, job.test.name, job.test.conditions) for ready in job.test.frfs)]
+
+
+def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
+    """The digests of what was measured of the test, by their file names."""
+    path = output.read_path(job.measured_name)
+    measured = [source_ref(path, path.parent)] if job.test.recordings else []
+    return [*measured, *(reference for ready in job.test.frfs for reference in ready_refs(ready))]
+
+
+def fit(job: Job, output: OutputFolder) -> None:
+    """The independent fits of the test, made unless those on disk are fresh."""
+    inputs = measured_refs(job, output)
+    path = output.read_path(job.fits_name)
+    try:
+        if has_fresh_fits(path, job.fits, inputs):
+            return
+    except DamagedError as error:
+        output.remarks.append(made_again(error, path))
+    measured = measured_of(job, output)
+    fits = [test_fit for settings in job.fits for test_fit in fits_of(measured, settings, job.pipeline_path)]
+    write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)
+
+
+def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[Fit]]:
+    """The independent fits of finished jobs by their name in the pipeline, each in the order of the tests."""
+    read = [read_fits(output.read_path(job.fits_name)) for job in jobs if job.fits]
+    names = dict.fromkeys(settings.name for job in jobs for settings in job.fits)
+    return {name: [test_fit for fits in read for test_fit in fits if test_fit.name == name] for name in names}

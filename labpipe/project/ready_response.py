@@ -1,0 +1,87 @@
+"""Ready responses: labpipe's own files and those of other programs, as a path or an entry under ``frfs:`` names them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from labpipe.artefacts.measured_files import (
+    RESPONSE_SUFFIX,
+    read_response,
+)
+from labpipe.errors import DataError
+from labpipe.project.tests import ReadyFrf
+from labpipe.raw_files.frf_csv import FREQUENCY, port_of
+from labpipe.raw_files.frf_described import Dofs, read_described
+from labpipe.raw_files.frf_file import MATRIX_SUFFIXES, read_frf_file
+from labpipe.raw_files.mat_frf import holds_response
+from labpipe.raw_files.table import TEXT_SUFFIXES, guarded, open_table, readable
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
+from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.damping import undamped
+from labpipe.spectra.ports import joined
+from labpipe.spectra.windows import amplitude_correlation
+
+
+def is_response(path: Path) -> bool:
+    """Whether a file holds FRFs and no recording: labpipe's own, or another program's."""
+    if not path.is_file():
+        return False
+    suffix = plain_suffix(path)
+    with readable(path):
+        if suffix in MATRIX_SUFFIXES:
+            return holds_response(path)
+        if suffix in UFF_SUFFIXES:
+            return all(record.function != TIME for record in read_uff(path))
+    return path.name.endswith(RESPONSE_SUFFIX) or (suffix in TEXT_SUFFIXES and FREQUENCY in open_table(path).columns)
+
+
+def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
+    """A ready response: labpipe's own file, or another program's; name and conditions of its test take the place of its own."""
+    if path.is_dir():
+        raise DataError("is a folder, a file is needed", where=str(path))
+    if not path.exists():
+        raise DataError("no such file", where=str(path))
+    try:
+        response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
+    except DataError as error:
+        error.where = error.where or str(path)
+        raise
+    return dataclasses.replace(response, name=name or response.name, conditions=conditions or response.conditions)
+
+
+def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
+    """The ready response of a test, joined where it lies in several files; DataError names file and line."""
+    name = test or frf.name
+    if frf.layout is None:
+        return load_response(frf.paths[0], name, conditions)
+    responses = [
+        dataclasses.replace(_load_described(path, frf.layout, Dofs(outputs, inputs)), name=path.name)
+        for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
+    ]
+    response = joined(responses) if frf.layout.each else responses[0]
+    if frf.layout.windowed is not None:
+        response = undamped(response, frf.layout.windowed.exponential)
+    if frf.layout.window and not response.line_correlation:
+        response = dataclasses.replace(response, line_correlation=amplitude_correlation(frf.layout.window))
+    return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
+
+
+def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
+    if layout.table is not None:
+        return guarded(read_described, path, layout, dofs)
+    response = load_response(path)
+    return dataclasses.replace(
+        response,
+        outputs=_renamed(response.outputs, dofs.outputs, "outputs", path),
+        inputs=_renamed(response.inputs, dofs.inputs, "inputs", path),
+    )
+
+
+def _renamed(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
+    """The ports under the dofs of the entry, if it gives any."""
+    if dofs and len(dofs) != len(ports):
+        raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", where=str(path))
+    return tuple(map(port_of, dofs)) or ports

@@ -1,0 +1,175 @@
+"""report: identification, or several of them -> a document people read and sign, and its figures as files."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.header import code_digest
+from labpipe.artefacts.identification_file import NAME
+from labpipe.artefacts.json_file import DIGEST
+from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
+from labpipe.errors import ConfigError, DataError
+from labpipe.project.one_test import one_of_many
+from labpipe.records.identification import Identification
+
+# The last line of a report: what it was drawn from, and the digest of all before it. A report of the same
+# result is not drawn again.
+
+# How a format writes what its readers pass over; a format of another package has no stamp and is always drawn.
+COMMENTS = {"html": (b"<!-- ", b" -->\n"), "md": (b"<!-- ", b" -->\n"), "pdf": (b"% ", b"\n")}
+LONGEST = 200
+_RESULT = re.compile(rb'^"' + DIGEST.encode() + rb'": "([0-9a-f]{64})"', re.MULTILINE)
+_STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{64})")
+
+
+def drawn_from(result: Path) -> str:
+    """What the report of a result file depends on, as a digest: its content and the code that draws; empty where it carries no digest."""
+    with result.open("rb") as stream:
+        match = _RESULT.search(stream.read(4096))
+    return hashlib.sha256(match[1] + code_digest().encode()).hexdigest() if match else ""
+
+
+def stamped(content: bytes, source: str, report_format: str) -> bytes:
+    """The bytes of a report with its last line; as they are without a *source* or for a format that has no comments."""
+    if not source or report_format not in COMMENTS:
+        return content
+    begin, end = COMMENTS[report_format]
+    content = content if content.endswith(b"\n") else content + b"\n"
+    digest = hashlib.sha256(content).hexdigest()
+    return content + begin + f"labpipe drew this from {source}, content {digest}".encode() + end
+
+
+def is_drawn(path: Path, source: str) -> bool:
+    """Whether a report was drawn from this source and is whole: neither edited nor damaged since."""
+    if not source or not path.is_file():
+        return False
+    content = path.read_bytes()
+    matches = list(_STAMP.finditer(content, max(len(content) - LONGEST, 0)))
+    if not matches or matches[-1][1].decode() != source:
+        return False
+    start = content.rfind(b"\n", 0, matches[-1].start()) + 1
+    line = content[start : matches[-1].start()], content[matches[-1].end() :]
+    return line in COMMENTS.values() and hashlib.sha256(content[:start]).hexdigest() == matches[-1][2].decode()
+
+
+# report: identification, or several of them -> a document people read and sign, and its figures as files.
+
+SUFFIX_FORMATS = {".html": "html", ".htm": "html", ".md": "md", ".pdf": "pdf"}
+
+
+def format_of(path: Path) -> str:
+    """The report format that a file name asks for; ConfigError for an unknown ending."""
+    suffix = path.suffix.lower()
+    if path.exists() and not path.is_file():
+        return "html"
+    if suffix not in SUFFIX_FORMATS:
+        raise ConfigError(f"no report format for the ending '{suffix}'", where=str(path), hint=f"known: {', '.join(SUFFIX_FORMATS)}")
+    return SUFFIX_FORMATS[suffix]
+
+
+def write_report(
+    identification: Identification, path: Path, report_format: str = "", figures: Path | None = None, results: Path | None = None
+) -> None:
+    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files.
+
+    *results*: the folder that the result was read from, by default that of the report.
+    """
+    name, folder = report_format or format_of(path), results or path.parent
+    files = {} if figures is None else _figures_of(identification, folder)
+    _write(_drawn(identification, folder, name), path, files, figures)
+
+
+def write_test_report(
+    identification: Identification, test: str, path: Path, figures: Path | None = None, results: Path | None = None
+) -> None:
+    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the folder that it was read from."""
+    from labpipe.document.charts import figure_files
+    from labpipe.report.build import build
+
+    if identification.dataset is not None:
+        identification = one_of_many(identification, results or path.parent, test)
+    document = build(identification, test)
+    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
+    _write(content, path, {} if figures is None else figure_files(document), figures)
+
+
+def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
+    """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no report contradicts the result."""
+    if (folder.staging / NAME).exists():
+        for name in formats:
+            folder.outdate(f"report.{name}")
+
+
+def write_reports(identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]) -> None:
+    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs the report and nothing else.
+
+    A report that was drawn from this very result, and is whole, stays as it is.
+    """
+    source = drawn_from(target / NAME)
+    stale = [name for name in formats if not is_drawn(target / f"report.{name}", source)]
+    if not stale:
+        return
+    with output_folder(target) as folder:
+        for name in stale:
+            tell(f"report    report.{name}")
+            folder.write_path(f"report.{name}").write_bytes(stamped(_drawn(identification, target, name), source, name))
+
+
+def _drawn(identification: Identification, folder: Path, report_format: str) -> bytes:
+    """The report as a file's bytes; of a result of many tests, whose *folder* holds them, their summary."""
+    if identification.dataset is None:
+        content: bytes = _renderer("RENDERERS", report_format)(identification)
+    else:
+        content = _renderer("DOCUMENTS", report_format)(_summary(identification, folder))
+    return content
+
+
+def _summary(identification: Identification, folder: Path) -> Any:
+    """The document of many tests; what draws and what reads tables takes its time to load."""
+    from labpipe.artefacts.dataset_file import read_many_tests
+    from labpipe.report.many_tests import many_tests_document
+
+    return many_tests_document(identification, read_many_tests(folder))
+
+
+def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
+    """A renderer of a format; what draws takes its time to load."""
+    from labpipe.document import render
+
+    renderer: Callable[[Any], bytes] = getattr(render, table).load(report_format)
+    return renderer
+
+
+def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
+    """Write the report of many results (name, identification) together: trends, control limits, differences."""
+    from labpipe.document.charts import figure_files
+    from labpipe.report.campaign import campaign_document
+
+    document = campaign_document(results)
+    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
+    _write(content, path, {} if figures is None else figure_files(document), figures)
+
+
+def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
+    from labpipe.document.charts import figure_files
+    from labpipe.report.build import build
+
+    return figure_files(build(identification) if identification.dataset is None else _summary(identification, folder))
+
+
+def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
+    """Report and figures, all or none."""
+    if figures is not None and figures.exists() and not figures.is_dir():
+        raise DataError("is a file, a folder is needed", where=str(figures))
+    with ExitStack() as outputs:
+        target = outputs.enter_context(output_file(path))
+        target.write_bytes(content)
+        if figures is not None:
+            folder = outputs.enter_context(output_folder(figures))
+            for name, part in files.items():
+                folder.write_path(name).write_bytes(part)

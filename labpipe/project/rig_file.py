@@ -1,0 +1,511 @@
+"""Reading a rig file: what the rig IS; no processing parameter is known here."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
+from labpipe.errors import ConfigError
+from labpipe.project.derived_channels import Factor, SumReader, expanded, read_constants
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.records.recording import ROLES, Channel, Term
+from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
+from labpipe.records.settings import Doubts, FileKind, Settings, setting
+from labpipe.records.uncertain import ChannelDoubt, Uncertain, doubt_of, parse_uncertain, split_doubt
+from labpipe.registry import nearest
+
+# The doubts of a channel of a rig file: of its sensitivity, delay, phase and direction.
+
+
+@dataclass(frozen=True)
+class DoubtSettings(Settings):
+    """Standard uncertainties of a channel's chain beside those of its numbers; how else they are meant stands in brackets."""
+
+    gain: str = setting("text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default="")
+    phase: str = setting("text", "of the whole chain, at every frequency alike: 0.5 deg", default="")
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a rig file says of one channel's doubts: *entries* of the file, *sensitivity* and *dof* as texts, *doubts* of its numbers."""
+
+    name: str
+    entries: Mapping[str, Marked]
+    sensitivity: str
+    dof: str
+    doubts: Doubts
+    chain: DoubtSettings | None
+
+
+def channel_doubts(written: Written, node: Marked, key: str, faults: Faults) -> tuple[ChannelDoubt, ...]:
+    """All doubts of a channel that are not zero; faults at their entries."""
+    readers: dict[str, Callable[[Written, Path], Iterator[ChannelDoubt]]] = {
+        "sensitivity": _of_sensitivity,
+        "delay": _of_delay,
+        "dof": _of_direction,
+        "doubt": _of_chain,
+    }
+    folder = Path(node.where.rsplit(":", 2)[0]).parent
+    doubts: list[ChannelDoubt] = []
+    for entry, read in readers.items():
+        try:
+            doubts.extend(read(written, folder))
+        except UnitError as error:
+            faults.add_unit(written.entries.get(entry, node), join(key, entry), error)
+    return tuple(doubt for doubt in doubts if doubt.doubt.std_error > 0)
+
+
+def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelDoubt]:
+    """Relative doubt of a sensitivity: as typed, or that of the slope of the calibration fit that it names."""
+    text, doubt = split_doubt(written.sensitivity)
+    if "#" in text:
+        slope = calibrated_slope(text, folder)
+        if slope.std_error:
+            number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
+            yield ChannelDoubt("gain", doubt_of(number, f"{written.name}.sensitivity {text}", "1"))
+    if doubt:
+        number = _relative(text, doubt)
+        yield ChannelDoubt("gain", doubt_of(number, f"{written.name}.sensitivity {text}", "1"))
+
+
+def _relative(text: str, doubt: str) -> Uncertain:
+    """A doubt relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
+    value, _, unit = text.strip().partition(" ")
+    number = parse_uncertain(f"{value} {unit} +- {doubt}", unit)
+    return Uncertain(1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source)
+
+
+def _of_delay(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001 (one signature for all readers)
+    for name, number in written.doubts:
+        if name == "delay":
+            yield ChannelDoubt("delay", doubt_of(number, f"{written.name}.delay", "s"))
+
+
+def _of_direction(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001
+    """Doubt of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
+    _, doubt = split_doubt(written.dof)
+    if doubt:
+        yield ChannelDoubt("direction", doubt_of(parse_uncertain(f"0 rad +- {doubt}", "rad"), f"{written.name}.dof", "rad"))
+
+
+def _of_chain(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001
+    if written.chain is None:
+        return
+    if written.chain.gain:
+        yield ChannelDoubt("gain", doubt_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"))
+    if written.chain.phase:
+        yield ChannelDoubt("phase", doubt_of(parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"))
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Slope of a calibration fit [unit] with its standard error and degrees of freedom; no error where the fit has none."""
+
+    value: float
+    unit: str
+    std_error: float
+    dof: float | None
+
+
+def calibrated_slope(reference: str, folder: Path) -> Slope:
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file. UnitError where there is none."""
+    file, _, fit_name = reference.partition("#")
+    try:
+        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]}
+        slopes = [parameter for parameter in fits.get(fit_name, {"parameters": ()})["parameters"] if parameter["name"] == "slope"]
+        if slopes:
+            return _slope(slopes[0], fits[fit_name].get("dof"))
+    except DamagedError as error:
+        raise UnitError(f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
+    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
+
+
+def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
+    """The slope of its entry; TypeError or ValueError for an entry that is none."""
+    value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
+    if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
+        raise ValueError("no slope")
+    return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))
+
+
+# The frequency response of a sensor from a calibration table: CSV with the columns frequency_hz, gain,
+# phase_deg.
+
+COLUMNS = ("frequency_hz", "gain", "phase_deg")
+
+
+def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
+    """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
+
+    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a file that cannot be
+    read, other columns, what is no number, fewer than two rows, a gain not above zero, or frequencies that do not increase.
+    """
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+    except OSError:
+        raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
+    except UnicodeDecodeError:
+        raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
+    rows = list(csv.reader(lines, skipinitialspace=True))
+    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
+        raise UnitError(f"'{path.name}' has other columns", f"columns: {', '.join(COLUMNS)}")
+    table = tuple(_row(row, path.name) for row in rows[1:])
+    if len(table) < 2 or any(later[0] <= earlier[0] for earlier, later in pairwise(table)):
+        raise UnitError(f"'{path.name}' does not hold two or more increasing frequencies")
+    return table
+
+
+def _row(row: list[str], name: str) -> tuple[float, float, float]:
+    try:
+        frequency, gain, phase = (float(cell) for cell in row)
+    except ValueError:
+        raise UnitError(f"'{name}': '{','.join(row)}' is no frequency, gain and phase") from None
+    if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
+        raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
+    return frequency, gain, math.radians(phase)
+
+
+# Reading a rig file: what the rig IS; no processing parameter is known here.
+
+# Beside the plain entries of a rig file.
+PARTS = ("channels", "constants", "derived")
+# Entries of a recorded channel that a sum of channels does not have.
+RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "doubt")
+DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
+
+
+@dataclass(frozen=True)
+class RigSettings(Settings):
+    """The plain entries of a rig file (its channels are read by themselves)."""
+
+    name: str = setting("text", "name of the rig, as the report shows it", default="")
+    description: str = setting("text", "what a reader should know of the rig", default="")
+    sample_rate: float | None = setting("value", "sampling rate, where no time column or file gives it", unit="Hz", default=None)
+    time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
+    mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
+    doubts: Doubts = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelSettings(Settings):
+    """One entry below ``channels:``."""
+
+    quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
+    unit: str = setting("text", "unit of the recorded numbers; default: SI", default="")
+    column: str = setting("text", "column of the file; default: the channel's key", default="")
+    role: str = setting("choice", "input (force), output (response) or reference, as members of sums are", choices=ROLES, default="")
+    dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
+    position: float | None = setting("value", "place along the axis, where magnets and sensors are apart", unit="m", default=None)
+    sensitivity: str = setting("text", "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'", default="")
+    invert: bool = setting("flag", "turn the sign around", default=False)
+    delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
+    response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
+    range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
+    doubt: DoubtSettings | None = setting("section", "doubt of the whole chain", section=DoubtSettings, default=None)
+    derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
+    doubts: Doubts = ()
+
+
+def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
+    """The rig of a rig file; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults()
+    rig = read_rig(tree, faults)
+    faults.raise_any()
+    assert rig is not None
+    return rig
+
+
+def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
+    """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
+    tree = load_marked(path)
+    for name, node in faults.mapping(entry, key).items():
+        channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
+        if channel is None:
+            faults.add(node, join(key, name), "the rig has no such channel", nearest(name, tree.content["channels"].content))
+        else:
+            channel.content.update(faults.mapping(node, join(key, name)))
+    return read_rig(tree, faults)
+
+
+def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of that role.
+
+    ConfigError for a name that is no channel of the rig.
+    """
+    places: dict[str, str] = {}
+    for name, dof in dofs.items():
+        of_role = [channel.name for channel in rig.all_channels if channel.role == name]
+        names = [channel.name for channel in rig.all_channels]
+        if name not in names and len(of_role) != 1:
+            what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
+            raise ConfigError(what, hint=nearest(name, names))
+        places[name if name in names else of_role[0]] = dof
+    channels = tuple(replace(recorded, channel=_at(recorded.channel, places.get(recorded.channel.name))) for recorded in rig.channels)
+    return replace(rig, channels=channels, derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived))
+
+
+def _at(channel: Channel, dof: str | None) -> Channel:
+    return channel if dof is None else replace(channel, dof=dof, angle=AXIS_ANGLES.get(dof))
+
+
+def read_rig(tree: Marked, faults: Faults) -> Rig | None:
+    """The rig of a marked tree; None and faults where it cannot be read."""
+    before = len(faults)
+    entries = faults.mapping(tree, "")
+    plain = Marked({k: v for k, v in entries.items() if k not in PARTS}, tree.where)
+    settings = read_settings(RigSettings, plain, "", faults)
+    channels, derived = _read_channels(_with_listed_sums(entries, faults), entries.get("constants"), tree, faults)
+    if settings is not None and settings.sample_rate is not None and settings.time is not None:
+        faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
+    if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
+        faults.add(entries["sample_rate"], "sample_rate", "must be positive")
+    if len(faults) > before or settings is None:
+        return None
+    return Rig(
+        name=settings.name,
+        channels=tuple(channels),
+        sample_rate=settings.sample_rate,
+        time=settings.time,
+        time_scale=time_scale(settings.time),
+        mass=settings.mass,
+        description=settings.description,
+        derived=derived,
+        mass_doubt=dict(settings.doubts).get("mass"),
+    )
+
+
+def time_scale(column: str | None) -> float:
+    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without one)."""
+    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
+    if match is None:
+        return 1.0
+    try:
+        return parse_value(f"1 {match[1]}", "s")
+    except UnitError:
+        return 1.0
+
+
+def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
+    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force}."""
+    channels = entries.get("channels")
+    if channels is None or "derived" not in entries or not isinstance(channels.content, dict):
+        return channels
+    together = dict(channels.content)
+    for name, node in faults.mapping(entries["derived"], "derived").items():
+        key = join("derived", name)
+        parts = faults.mapping(node, key)
+        listed = parts.get("sum")
+        if name in together:
+            faults.add(node, key, "is a channel already", "give it another name")
+        elif listed is None or not isinstance(listed.content, dict):
+            faults.add(listed or node, join(key, "sum"), "a mapping of channels to factors is needed", "sum: {f: 1, a: -30 kg +- 0.1 kg}")
+        else:
+            text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
+            as_text = Marked(text, listed.where, listed.key_where, text)
+            content = {**{entry: value for entry, value in parts.items() if entry != "sum"}, "derived": as_text}
+            together[name] = Marked(content, node.where, node.key_where)
+    return Marked(together, channels.where, channels.key_where, channels.text)
+
+
+def _read_channels(
+    node: Marked | None, constants: Marked | None, tree: Marked, faults: Faults
+) -> tuple[list[RigChannel], tuple[Channel, ...]]:
+    """The recorded channels, and the sums of them."""
+    if node is None:
+        faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
+        return [], ()
+    entries = faults.mapping(node, "channels")
+    sums = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict) and "derived" in entry.content}
+    channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
+    derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
+    members = {term.channel for channel in derived for term in channel.terms}
+    # A force in a sum is no force of its own unless the file says so.
+    free = [channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content]
+    channels = [
+        replace(recorded, channel=replace(recorded.channel, role="reference")) if recorded.channel.name in members & set(free) else recorded
+        for recorded in channels
+    ]
+    return channels, derived
+
+
+def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChannel]:
+    channels: list[RigChannel] = []
+    columns: dict[str, str] = {}
+    for name, entry in entries.items():
+        channel = _read_channel(name, entry, join("channels", name), faults)
+        if channel is None:
+            continue
+        if channel.column in columns:
+            faults.add(entry, join("channels", name), f"takes the column '{channel.column}' of channel '{columns[channel.column]}'")
+        columns[channel.column] = name
+        channels.append(channel)
+    return channels
+
+
+def _read_sums(
+    sums: dict[str, Marked], entries: dict[str, Marked], constants: dict[str, Factor], recorded: list[RigChannel], faults: Faults
+) -> tuple[Channel, ...]:
+    """The channels that are sums of others, written out in recorded channels; a channel that could not be read is no second fault."""
+    quantities = {name: entry.content["quantity"].text for name, entry in entries.items() if _has_quantity(entry)}
+    reader = SumReader(quantities, constants)
+    settings = {name: read_settings(ChannelSettings, entry, join("channels", name), faults) for name, entry in sums.items()}
+    terms: dict[str, tuple[Term, ...]] = {}
+    for name, entry in sums.items():
+        for key in RECORDED_ONLY:
+            if key in entry.content:
+                faults.add(entry.content[key], join("channels", name, key), "belongs to a recorded channel, this is a sum", "leave it out")
+        setting = settings[name]
+        if setting is None:
+            continue
+        try:
+            terms[name] = reader.terms(setting.derived, name)
+        except UnitError as error:
+            faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
+    names = {*terms, *(channel.channel.name for channel in recorded)}
+    whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in names for term in sum_)}
+    channels = [_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole]
+    return tuple(channel for channel in channels if channel is not None)
+
+
+def _has_quantity(entry: Marked) -> bool:
+    return isinstance(entry.content, dict) and "quantity" in entry.content and entry.content["quantity"].text in QUANTITIES
+
+
+def _sum_channel(
+    name: str,
+    entry: Marked,
+    settings: ChannelSettings | None,
+    sums: dict[str, tuple[Term, ...]],
+    recorded: list[RigChannel],
+    faults: Faults,
+) -> Channel | None:
+    """A sum with the delay and response that all its members have; none where they differ, which the FRF refuses."""
+    key = join("channels", name)
+    assert settings is not None
+    try:
+        terms = expanded({sum_name: sums[sum_name] for sum_name in sums}, name)
+    except UnitError as error:
+        faults.add_unit(entry.content["derived"], join(key, "derived"), error)
+        return None
+    by_name = {channel.channel.name: channel.channel for channel in recorded}
+    chains = {(by_name[term.channel].delay, by_name[term.channel].response) for term in terms if term.channel in by_name}
+    delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
+    dof, angle = _direction(settings.dof or name, entry, key, faults)
+    member = any(term.channel == name for other in sums.values() for term in other)
+    role = settings.role or ("reference" if member else DEFAULT_ROLES.get(settings.quantity, "reference"))
+    return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
+
+
+def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:
+    settings = read_settings(ChannelSettings, node, key, faults)
+    if settings is None:
+        return None
+    before = len(faults)
+    scale, offset = _calibration(settings, node, key, faults)
+    limits = _limits(settings, node, key, faults)
+    dof, angle = _direction(split_doubt(settings.dof)[0] or name, node, key, faults)
+    response = _response(settings, node, key, faults)
+    written = Written(name, node.content, settings.sensitivity, settings.dof, settings.doubts, settings.doubt)
+    # Of a number that cannot be read there is one fault, not a second one of its doubt.
+    doubts = channel_doubts(written, node, key, faults) if len(faults) == before else ()
+    if len(faults) > before:
+        return None
+    sign = -1.0 if settings.invert else 1.0
+    role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
+    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response, doubts=doubts, position=settings.position)
+    return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
+
+
+def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, float | None]:
+    """dof label and angle [rad] from x; "45 deg" is an angle, x and y are the angles 0 and 90 deg."""
+    if dof in AXIS_ANGLES:
+        return dof, AXIS_ANGLES[dof]
+    if re.match(r"^\s*[+-]?[\d.]", dof) and " " in dof.strip():
+        try:
+            return dof, parse_value(dof, "rad")
+        except UnitError as error:
+            faults.add_unit(node.content.get("dof", node), join(key, "dof"), error)
+    return dof, None
+
+
+def _response(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[tuple[float, float, float], ...]:
+    """The sensor's frequency response; its table stands beside the rig file."""
+    if not settings.response:
+        return ()
+    try:
+        return read_sensor_response(Path(node.where.rsplit(":", 2)[0]).parent / settings.response)
+    except UnitError as error:
+        faults.add_unit(node.content["response"], join(key, "response"), error)
+        return ()
+
+
+def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
+    """(scale, offset) from the recorded number to SI: directly by the unit, or through the sensitivity."""
+    si_unit = QUANTITIES[settings.quantity].si_unit
+    unit_node = node.content.get("unit", node)
+    try:
+        if not settings.sensitivity:
+            unit = unit_of(settings.unit or si_unit, si_unit)
+            return unit.factor, unit.offset
+        unit = parse_unit(settings.unit or si_unit)
+    except UnitError as error:
+        faults.add_unit(unit_node, join(key, "unit"), error)
+        return 1.0, 0.0
+    try:
+        return unit.factor / _sensitivity(split_doubt(settings.sensitivity)[0], unit, si_unit, node), 0.0
+    except UnitError as error:
+        faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
+        return 1.0, 0.0
+
+
+def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
+    """Recorded SI unit per SI unit of the quantity; "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration."""
+    if "#" in text:
+        slope = calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
+        text = f"{slope.value!r} {slope.unit}"
+    match = re.match(r"^\s*(\S+)\s+(.+)$", text)
+    if match is None:
+        raise UnitError(f"'{text}' is not a sensitivity", "for example '8 V/mm'")
+    wanted = tuple(u - q for u, q in zip(unit.dimension, parse_unit(si_unit).dimension, strict=True))
+    number = parse_value(text, match[2])
+    if number == 0:
+        raise UnitError(f"the sensitivity '{text}' is zero")
+    for reading in readings(match[2]):
+        if reading.dimension == wanted:
+            return number * reading.factor
+        if reading.dimension == tuple(-w for w in wanted):
+            return 1.0 / (number * reading.factor)
+    raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
+
+
+def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:
+    """The recorded values at which the logger clips, in the recorded unit; "10 V" means -10 V .. 10 V."""
+    if settings.range is None:
+        return None
+    low, dots, high = str(settings.range).partition("..")
+    unit = settings.unit or QUANTITIES[settings.quantity].si_unit
+    try:
+        upper = parse_value((high if dots else low).strip(), unit)
+        lower = parse_value(low.strip(), unit) if dots else -upper
+    except UnitError as error:
+        faults.add_unit(node.content["range"], join(key, "range"), error)
+        return None
+    return lower, upper
+
+
+RIG_FILE = FileKind(load_rig)

@@ -1,0 +1,154 @@
+"""The JSON schema (draft 2020-12) of rig and pipeline files, made from the same settings that read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
+from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
+from labpipe.project.rig_file import ChannelSettings, RigSettings
+from labpipe.project.tests import BY
+from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.settings import Setting, settings_of
+from labpipe.sections import PipelineSection, sections
+from labpipe.spectra.settings import FrfSettings
+from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, comparison_kind, kinds_text
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+_TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
+_TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array", "items": _TEXT_OR_NUMBER}]}
+_TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+
+
+def rig_schema() -> dict[str, Any]:
+    """The schema of a rig file."""
+    schema = _object(RigSettings)
+    schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
+    constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    schema["properties"]["constants"] = {**constants, "description": "numbers in sums of channels, with their doubt: m_s: 30 kg +- 0.1 kg"}
+    factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    listed = _object(ChannelSettings)
+    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {"sum": factors}
+    described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
+    schema["properties"]["derived"] = {"type": "object", "additionalProperties": listed, "description": described}
+    schema["required"] = ["channels"]
+    return {"$schema": DRAFT, "title": "labpipe rig", **schema}
+
+
+def pipeline_schema() -> dict[str, Any]:
+    """The schema of a pipeline file."""
+    entry = {
+        "type": "object",
+        "properties": {
+            "file": {"type": "string", "description": "a file or a glob"},
+            "each": {**_TEXTS, "description": "files, of which each is a recording"},
+            "join": {**_TEXTS, "description": "files that hold channels of one run"},
+            "by": {"enum": list(BY), "description": "how files are joined; default: on time where all have the rig's time column"},
+            "pattern": {"type": "string", "description": "dofs in the files' names, by channel, input or output: point_{output}_{input}"},
+            "rig": {"type": "string"},
+            "channels": {"type": "object"},
+        },
+        "additionalProperties": False,
+    }
+    recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    described = _object(FrfLayout)
+    frfs = {"anyOf": [{"type": "string"}, described, {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}}]}
+    conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    test = {
+        "name": {"type": "string"},
+        "recordings": recordings,
+        "frfs": frfs,
+        "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
+        "together": {**_TEXTS, "description": "parts of the pattern in which the recordings of one test differ"},
+        "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
+        "conditions": conditions,
+        "frf": {**_object(FrfSettings), "description": "in place of the pipeline's, for this test"},
+    }
+    rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
+    properties = {
+        "title": {"type": "string"},
+        "rig": {"type": "string", "description": "rig file, relative to this file"},
+        "recordings": recordings,
+        "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
+        "frfs": frfs,
+        "conditions": conditions,
+        "frf": _object(FrfSettings),
+        "uncertainty": _object(UncertaintySettings),
+        "results": {"enum": list(RESULTS), "description": "How results of many tests are kept: by their number, whole, or as a dataset."},
+        **{name: _section(entry) for name, entry in sections()},
+        "report": _object(ReportSettings),
+        "accept": rules,
+        "expect": rules,
+    }
+    return {
+        "$schema": DRAFT,
+        "title": "labpipe pipeline",
+        "type": "object",
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
+
+def _section(entry: PipelineSection) -> dict[str, Any]:
+    """A section, or a mapping of names to entries; of fits and comparisons with the sections that their kinds have."""
+    owner = entry.settings
+    schema = _object(owner)
+    if owner in OWN_SECTIONS:
+        kinds, text = OWN_SECTIONS[owner]
+        parts = {kind.section: _object(kind.settings) for kind in kinds() if kind.settings is not None}
+        # Settings of a model that needs no section may stand in the fit itself.
+        plain = [parts[kind.section]["properties"] for kind in kinds() if getattr(kind, "optional", False)]
+        for name, described in schema["properties"].items():
+            described["description"] += text(name)
+        schema["properties"] = {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
+    return {"type": "object", "additionalProperties": schema} if entry.named else schema
+
+
+# Settings whose kinds have sections of their own: the kinds, and the words which of them take a key.
+OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] = {
+    FitSettings: (lambda: [model_kind(name) for name in MODELS], models_text),
+    CompareSettings: (lambda: [comparison_kind(name) for name in COMPARISONS], kinds_text),
+}
+
+
+def _object(owner: type) -> dict[str, Any]:
+    settings = settings_of(owner)
+    properties = {name: {**_kind(setting), "description": _described(setting)} for name, (setting, _) in settings.items()}
+    required = [name for name, (_, needed) in settings.items() if needed]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+
+
+def _described(setting: Setting) -> str:
+    return f"{setting.help} [{setting.unit}]" if setting.unit else setting.help
+
+
+def _kind(setting: Setting) -> dict[str, Any]:
+    if setting.section is not None:
+        section = _object(setting.section)
+        return {
+            "section": section,
+            "sections": {"type": "object", "additionalProperties": section},
+            "entries": {"type": "array", "items": section},
+        }[setting.kind]
+    return {
+        "value": _TEXT_OR_NUMBER,
+        "uncertain": _TEXT_OR_NUMBER,
+        "band": {"type": "string"},
+        "bands": _TEXTS,
+        "peaks": {"type": "object", "additionalProperties": _TEXTS},
+        "integer": {"type": "integer", "minimum": 0},
+        "flag": {"type": "boolean"},
+        "text": _TEXT_OR_NUMBER,
+        "file": {"type": "string"},
+        "choice": {"enum": list(setting.choices)},
+        "names": _TEXTS,
+        "mass": {"type": ["string", "number", "array"]},
+        "values": _TEXTS_OR_NUMBERS,
+        "matrix": {"type": "array", "items": {"type": "array", "items": _TEXT_OR_NUMBER}},
+        "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+        "groups": {"type": "array"},
+        "series": {"type": "object"},
+        "roots": _TEXTS_OR_NUMBERS,
+        "phasors": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+    }[setting.kind]

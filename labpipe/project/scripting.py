@@ -1,0 +1,253 @@
+"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as tables."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
+from labpipe.artefacts.mirrored import results_made
+from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.writing import output_folder, path_of
+from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
+from labpipe.errors import ConfigError, DataError
+from labpipe.project.bearing_file import open_bearing
+from labpipe.project.executors import in_processes, serially
+from labpipe.project.first_guess import GuessedChannel, first_rows, guess_channels, time_columns
+from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.marked_yaml import load_marked
+from labpipe.project.one_test import silent
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.ready_response import is_response, load_response
+from labpipe.project.report import outdate_reports, write_reports
+from labpipe.project.rig_file import DEFAULT_ROLES, load_rig, time_scale
+from labpipe.project.run import Manner
+from labpipe.project.run import run as run_pipeline
+from labpipe.project.settings_reader import DECIDE, FILE_KINDS
+from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.quantities import QUANTITIES, parse_unit
+from labpipe.raw_files.screening import TimeAxisScreen
+from labpipe.raw_files.table import TEXT_SUFFIXES, Table, open_table
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_fit
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.rig import AXIS_ANGLES, Rig
+from labpipe.registry import Registry
+from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKind
+
+if TYPE_CHECKING:
+    import xarray
+
+# Bearings, rotors and virtual rigs by the name of their kind or by their file.
+
+# Readers of text files that say themselves what they are: from a path to a record, or None for a file of another kind.
+TEXT_FILES = Registry("text file", {})
+SETTINGS_SUFFIXES = (".yaml", ".yml")
+
+
+def bearing(kind: str | Path, **settings: Any) -> BearingCoefficients:
+    """Stiffness and damping of a bearing: of a bearing file, or of a *kind* with the entries of its file as keywords.
+
+    ``bearing("journal-bearing", diameter="31 mm", length="18 mm", clearance="90 um", viscosity=0.1044, speed="50 Hz", load="58.8 N")``;
+    texts carry their unit, numbers are SI. ConfigError for an unknown kind or entry.
+    """
+    if _is_file(kind):
+        file = open_bearing(Path(kind), [f"{name}={value}" for name, value in settings.items()])
+        return file.coefficients([file.settings()])[0]
+    chosen: BearingKind = BEARINGS.load(str(kind))
+    return chosen.coefficients([chosen.settings(kind=str(kind), **settings)])[0]
+
+
+def rotor(path: str | Path) -> Any:
+    """The rotor of a rotor file; one with ``pins:`` is a rotor for run-ups."""
+    entries = load_marked(Path(path)).content
+    pinned = isinstance(entries, dict) and "pins" in entries
+    return FILE_KINDS.load("run-up-rotor" if pinned else "rotor").load(Path(path))
+
+
+def virtual_rig(kind: str | Path, **settings: Any) -> VirtualRig:
+    """A virtual rig: of its file, or of a *kind* with the entries of its file as keywords."""
+    if _is_file(kind):
+        return load_virtual_rig(Path(kind), [f"{name}={value}" for name, value in settings.items()])
+    chosen: VirtualRigKind = VIRTUAL_RIGS.load(str(kind))
+    rig: VirtualRig = chosen.settings(kind=str(kind), **settings)
+    return rig
+
+
+def _is_file(kind: str | Path) -> bool:
+    return isinstance(kind, Path) or kind.endswith(SETTINGS_SUFFIXES)
+
+
+# Results as tables: pandas data frames, and responses as xarray data sets where xarray is installed.
+
+
+def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd.DataFrame:
+    """Parameters of a fit or of a whole result, one row each; a response over frequency [Hz]; a recording over time [s]. SI units.
+
+    A response has for every element the columns ``o/i``, complex, and ``o/i:std``, its standard deviation, where the noise is known.
+    """
+    if isinstance(record, Fit):
+        return pd.DataFrame([_row(listed) for listed in of_fit(record)])
+    if isinstance(record, Identification) and record.dataset is not None:
+        raise ConfigError("the numbers of so many tests stand in a dataset", hint="pandas.read_parquet('OUT/dataset') reads it")
+    if isinstance(record, Identification):
+        return pd.DataFrame([_row(listed) for listed in listed_parameters(record)])
+    if isinstance(record, FrequencyResponse):
+        return _response_frame(record)
+    if isinstance(record, Recording):
+        time = pd.Index(np.arange(record.n_sample) / record.sample_rate, name="time [s]")
+        return pd.DataFrame(record.samples, index=time, columns=[f"{channel.name} [{channel.unit}]" for channel in record.channels])
+    raise ConfigError(f"a {type(record).__name__} has no table", hint="a fit, a result, a response or a recording has")
+
+
+def _row(listed: ListedParameter) -> dict[str, Any]:
+    parameter = listed.parameter
+    low, high = parameter.ci95 or (None, None)
+    return {
+        **{name: getattr(listed, name) for name in ("fit", "test", "term", "model", "estimator")},
+        **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
+        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit, "std_error": parameter.std_error},
+        **{"ci_low": low, "ci_high": high, "significant": parameter.significant, "derived": parameter.derived},
+        "warnings": ", ".join(listed.warnings),
+    }
+
+
+def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
+    columns: dict[str, Any] = {}
+    for o, output in enumerate(response.outputs):
+        for i, force in enumerate(response.inputs):
+            columns[f"{output.label}/{force.label}"] = response.matrix[:, o, i]
+            if response.variance is not None:
+                columns[f"{output.label}/{force.label}:std"] = np.sqrt(response.variance[:, o, i])
+    return pd.DataFrame(columns, index=pd.Index(response.frequency, name="frequency [Hz]"))
+
+
+def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
+    """The response over frequency, output and input, with variance and coherence where they are known.
+
+    ConfigError where xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise ConfigError("to_xarray needs the package xarray", hint="pip install xarray") from None
+    dims = ("frequency", "output", "input")
+    variables = {"response": response.matrix, "variance": response.variance, "coherence": response.coherence}
+    coords = {
+        "frequency": response.frequency,
+        "output": [port.label for port in response.outputs],
+        "input": [port.label for port in response.inputs],
+    }
+    present = {name: (dims, values) for name, values in variables.items() if values is not None}
+    return xarray.Dataset(present, coords, {"form": response.form, "name": response.name, **response.conditions})
+
+
+# Read every file of measurements or results by one function.
+
+HEAD = 4096
+
+
+def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
+    """The content of a file, in SI units: a recording, a frequency response, spectra, a run-up table, or a result.
+
+    Raw recordings (CSV, TDMS, UFF 58, MAT, HDF5, WAV, Parquet) are calibrated as a *rig* file says; without one by the units and names that
+    the file itself states. FRFs come from CSV, UFF 58, MAT, HDF5 and ``*.frf.parquet``, free decays from ``*.decay.parquet``, spectra
+    of all channels from ``*.spectra.parquet``, results from identification.json or its folder.
+    LabpipeError names the file, and the channels that only a rig file can describe.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return read_identification(path / "identification.json")
+    suffix = plain_suffix(path)
+    if suffix in SETTINGS_SUFFIXES:
+        raise ConfigError("is a settings file", where=str(path), hint="labpipe.run, bearing, rotor and virtual_rig read these")
+    if suffix == ".json":
+        return read_identification(path)
+    if path.name.endswith(DECAY_SUFFIX):
+        return read_decays(path)
+    if path.name.endswith(SPECTRA_SUFFIX):
+        return read_spectra(path)
+    if is_response(path):
+        return load_response(path)
+    if path.is_file() and is_recording(path):
+        return open_recording(path).in_memory()
+    records = (TEXT_FILES.load(name)(path) for name in TEXT_FILES.names()) if suffix in TEXT_SUFFIXES and path.is_file() else ()
+    known = next((record for record in records if record is not None), None)
+    if known is not None or rig is None:
+        return known or _by_itself(path)
+    return _calibrated(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
+
+
+def _calibrated(path: Path, rig: Rig) -> Recording:
+    """The recording as the rig file describes it, through the same stage as on the command line."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as output:
+        return ingest(path, rig, output, path.stem, path.parent).in_memory()
+
+
+def _by_itself(path: Path) -> Recording:
+    """The recording as the file describes it; DataError for channels without quantity or unit."""
+    table = open_table(path)
+    names, rows = first_rows(table)
+    time = time_columns(names, rows)[:1] if table.sample_rate is None else []
+    if table.sample_rate is None and not time:
+        raise DataError("states no sampling rate and has no time column", where=str(path), hint="read it with rig='rig.yaml'")
+    guessed = guess_channels([name for name in names if name not in time], table.units)
+    undecided = [channel.column for channel in guessed if DECIDE in (channel.quantity, channel.unit, channel.sensitivity)]
+    if undecided:
+        what = f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
+        raise DataError(what, where=str(path), hint="read it with rig='rig.yaml'; labpipe init proposes one")
+    return _recording(table, guessed, time)
+
+
+def _recording(table: Table, guessed: list[GuessedChannel], time: list[str]) -> Recording:
+    units = [parse_unit(channel.unit) for channel in guessed]
+    samples = np.concatenate(list(table.chunks([*time, *(channel.column for channel in guessed)])))
+    calibrated = samples[:, len(time) :] * [unit.factor for unit in units] + [unit.offset for unit in units]
+    rate = table.sample_rate
+    if time:
+        screen = TimeAxisScreen(time[0])
+        screen.add(samples[:, 0] * time_scale(time[0]))
+        rate = screen.sample_rate()
+    return Recording(tuple(_channel(channel) for channel in guessed), calibrated, float(rate or 0.0), table.path.stem)
+
+
+def _channel(guessed: GuessedChannel) -> Channel:
+    role = guessed.role or DEFAULT_ROLES.get(guessed.quantity, "reference")
+    assert guessed.quantity in QUANTITIES
+    return Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
+
+
+# A pipeline from a script, as `labpipe run` does it.
+
+
+def run(pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1) -> Identification:
+    """The result of a pipeline file; with an *output* folder also its files and reports, where fresh results are reused.
+
+    The output may be of an object storage, s3://bucket/prefix.
+    *overrides*: as --set takes them, "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more
+    than one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail are in the result.
+    Without a folder the result is whole, however many tests it has; in a folder that of very many is a dataset, read with pandas.
+    """
+    settings = load_pipeline(Path(pipeline), overrides)
+    if output is None:
+        settings = replace(settings, results="whole")
+    manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
+    if output is None:
+        with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as folder:
+            return run_pipeline(settings, folder, manner)
+    with results_made(path_of(str(output))) as here:
+        with output_folder(here) as folder:
+            identification = run_pipeline(settings, folder, manner)
+            outdate_reports(folder, settings.report.formats)
+        write_reports(identification, here, settings.report.formats, silent)
+    return identification

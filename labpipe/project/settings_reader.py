@@ -1,0 +1,272 @@
+"""From a YAML mapping to a settings dataclass, by its declared settings alone; every fault at its place, all in one pass."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labpipe.errors import ConfigError, ConfigErrors
+from labpipe.project.marked_yaml import Marked
+from labpipe.quantities import UnitError
+from labpipe.records.rig import Rig
+from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of, takes_doubt
+from labpipe.records.uncertain import is_doubtful, parse_uncertain
+from labpipe.registry import Registry, nearest
+
+# Collecting the faults of a file, so that one run names them all.
+
+
+class Faults:
+    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files that it names are relative."""
+
+    def __init__(self, folder: Path = Path()) -> None:
+        self.folder = folder
+        self._faults: list[ConfigError] = []
+
+    def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
+        """A fault of the entry *key* at its place in the file."""
+        text = f"{key}: {message}" if key else message
+        self._faults.append(ConfigError(text, where=node.place, hint=hint))
+
+    def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
+        """A value that could not be read, with the hint of the unit table."""
+        self.add(node, key, error.what, error.hint)
+
+    def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
+        """A fault of the settings that a mapping holds, at the entry that the error names, else at the mapping itself."""
+        entry = node.content.get(error.field) if isinstance(node.content, dict) else None
+        self.add(entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
+
+    def add_missing_file(self, node: Marked, key: str) -> None:
+        """A fault for the name of a file that is not there."""
+        self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")
+
+    def merge(self, error: ConfigError) -> None:
+        """Add the faults of a referenced file."""
+        self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
+
+    def unknown_keys(self, node: Marked, key: str, allowed: tuple[str, ...]) -> None:
+        """A fault for every key of the mapping that is not *allowed*, with the nearest allowed key."""
+        for name, entry in node.content.items():
+            if name not in allowed:
+                self.add(entry, join(key, name), "unknown key", nearest(name, allowed))
+
+    def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
+        """The entries of a mapping, or none and a fault when the node is something else."""
+        if isinstance(node.content, dict):
+            return node.content
+        self.add(node, key, "a mapping of keys to values is needed")
+        return {}
+
+    def raise_any(self) -> None:
+        """Raise all faults together, in the order of the file."""
+        if self._faults:
+            raise ConfigErrors(self._faults)
+
+    def __len__(self) -> int:
+        return len(self._faults)
+
+
+def join(*keys: str) -> str:
+    """The dotted key of an entry."""
+    return ".".join(key for key in keys if key)
+
+
+# From a YAML node to what the converters of settings take: texts with their units, whole numbers, flags,
+# lists, mappings.
+
+# Kinds whose scalars are read as YAML has them; of all others the text counts, so that a number without its unit is seen.
+BY_CONTENT = ("integer", "flag")
+
+
+def read_value(node: Marked, setting: Setting) -> Any:
+    """The value of a node; UnitError where it is not of the setting's kind."""
+    if setting.kind in ("text", "file") and isinstance(node.content, (str, int, float)) and not node.text:
+        raise UnitError("a text is missing")
+    return CONVERTERS[setting.kind](_plain(node, setting.kind in BY_CONTENT), setting)
+
+
+def _plain(node: Marked, by_content: bool) -> Any:
+    if isinstance(node.content, dict):
+        return {name: _plain(entry, by_content) for name, entry in node.content.items()}
+    if isinstance(node.content, list):
+        return [_plain(entry, by_content) for entry in node.content]
+    return node.content if by_content or node.content is None else node.text
+
+
+# What the reader of a pipeline's section may know: the faults so far, the rig, and the names that are
+# taken.
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A pass over a pipeline file; *names*: those of the sections that were read before, by which rules address them."""
+
+    faults: Faults
+    rig: Rig | None
+    names: tuple[str, ...]
+
+
+# Kinds of files that a settings file can name: how each is read, and which further files it depends on.
+# FILE_KINDS by name.
+
+FILE_KINDS = Registry(
+    "file kind",
+    {
+        "path": "labpipe.project.settings_reader:PATH",
+        "rig": "labpipe.project.rig_file:RIG_FILE",
+        "virtual-rig": "labpipe.project.virtual_rig_file:VIRTUAL_RIG_FILE",
+        "bearing": "labpipe.project.bearing_file:BEARING_FILE",
+        "geometry": "labpipe.raw_files.geometry:GEOMETRY_FILE",
+    },
+)
+
+
+# The content of a table or recording is read later, by those who know its columns.
+PATH = FileKind(lambda path: path)
+
+
+def named_files(settings: Any, folder: Path) -> Iterator[Path]:
+    """Every file that settings name, nested settings too, and the files that those name; *folder*: of the file that holds the settings."""
+    for name, (setting, _) in settings_of(type(settings)).items():
+        value = getattr(settings, name)
+        if setting.kind == "file" and value:
+            path = folder / value
+            yield from FILE_KINDS[setting.file_kind].files(path) if setting.file_kind else (path,)
+    for field in fields(settings):
+        nested = getattr(settings, field.name)
+        for part in nested if isinstance(nested, tuple) else (nested,):
+            if is_dataclass(part) and not isinstance(part, type) and settings_of(type(part)):
+                yield from named_files(part, folder)
+
+
+# From a YAML mapping to a settings dataclass, by its declared settings alone.
+
+Owner = TypeVar("Owner")
+
+# Kinds of settings that may be given in the long form of a number with its doubt, and the entries of that form.
+LONG_KINDS = ("value", "mass", "uncertain", "text")
+SIZES = ("std", "limits", "expanded")
+LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
+
+# Placeholder of an entry that the user must fill in; see stages/scaffold.py.
+DECIDE = "DECIDE"
+
+
+def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
+    """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot be read.
+
+    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of missing entries.
+    """
+    before = len(faults)
+    entries = faults.mapping(node, key)
+    settings = settings_of(owner)
+    if entries:
+        faults.unknown_keys(node, key, tuple(settings))
+    fields: dict[str, Any] = dict(presets)
+    unread: set[str] = set()
+    for name, (setting, required) in settings.items():
+        count = len(faults)
+        if name in entries:
+            node_of = in_one_line(entries[name], setting)
+            read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(node_of.text) else read_setting
+            fields[name] = read(node_of, setting, join(key, name), faults)
+            if setting.into:
+                fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
+        elif required and name not in presets:
+            faults.add(node, join(key, name), "is missing", setting.help)
+        if len(faults) > count:
+            unread |= {name, setting.into}
+    instance = _instance(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
+    return instance if len(faults) == before else None
+
+
+def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
+    """The dataclass, its faults added to those of its fields; None without a second fault for unread entries."""
+    if any(field.default is MISSING and field.name not in fields for field in dataclasses.fields(owner)):  # type: ignore[arg-type]
+        return None
+    try:
+        return owner(**fields)
+    except ConfigError as error:
+        # A complaint that names what could not be read would be one of the same fault.
+        if any(name and re.search(rf"\b{name}\b", f"{error.field} {error.what}") for name in unread):
+            return None
+        faults.add_of_field(error, node, key)
+        return None
+
+
+def in_one_line(node: Marked, setting: Setting) -> Marked:
+    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that stands for it."""
+    if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
+        return node
+    parts = {name: part.text for name, part in node.content.items()}
+    size = next((parts[name] for name in SIZES if name in parts), "")
+    shape = parts.get("shape", "rectangular" if "limits" in parts else "")
+    expanded = [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
+    qualities = [*([shape] if shape else []), *expanded, *(f"{name}={parts[name]}" for name in ("dof", "source") if name in parts)]
+    unknown = [f"{name}={parts[name]}" for name in parts if name not in LONG_FORM]
+    text = f"{parts['value']} +- {size} ({', '.join([*qualities, *unknown])})" if qualities or unknown else f"{parts['value']} +- {size}"
+    return Marked(text, node.where, node.key_where, text)
+
+
+def _read_doubtful(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
+    """The text of a number with its doubt, which the settings take apart; None and a fault where it cannot be read."""
+    try:
+        parse_uncertain(node.text, setting.unit)
+    except UnitError as error:
+        faults.add_unit(node, key, error)
+        return None
+    return node.text
+
+
+def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
+    """One value of the setting's kind; None and a fault where it cannot be read or is still to be decided."""
+    if node.text == DECIDE:
+        faults.add(node, key, "is still to be decided", setting.help)
+        return None
+    if setting.section is not None:
+        return _sections(node, setting, key, faults)
+    try:
+        value = read_value(node, setting)
+    except UnitError as error:
+        faults.add_unit(node, key, error)
+        return None
+    if setting.kind == "file" and not (faults.folder / value).is_file():
+        faults.add_missing_file(node, key)
+        return None
+    return value
+
+
+def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
+    """A section, sections by name (pairs), or a list of sections; None and faults where one cannot be read."""
+    assert setting.section is not None
+    if setting.kind == "section":
+        return read_settings(setting.section, node, key, faults)
+    before = len(faults)
+    if setting.kind == "sections":
+        named = {name: read_settings(setting.section, entry, join(key, name), faults) for name, entry in faults.mapping(node, key).items()}
+        return None if len(faults) > before else tuple(named.items())
+    if not isinstance(node.content, list):
+        faults.add(node, key, "a list is needed", "each entry begins with '- '")
+        return None
+    listed = [read_settings(setting.section, entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1)]
+    return None if len(faults) > before else tuple(listed)
+
+
+def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:
+    """What the named file holds; None and its faults where it cannot be read."""
+    if name is None:
+        return None
+    try:
+        return FILE_KINDS[setting.file_kind].load(faults.folder / name)
+    except ConfigError as error:
+        # A fault without a place of its own is reported at the entry that names the file.
+        if error.where or isinstance(error, ConfigErrors):
+            faults.merge(error)
+        else:
+            faults.add(node, key, error.what, error.hint)
+        return None

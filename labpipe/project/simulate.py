@@ -1,0 +1,55 @@
+"""simulate: a virtual rig -> recorded files as a logger would write them, and truth.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+import pyarrow.parquet as pq
+
+from labpipe.artefacts.parquet import arrow_array
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.raw_files.frf_csv import write_frf_csv
+from labpipe.records.response import FrequencyResponse
+from labpipe.simulate.virtual_rigs import LoggedFile, LoggedTable, VirtualRig, simulate
+
+TRUTH = "truth.json"
+
+
+def simulate_files(rig: VirtualRig, seed: int, runs: Iterable[str] | None, output: OutputFolder) -> list[str]:
+    """Write the files of a virtual rig and truth.json; their names."""
+    simulation = simulate(rig, seed, runs)
+    names = []
+    for run, content in simulation.files.items():
+        name = f"{run}{_suffix(content)}"
+        WRITERS[type(content)](output.write_path(name), content)
+        names.append(name)
+    entries = {"seed": seed, "rig": rig.name, **simulation.truth}
+    output.write_path(TRUTH).write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+    return [*names, TRUTH]
+
+
+def _suffix(content: LoggedTable | FrequencyResponse | LoggedFile) -> str:
+    return ".parquet" if isinstance(content, LoggedTable) and not content.text else ".csv"
+
+
+def _write_table(path: Path, table: LoggedTable) -> None:
+    """Text with six significant digits, which is what a 16-bit logger holds and more; Parquet as the table says."""
+    if table.text:
+        rounded = {title: arrow_array(np.array([float(f"{value:.6g}") for value in values])) for title, values in table.columns.items()}
+        pc.write_csv(pa.table(rounded), path, pc.WriteOptions(quoting_style="none"))
+        return
+    packing: dict[str, Any] = {"compression_level": table.level, "use_dictionary": table.dictionary, "use_byte_stream_split": table.split}
+    pq.write_table(pa.table({title: arrow_array(values) for title, values in table.columns.items()}), path, compression="zstd", **packing)
+
+
+WRITERS: dict[type, Callable[[Path, Any], None]] = {
+    LoggedTable: _write_table,
+    FrequencyResponse: write_frf_csv,
+    LoggedFile: lambda path, file: file.write(path, file.content),
+}

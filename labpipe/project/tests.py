@@ -1,0 +1,494 @@
+"""Reading the tests of a pipeline file: recordings of one FRF matrix each, ready FRFs, and conditions."""
+
+from __future__ import annotations
+
+import dataclasses
+import glob
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from labpipe.artefacts.writing import is_remote, path_of
+from labpipe.errors import ConfigError
+from labpipe.project.marked_yaml import Marked
+from labpipe.project.rig_file import load_rig, moved, override_channels
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.rig import RecordedCondition, Rig
+from labpipe.spectra.settings import FrfSettings
+
+# Files that an entry names, by path or glob, and what their names say.
+
+
+def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
+    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be objects of a storage, by URL."""
+    if not node.text:
+        faults.add(node, key, "a file name is needed")
+        return []
+    try:
+        address = path_of(node.text)
+    except ConfigError as error:
+        faults.add(node, key, f"'{node.text}' {error.what}", error.hint)
+        return []
+    if is_remote(address):
+        return _objects(address, node, key, faults) if elsewhere else _only_here(node, key, faults)
+    path = faults.folder / address
+    if glob.has_magic(node.text):
+        matches = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
+        if not matches:
+            faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
+        return matches
+    if not path.exists():
+        faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+        return []
+    return [path]
+
+
+def _only_here(node: Marked, key: str, faults: Faults) -> list[Path]:
+    faults.add(node, key, "is read from this machine only", "recordings may be named by URL; copy this file here")
+    return []
+
+
+def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path]:
+    """The objects that a URL names, as `files_of`; StorageError where the storage does not answer."""
+    # Recordings of this machine are found without an object storage.
+    from labpipe.artefacts.places import below, status
+
+    if not glob.has_magic(str(address)):
+        objects = [address] if status(address) else []
+    else:
+        plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
+        folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
+        objects = [status_of_object.path for status_of_object in below(folder) if _matches(status_of_object.path.parts[plain:], pattern)]
+    if not objects:
+        what = f"no object matches '{node.text}'" if glob.has_magic(node.text) else f"no such object '{node.text}'"
+        faults.add(node, key, what, "names are those that the storage lists, capitals included")
+    return objects
+
+
+def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Whether a path is of a glob, both part by part: '**' stands for any folders; what begins with a point is hidden, as on a disk."""
+    if not pattern or not names:
+        return not names and all(part == "**" for part in pattern)
+    hidden = names[0].startswith(".") and not pattern[0].startswith(".")
+    if pattern[0] == "**":
+        return _matches(names, pattern[1:]) or (not hidden and _matches(names[1:], pattern))
+    return not hidden and fnmatchcase(names[0], pattern[0]) and _matches(names[1:], pattern[1:])
+
+
+def plain_stem(path: Path) -> str:
+    """The name of a file without its ending, nor that of its compression."""
+    name = path.name[: -len(path.suffix)] if path.suffix.lower() in (".gz", ".zst") else path.name
+    return Path(name).stem.removesuffix(".frf")
+
+
+def listed(node: Marked) -> list[Marked]:
+    """The entries of a list, or the only entry."""
+    return node.content if isinstance(node.content, list) else [node]
+
+
+def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
+    """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up; None where it differs.
+
+    '{}' stands for a part that is no condition.
+    """
+    parts = re.split(r"\{(\w*)\}", pattern)
+    wanted = [part for part in parts[1::2] if part]
+    groups = iter(parts[1::2])
+    expression = "".join(re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]) + re.escape(parts[-1])
+    match = re.fullmatch(expression, name)
+    return None if match is None else dict(zip(wanted, match.groups(), strict=True))
+
+
+# Reading the entries under ``frfs:``: ready FRFs, in files that describe themselves or that the entry
+# describes.
+
+
+@dataclass(frozen=True)
+class ReadyFrf:
+    """Files of one ready FRF matrix: one file, or one for each element, row or column.
+
+    *layout* describes files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that its name or the entry gives.
+    """
+
+    paths: tuple[Path, ...]
+    layout: FrfLayout | None = None
+    outputs: tuple[tuple[str, ...], ...] = ()
+    inputs: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What the names of the files have in common."""
+        stems = [path.stem for path in self.paths]
+        common = next((n for n, letters in enumerate(zip(*stems, strict=False)) if len(set(letters)) > 1), min(map(len, stems)))
+        return stems[0][:common].strip("-_ .") or stems[0]
+
+    def absolute(self) -> ReadyFrf:
+        """The same for a process that works in another folder."""
+        return dataclasses.replace(self, paths=tuple(path.absolute() for path in self.paths))
+
+
+def read_ready_frfs(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+    """The responses of the entry *key*: a file, a description, or a list of them; faults for those that cannot be read."""
+    frfs: list[ReadyFrf] = []
+    for entry in listed(node):
+        if isinstance(entry.content, dict):
+            frfs.extend(_described(entry, key, faults))
+        else:
+            frfs.extend(ReadyFrf((path,)) for path in files_of(entry, key, faults))
+    return frfs
+
+
+def _described(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+    """The response of an entry with `each:`, or the responses of the files that `file:` names."""
+    layout = read_settings(FrfLayout, node, key, faults)
+    if layout is None:
+        return []
+    files: list[tuple[Path, ...]]
+    if layout.file:
+        files = [(path,) for path in files_of(node.content["file"], join(key, "file"), faults)]
+    else:
+        files = [tuple(path for item in listed(node.content["each"]) for path in files_of(item, join(key, "each"), faults))]
+    frfs = []
+    for paths in filter(None, files):
+        before = len(faults)
+        # Files of one pattern do not match it alike; the first says so.
+        dofs = [_dofs(path, layout, node, key, faults) for path in paths if len(faults) == before]
+        outputs, inputs = zip(*dofs, strict=True)
+        if layout.table is not None:
+            for word, names in (("output", outputs[0]), ("input", inputs[0])):
+                _check_dofs(word, names, layout, node, key, faults)
+        frfs.append(ReadyFrf(paths, layout, outputs, inputs))
+    return frfs
+
+
+def _dofs(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The dofs of a file's rows and columns: from its name, else from the entry."""
+    named = _named(path, layout, node, key, faults) if layout.pattern else {}
+    outputs = (named["output"],) if "output" in named else layout.output
+    inputs = (named["input"],) if "input" in named else layout.input
+    return outputs, inputs
+
+
+def _named(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> dict[str, str]:
+    """The dofs in a file's name."""
+    matched = conditions_in(plain_stem(path), layout.pattern)
+    if matched is not None and set(matched) <= {"output", "input"}:
+        return matched
+    what = f"does not match '{plain_stem(path)}'" if matched is None else "holds more than {output} and {input}"
+    faults.add(node.content["pattern"], join(key, "pattern"), what, "for example 'H_{output}_{input}'; {} stands for any other part")
+    return {"output": "?", "input": "?"}
+
+
+def _check_dofs(word: str, names: tuple[str, ...], layout: FrfLayout, node: Marked, key: str, faults: Faults) -> None:
+    """A fault where the dofs of a described file are not as many as its description needs."""
+    assert layout.table is not None
+    # An element named o/i has both dofs, one named o has its input from the entry.
+    has_all = bool(layout.elements) and (word == "output" or all("/" in name for name, _ in layout.elements))
+    if not names and not has_all:
+        hint = f"name the dof, or its place in the files' names by pattern: '{{{word}}}'"
+        faults.add(node, join(key, word), "is missing", hint)
+    elif len(names) > 1 and not layout.table.matrix:
+        faults.add(node.content[word], join(key, word), "one dof is needed", "several are the rows or columns of a matrix")
+
+
+# Reading the entries under ``recordings:``: files, the rig that recorded each, and dofs that the names of
+# the files say.
+
+KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels")
+BY = ("time", "sample")
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One recorded file and the rig that recorded it.
+
+    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*: joined on time or by sample, by
+    default on time where all have it.
+    """
+
+    path: Path
+    rig: Rig
+    joined: tuple[Path, ...] = ()
+    by: str = ""
+
+    def absolute(self) -> SourceFile:
+        """The same for a process that works in another folder."""
+        return self.at({path: path.absolute() for path in (self.path, *self.joined) if not is_remote(path)})
+
+    def at(self, places: Mapping[Path, Path]) -> SourceFile:
+        """The same, of files that lie at other places."""
+        return replace(self, path=places.get(self.path, self.path), joined=tuple(places.get(path, path) for path in self.joined))
+
+
+def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
+    """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
+    if node is None:
+        return None
+    try:
+        return load_rig(folder / node.text)
+    except ConfigError as error:
+        if error.what == "no such file":
+            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+        else:
+            faults.merge(error)
+    return None
+
+
+@dataclass(frozen=True)
+class RecordingReader:
+    """Reads the entries of recordings: *rig* is the rig that the pipeline names for all of them in *rig_node*."""
+
+    rig: Rig | None
+    rig_node: Marked | None
+    folder: Path
+    faults: Faults
+
+    def sources(self, node: Marked, key: str) -> list[SourceFile]:
+        """The recorded files of an entry or a list of entries; faults for those that cannot be read."""
+        sources: list[SourceFile] = []
+        for entry in listed(node):
+            if isinstance(entry.content, dict):
+                sources.extend(self._described(entry, key))
+                continue
+            if self.rig is None and self.rig_node is None:
+                self.faults.add(node, key, "no rig file is named", "add rig: FILE")
+            paths = files_of(entry, key, self.faults, elsewhere=True)
+            sources.extend(SourceFile(path, self.rig) for path in paths if self.rig is not None)
+        return sources
+
+    def _described(self, entry: Marked, key: str) -> list[SourceFile]:
+        self.faults.unknown_keys(entry, key, KEYS)
+        named = [word for word in ("file", "each", "join") if word in entry.content]
+        if len(named) > 1:
+            self.faults.add(entry.content[named[1]], join(key, named[1]), f"'{named[0]}' and '{named[1]}' are both named", "leave one out")
+        file = entry.content[named[0]] if named else Marked(None, entry.where)
+        rig = self._rig(entry, key)
+        paths = [path for item in listed(file) for path in files_of(item, key, self.faults, elsewhere=True)]
+        if rig is None or not paths:
+            return []
+        if named == ["join"]:
+            return [SourceFile(paths[0], self._moved(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key))]
+        if "by" in entry.content:
+            self.faults.add(entry.content["by"], join(key, "by"), "belongs to files that are joined", "write join: [a.csv, b.csv]")
+        sources = []
+        before = len(self.faults)
+        for path in paths:
+            sources.append(SourceFile(path, self._moved(rig, path, entry, key)))
+            if len(self.faults) > before:
+                # The other files would say the same.
+                break
+        return sources
+
+    def _by(self, entry: Marked, key: str) -> str:
+        node = entry.content.get("by")
+        if node is not None and node.text not in BY:
+            self.faults.add(node, join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}")
+        return node.text if node is not None else ""
+
+    def _moved(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
+        """The rig with the dofs that the file's name says."""
+        node = entry.content.get("pattern")
+        if node is None:
+            return rig
+        dofs = conditions_in(plain_stem(path), node.text)
+        if dofs is None:
+            self.faults.add(node, join(key, "pattern"), f"does not match '{plain_stem(path)}'", "for example '{}_{output}_{input}'")
+            return rig
+        try:
+            return moved(rig, dofs)
+        except ConfigError as error:
+            self.faults.add(node, join(key, "pattern"), error.what, error.hint)
+            return rig
+
+    def _rig(self, entry: Marked, key: str) -> Rig | None:
+        """The rig of one recording: its rig file, with the recording's channel entries."""
+        rig_node = entry.content.get("rig", self.rig_node)
+        if rig_node is None:
+            self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
+            return None
+        if "channels" not in entry.content:
+            return self.rig if "rig" not in entry.content else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
+        try:
+            return override_channels(self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels"))
+        except ConfigError as error:
+            self.faults.merge(error)
+            return None
+
+
+# Reading the tests of a pipeline file: recordings of one FRF matrix each, and their conditions.
+
+SINGLE = ("recordings", "frfs", "conditions")
+LISTED = ("name", *SINGLE, "frf")
+EACH = ("each", "pattern", "together", "conditions", "frf")
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file.
+
+    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made, where it differs from the
+    pipeline's.
+    """
+
+    name: str
+    recordings: tuple[SourceFile, ...] = ()
+    frfs: tuple[ReadyFrf, ...] = ()
+    conditions: dict[str, str] = field(default_factory=dict)
+    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
+    frf: FrfSettings | None = None
+
+
+@dataclass(frozen=True)
+class EachFile:
+    """What a file becomes that is a test by itself: conditions that all have, those from its name by the *pattern*, how it is measured."""
+
+    conditions: dict[str, str] = field(default_factory=dict)
+    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
+    frf: FrfSettings | None = None
+    pattern: str = ""
+
+    def named(self, path: Path) -> dict[str, str]:
+        """The conditions that a file's name says; none where it does not match the pattern."""
+        return (conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
+
+    def test(self, source: SourceFile, name: str = "") -> Test:
+        """The test of a recording, by default named after its file; ConfigError for a name that does not match the pattern."""
+        stem = _stem(source.path)
+        if self.pattern and conditions_in(stem, self.pattern) is None:
+            raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
+        return Test(name or stem, (source,), (), {**self.conditions, **self.named(source.path)}, self.recorded, self.frf)
+
+
+def _stem(path: Path) -> str:
+    """A file's name up to its first point."""
+    return path.name.split(".")[0]
+
+
+@dataclass(frozen=True)
+class TestReader:
+    """Reads the tests of one pipeline file: *top* are its entries, *rig* the rig that it names for all recordings."""
+
+    top: dict[str, Marked]
+    folder: Path
+    rig: Rig | None
+    faults: Faults
+
+    def tests(self) -> tuple[Test, ...]:
+        """All tests in their order; the recordings of a file without `tests:` are one test without a name."""
+        if "tests" not in self.top:
+            single = {key: self.top[key] for key in SINGLE if key in self.top}
+            return (self._test("", Marked(single, "", ""), ""),) if single else ()
+        node = self.top["tests"]
+        if not isinstance(node.content, list):
+            self.faults.add(node, "tests", "a list of tests is needed", "each begins with '- name: ...'")
+            return ()
+        tests: dict[str, Test] = {}
+        for number, entry in enumerate(node.content, 1):
+            for test in self._entry(entry, number):
+                if test.name in tests:
+                    self.faults.add(entry, f"tests.{number}", f"a second test named '{test.name}'")
+                tests[test.name] = test
+        return tuple(tests.values())
+
+    def _entry(self, node: Marked, number: int) -> Iterator[Test]:
+        """The test of an entry, or one test per file of an entry with `each:`."""
+        key = f"tests.{number}"
+        entries = self.faults.mapping(node, key)
+        if entries:
+            self.faults.unknown_keys(node, key, EACH if "each" in entries else LISTED)
+        if "each" in entries:
+            yield from self._tests_per_file(entries, key)
+        else:
+            name = entries["name"].text if "name" in entries and entries["name"].text else str(number)
+            yield self._test(name, node, key)
+
+    def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
+        """One test per file, named after it; conditions from the name by the pattern.
+
+        Files whose names differ only in the parts named by `together` are recordings of one test.
+        """
+        per_file = self._each(entries, key)
+        together = self._together(entries, key)
+        tests: dict[tuple[tuple[str, str], ...], Test] = {}
+        for source in self._recordings(entries["each"], join(key, "each")):
+            try:
+                test = per_file.test(source)
+            except ConfigError as error:
+                self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
+                test = Test(source.path.name)
+            conditions = {part: text for part, text in per_file.named(source.path).items() if part not in together}
+            place = tuple(conditions.items()) if together else (("file", str(source.path)),)
+            first = tests.get(place, replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()))
+            common = {name: text for name, text in test.conditions.items() if name not in together}
+            tests[place] = replace(first, recordings=(*first.recordings, source), conditions=common)
+        yield from tests.values()
+
+    def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
+        common, recorded = self._conditions(entries, key)
+        pattern = entries["pattern"].text if "pattern" in entries else ""
+        return EachFile(common, recorded, self._frf(entries, key), pattern)
+
+    def each_file(self) -> EachFile:
+        """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
+        node = self.top.get("tests", Marked(None, "", ""))
+        entries = node.content[0].content if isinstance(node.content, list) and len(node.content) == 1 else None
+        if not isinstance(entries, dict) or "each" not in entries:
+            self.faults.add(node, "tests", "cannot be of recordings to come", "write one entry: - {each: '*.parquet'}")
+            return EachFile()
+        self.faults.unknown_keys(node.content[0], "tests.1", EACH)
+        if "together" in entries:
+            self.faults.add(entries["together"], "tests.1.together", "recordings to come are tests of their own", "leave it out")
+        return self._each(entries, "tests.1")
+
+    def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
+        """The parts of the pattern that tell the recordings of one test apart."""
+        if "together" not in entries:
+            return []
+        pattern = entries["pattern"].text if "pattern" in entries else ""
+        parts = [node.text for node in listed(entries["together"])]
+        for part in parts:
+            if f"{{{part}}}" not in pattern:
+                self.faults.add(entries["together"], join(key, "together"), f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}")
+        return parts
+
+    def _test(self, name: str, node: Marked, key: str) -> Test:
+        entries = node.content if isinstance(node.content, dict) else {}
+        recordings = self._recordings(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
+        frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
+        if not recordings and not frfs and not len(self.faults):
+            self.faults.add(node if node.place else next(iter(self.top.values())), key, "neither recordings nor frfs")
+        conditions, recorded = self._conditions(entries, key)
+        if frfs and recorded:
+            what = "a ready FRF has no channels to take conditions from"
+            self.faults.add(entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN")
+        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key))
+
+    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
+        """The pipeline's frf: with the entries that the test itself gives; an entry without a value takes that of the pipeline away."""
+        if "frf" not in entries or key == "":
+            return None
+        common = self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
+        frf_entries = self.faults.mapping(entries["frf"], join(key, "frf"))
+        whole = {name: node for name, node in {**common, **frf_entries}.items() if node.content is not None}
+        return read_settings(FrfSettings, Marked(whole, entries["frf"].where, entries["frf"].key_where), join(key, "frf"), self.faults)
+
+    def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
+        return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
+
+    def _conditions(self, entries: dict[str, Marked], key: str) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
+        """Conditions as they are written, and those that are recorded: {channel: NAME} or {tacho: NAME}."""
+        written: dict[str, str] = {}
+        recorded: dict[str, RecordedCondition] = {}
+        if "conditions" not in entries:
+            return written, recorded
+        for name, node in self.faults.mapping(entries["conditions"], "conditions").items():
+            if not isinstance(node.content, dict):
+                written[name] = node.text
+                continue
+            source = read_settings(RecordedCondition, node, join(join(key, "conditions"), name), self.faults)
+            if source is not None:
+                recorded[name] = source
+        return written, recorded

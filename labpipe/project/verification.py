@@ -1,0 +1,190 @@
+"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from are still the same."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX
+from labpipe.artefacts.dataset_file import Part, read_part
+from labpipe.artefacts.header import source_ref
+from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
+from labpipe.artefacts.json_file import DIGEST, read_digested
+from labpipe.artefacts.measured_files import DECAY_SUFFIX, RESPONSE_SUFFIX, SPECTRA_SUFFIX, read_decays, read_response, read_spectra
+from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.places import fetched, status
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
+from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.writing import finished, is_remote
+from labpipe.errors import DataError
+from labpipe.project.frf import RIGS
+from labpipe.registry import Registry
+
+Reference = tuple[str, str]
+# So many folders above a result may hold the pipeline that made it.
+ABOVE = 3
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs: found the same."""
+
+    path: Path
+    faults: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    inputs: int = 0
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with paths from the pipeline."""
+
+    read: Callable[[Path], Any]
+    digest: Callable[[Path], str]
+    sources: Callable[[Path], Sequence[Reference]]
+    inputs: Callable[[Path], Sequence[Reference]]
+
+
+def _nothing(_: Path) -> Sequence[Reference]:
+    return ()
+
+
+def _header_inputs(path: Path) -> Sequence[Reference]:
+    return [(reference.path, reference.sha256) for reference in header_of(path).inputs]
+
+
+def _raw_files(path: Path) -> Sequence[Reference]:
+    """What was measured from raw files names those."""
+    return _header_inputs(path) if RIGS in header_of(path).parameters else ()
+
+
+def _recordings(path: Path) -> Sequence[Reference]:
+    """What was measured from calibrated recordings names those."""
+    return () if RIGS in header_of(path).parameters else _header_inputs(path)
+
+
+def _json_digest(path: Path) -> str:
+    return str(read_digested(path, path.name).get(DIGEST, ""))
+
+
+def _entries(key: str, path: Path) -> Sequence[Reference]:
+    entries = read_digested(path, path.name).get(key, [])
+    return [(entry["path"], entry["sha256"]) for entry in entries]
+
+
+def _measured(read: Callable[[Path], Any]) -> _Kind:
+    return _Kind(read, lambda path: header_of(path).digest, _raw_files, _recordings)
+
+
+def _read_part(path: Path) -> Any:
+    return read_part(Part(path, "", ""))
+
+
+KINDS: Mapping[str, _Kind] = {
+    NAME: _Kind(read_identification, _json_digest, lambda path: _entries("sources", path), lambda path: _entries("inputs", path)),
+    RESULTS_SUFFIX: _Kind(_read_part, lambda path: header_of(path).digest, _nothing, _nothing),
+    RECORDING_SUFFIX: _Kind(lambda path: open_recording(path).in_memory(), lambda path: header_of(path).digest, _header_inputs, _nothing),
+    RESPONSE_SUFFIX: _measured(read_response),
+    DECAY_SUFFIX: _measured(read_decays),
+    SPECTRA_SUFFIX: _measured(read_spectra),
+}
+# Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a damaged one.
+ARTEFACTS = Registry("artefact", {})
+FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
+
+
+def _kind(path: Path) -> _Kind | None:
+    if path.parent.name == FOLDER and path.suffix == ".json":
+        return FITS
+    if path.name in ARTEFACTS.names():
+        return _Kind(ARTEFACTS.load(path.name), _json_digest, _nothing, _nothing)
+    return next((kind for suffix, kind in KINDS.items() if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix))), None)
+
+
+def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
+    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of raw files are relative; by
+    default that in or above the results which holds a file of the pipeline's name.
+
+    DataError for no folder, or one without artefacts.
+    """
+    if not folder.is_dir():
+        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+    artefacts = artefacts_below(folder)
+    if not artefacts:
+        raise DataError("holds no artefact of labpipe", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
+    for path in artefacts:
+        kind = _kind(path)
+        assert kind is not None
+        yield _verified(path, kind, base)
+
+
+def artefacts_below(folder: Path) -> list[Path]:
+    """The files below a folder that have an artefact's name, in order."""
+    return [path for path in finished(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()]
+
+
+def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
+    try:
+        kind.read(path)
+        digest = kind.digest(path)
+        sources, inputs = kind.sources(path), kind.inputs(path)
+    except DataError as error:
+        return Verified(path, (error.what,))
+    except OSError as error:
+        return Verified(path, (f"cannot be read ({error.strerror or error})".lower(),))
+    remarks = [] if digest else ["carries no digest"]
+    faults: list[str] = []
+    same = 0
+    base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
+    for (name, sha256), folders in [*((source, [base] if base else []) for source in sources), *((file, _near(path)) for file in inputs)]:
+        actual = _digest(name, folders)
+        if actual is None:
+            remarks.append(f"'{name}' is not there to be compared")
+        elif actual != sha256:
+            faults.append(f"'{name}' is not the file that it was made from")
+        else:
+            same += 1
+    return Verified(path, tuple(faults), tuple(remarks), same)
+
+
+def _digest(name: str, folders: Sequence[Path]) -> str | None:
+    """The digest of a file that an artefact names, in one of some folders or by its URL; None where it is not there."""
+    address = Path(name)
+    if not is_remote(address):
+        here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
+        return None if here is None else source_ref(here, here.parent).sha256
+    if status(address) is None:
+        return None
+    with tempfile.TemporaryDirectory() as scratch, fetched([address], Path(scratch)) as here_by_url:
+        return source_ref(here_by_url[address], Path(scratch)).sha256
+
+
+def pipeline_folder(path: Path) -> Path | None:
+    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or beside it; None elsewhere."""
+    try:
+        name = read_identification(path / NAME if path.is_dir() else path).pipeline
+    except DataError:
+        return None
+    above = list(path.resolve().parents)[:ABOVE]
+    return next((folder for place in above for folder in (place, place / "pipelines") if name and (folder / name).is_file()), None)
+
+
+def _near(path: Path) -> list[Path]:
+    """Where the files that an artefact was made from stand in a folder of results."""
+    return [path.parent, path.parent / "recordings", path.parent.parent]
+
+
+def differences(first: Path, second: Path) -> list[str]:
+    """The artefacts in two folders of results that are not the same byte for byte, and those of the first that the second lacks."""
+    lines = []
+    for path in filter(Path.is_file, artefacts_below(first)):
+        name = path.relative_to(first)
+        other = second / name
+        if not other.exists():
+            lines.append(f"{path}: is not made by this pipeline")
+        elif other.read_bytes() != path.read_bytes():
+            lines.append(f"{path}: running again gives another content")
+    return lines

@@ -1,0 +1,334 @@
+"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
+
+Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
+
+The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is done again after a kill, from
+the artefacts on disk, which gives the same rows; a part of the dataset appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from labpipe.artefacts.dataset_file import parts, read_part, read_summary, write_parts
+from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
+from labpipe.artefacts.places import below
+from labpipe.artefacts.writing import is_remote, output_file, output_folder
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.project.executors import Execute, serially
+from labpipe.project.many_tests import outcome_of, settings_of_many, summed_up
+from labpipe.project.measured import fits_file_name
+from labpipe.project.one_test import Done, Job, work
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.project.tests import EachFile, SourceFile, Test
+from labpipe.raw_files.table import READERS
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.records.dataset import DatasetSummary, TestResult, summary_of, summed
+from labpipe.records.identification import Failed
+
+# Recordings that arrive in a folder of this machine, or under a prefix of an object storage.
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """A recording in the watched folder, with what shows whether it still changes; *marked*: a file beside it says that it is complete."""
+
+    path: Path
+    size: int
+    changed: float
+    marked: bool = False
+
+
+def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
+    """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of the files that mark others."""
+    for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
+        if plain_suffix(arrival.path) in READERS and not any(part.startswith(".") for part in arrival.path.relative_to(folder).parts):
+            yield arrival
+
+
+def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
+    for path in folder.rglob(names):
+        try:
+            status = path.stat()
+        except FileNotFoundError:
+            continue
+        if path.is_file():
+            yield Arrived(path, status.st_size, status.st_mtime, bool(marker) and path.with_name(path.name + marker).exists())
+
+
+def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
+    objects = {status.path: status for status in below(folder)}
+    for path, status in objects.items():
+        if path.match(names):
+            yield Arrived(path, status.size, status.changed, bool(marker) and path.with_name(path.name + marker) in objects)
+
+
+# Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
+
+LOG, METRICS, QUARANTINE, REASON = "watch.log.jsonl", "watch.prom", "quarantine", ".reason.txt"
+# A part of the dataset is written at so many tests, or at this age of the oldest one.
+PART_TESTS = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchSettings:
+    """How a folder is watched. settle, every, append: seconds that a file must not have changed, between two looks, until results that
+    wait are appended to the dataset. marker: ending of a file beside a recording that says it is complete, '' for none. names: glob of
+    recordings.
+    """
+
+    settle: float = 5.0
+    every: float = 10.0
+    append: float = 300.0
+    marker: str = ""
+    names: str = "*"
+    once: bool = False
+
+
+@dataclass
+class Counts:
+    """Recordings since the watch began: worked on, failed, waiting to be appended, not yet complete."""
+
+    evaluated: int = 0
+    failed: int = 0
+    waiting: int = 0
+    arriving: int = 0
+
+
+@dataclass
+class Watch:
+    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in seconds since 1970.
+
+    folder: may be of an object storage. home: where the results are kept, by default *results* itself; another place gets them by
+    *publish*, after which *forget* frees the disk of them. logs: the folder of log and metrics, by default *results*.
+    """
+
+    pipeline: Pipeline
+    each: EachFile
+    folder: Path
+    results: Path
+    settings: WatchSettings
+    execute: Execute = serially
+    stopped: Callable[[], bool] = lambda: False
+    tell: Callable[[str], None] = lambda _: None
+    clock: Callable[[], float] = time.time
+    sleep: Callable[[float], None] = time.sleep
+    counts: Counts = field(default_factory=Counts)
+    home: Path | None = None
+    publish: Callable[[], None] = lambda: None
+    forget: Callable[[], None] = lambda: None
+    logs: Path | None = None
+
+    def __post_init__(self) -> None:
+        self._done: set[str] = set()
+        self._seen: dict[Path, Arrived] = {}
+        self._paths: dict[str, Path] = {}
+        # Tests by the file name of their results.
+        self._files: dict[str, str] = {}
+        self._waiting: list[TestResult] = []
+        self._since = self.clock()
+        self._summary = DatasetSummary()
+
+    def run(self) -> DatasetSummary:
+        """Watch until stopped, or once: what all tests say. ConfigError for results of other settings, DataError for damaged ones."""
+        self._resume()
+        while True:
+            complete = list(self._complete())
+            for done, job in self._worked(complete):
+                self._take(done, job)
+            stopped = self.stopped()
+            self._append(whole=self.settings.once or stopped)
+            self.forget()
+            self._write_metrics()
+            if stopped or (self.settings.once and not complete):
+                return self._summary
+            if not complete:
+                self._rest()
+
+    def _rest(self) -> None:
+        end = self.clock() + self.settings.every
+        while self.clock() < end and not self.stopped():
+            self.sleep(min(0.2, self.settings.every))
+
+    def _resume(self) -> None:
+        """What earlier watches did, by the dataset; the move of a bad recording that a kill cut short is finished."""
+        before = self.results / NAME
+        if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
+            hint = "name another folder, or run the whole archive with `labpipe run`"
+            raise ConfigError("holds results of other settings", where=str(self.results), hint=hint)
+        written = parts(self.results)
+        self._summary = summed(read_summary(part) for part in written)
+        rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
+        for arrived in self._arrived():
+            self._paths[self.name_of(arrived.path)] = arrived.path
+        self._done.update(row["test"] for row in rows)
+        for row in rows:
+            self._files.setdefault(Path(fits_file_name(row["test"])).stem, row["test"])
+            if row["failed"] is not None and not self._stays:
+                self._quarantine(row["test"], row["failed"])
+        if written:
+            self._write_index()
+
+    def _complete(self) -> Iterator[Arrived]:
+        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and old enough."""
+        seen: dict[Path, Arrived] = {}
+        self.counts.arriving = 0
+        for arrived in self._arrived():
+            seen[arrived.path] = arrived
+            still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
+            is_complete = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            if arrived.marked or (still and is_complete):
+                yield arrived
+            else:
+                self.counts.arriving += 1
+        self._seen = seen
+
+    def _arrived(self) -> Iterator[Arrived]:
+        """Recordings that have no results yet, the oldest first."""
+        home = self.home or self.results
+        arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
+        new = (arrival for arrival in arrivals if home not in arrival.path.parents and self.name_of(arrival.path) not in self._done)
+        return iter(sorted(new, key=lambda arrived: (arrived.changed, arrived.path)))
+
+    def name_of(self, path: Path) -> str:
+        """The name of the test of a recording: its path below the folder."""
+        return path.relative_to(self.folder).as_posix()
+
+    def _worked(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
+        """The outcomes of recordings as they end; those that are not finished when the watch is stopped are left for the next one."""
+        if not complete:
+            return
+        with output_folder(self.results) as folder:
+            jobs: dict[str, Job] = {}
+            for arrived in complete:
+                try:
+                    job = self._job(arrived.path, folder.staging)
+                except LabpipeError as error:
+                    self._refuse(arrived.path, str(error))
+                    continue
+                self._paths[job.test.name] = arrived.path
+                jobs[job.test.name] = job
+            for done in self.execute(work, list(jobs.values())):
+                yield done, jobs[done.test]
+                if self.stopped():
+                    return
+
+    def _job(self, path: Path, scratch: Path) -> Job:
+        """The work on a recording; LabpipeError for one that is no test, or whose results would take the place of another one's."""
+        assert self.pipeline.rig is not None
+        test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
+        frf = test.frf or self.pipeline.frf
+        name = Path(fits_file_name(test.name)).stem
+        other = self._files.setdefault(name, test.name)
+        if other != test.name:
+            raise DataError(f"its results would have the file name of those of '{other}'", where=test.name, hint="rename the recording")
+        return Job(
+            test,
+            (name,),
+            frf=frf,
+            fits=self.pipeline.fits,
+            rules=self.pipeline.rules,
+            pipeline_path=self.pipeline.path,
+            target=self.results,
+            scratch=scratch,
+        )
+
+    def _refuse(self, path: Path, message: str) -> None:
+        """A recording that is no test, such as one of another name than the pattern's."""
+        assert self.pipeline.rig is not None
+        test = Test(self.name_of(path), (SourceFile(path, self.pipeline.rig),))
+        self._paths[test.name] = path
+        self._keep(outcome_of(Done(test.name, failed=Failed(test.name, message)), test))
+
+    def _take(self, done: Done, job: Job) -> None:
+        if done.halts and done.failed is not None:
+            raise DataError(done.failed.message, where=str(self.results), hint="what was worked on is kept; start the watch again")
+        self._keep(outcome_of(done, job.test))
+        for remark in done.remarks:
+            self._log("damaged", done.test, remark=remark)
+
+    def _keep(self, result: TestResult) -> None:
+        """Hold a result until it is appended; a part is written as soon as there is enough for one."""
+        row = result.rows[0]
+        if not self._waiting:
+            self._since = self.clock()
+        self._waiting.append(result)
+        self._done.add(row.test)
+        self.counts.waiting = len(self._waiting)
+        self.counts.evaluated += 1
+        self.counts.failed += row.failed is not None
+        self.tell(f"{row.test}: {row.failed or row.warnings or 'done'}")
+        self._log("failed" if row.failed else "evaluated", row.test, failed=row.failed, accepted=row.accepted, warnings=row.warnings)
+        if len(self._waiting) >= PART_TESTS:
+            self._append(whole=True)
+
+    def _append(self, whole: bool) -> None:
+        """Append the waiting results as parts where it is time; then bad recordings go to the quarantine."""
+        if not self._waiting or not (whole or self.clock() - self._since >= self.settings.append):
+            return
+        with output_folder(self.results) as folder:
+            write_parts(self._waiting, folder)
+        for result in self._waiting:
+            self._summary = self._summary.with_more(summary_of(result))
+            row = result.rows[0]
+            if row.failed is not None:
+                self._quarantine(row.test, row.failed)
+        self._waiting.clear()
+        self.counts.waiting = 0
+        self._write_index()
+
+    def _write_index(self) -> None:
+        with output_folder(self.results) as folder:
+            write_identification(folder.write_path(NAME), summed_up(self.pipeline, self._summary))
+        self.publish()
+
+    def _quarantine(self, test: str, reason: str) -> None:
+        """Move a bad recording aside, its reason first; nothing where it has gone already.
+
+        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it from being looked at again.
+        """
+        path = self._paths.get(test)
+        if path is None or (not self._stays and not path.exists()):
+            return
+        aside = self.results / QUARANTINE / path.relative_to(self.folder)
+        with output_file(aside.with_name(aside.name + REASON)) as file:
+            file.write_text(reason + "\n")
+        if not self._stays:
+            shutil.move(path, aside)
+        self._log("quarantined", test)
+
+    @property
+    def _stays(self) -> bool:
+        """Whether bad recordings stay where they are."""
+        return is_remote(self.folder) or self.home not in (None, self.results)
+
+    def _log(self, event: str, test: str, **entries: object) -> None:
+        line = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())), "event": event, "test": test, **entries}
+        logs = self.logs or self.results
+        logs.mkdir(parents=True, exist_ok=True)
+        with (logs / LOG).open("a") as log:
+            log.write(json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n")
+
+    def _write_metrics(self) -> None:
+        """Counters for Prometheus, as a text file of the node exporter's collector."""
+        index = self._summary.index
+        values = {
+            "labpipe_watch_recordings_evaluated_total": ("counter", "Recordings worked on since the watch began", self.counts.evaluated),
+            "labpipe_watch_recordings_failed_total": ("counter", "Recordings that could not be evaluated since then", self.counts.failed),
+            "labpipe_watch_results_waiting": ("gauge", "Results not yet appended to the dataset", self.counts.waiting),
+            "labpipe_watch_recordings_arriving": ("gauge", "Recordings that are not complete yet", self.counts.arriving),
+            "labpipe_dataset_tests": ("gauge", "Tests with a result in the dataset", index.tests),
+            "labpipe_dataset_tests_failed": ("gauge", "Tests without a result in the dataset", index.failed),
+            "labpipe_dataset_tests_not_accepted": ("gauge", "Tests in the dataset whose rules do not all hold", index.not_accepted),
+            "labpipe_watch_cpu_seconds_total": ("counter", "Processor time of the watch", sum(os.times()[:4])),
+            "labpipe_watch_last_look_seconds": ("gauge", "Time of the last look, seconds since 1970", self.clock()),
+        }
+        lines = (f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n" for name, (kind, text, value) in values.items())
+        with output_file((self.logs or self.results) / METRICS) as file:
+            file.write_text("".join(lines))

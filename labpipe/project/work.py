@@ -1,0 +1,126 @@
+"""What the sections of a pipeline work on, and the section identify: the fits of every test."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+
+from numpy.linalg import LinAlgError
+
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.errors import ConfigError, FitError, LabpipeError
+from labpipe.estimation.settings import FitSettings
+from labpipe.project.measured import MeasuredTest
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.records.identification import Failed, Fit
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.registry import nearest
+
+# What the sections of a pipeline work on.
+
+Tell = Callable[[str], None]
+# What names a failed comparison among failed tests.
+COMPARE_PREFIX = "compare."
+
+
+@dataclass(frozen=True)
+class Work:
+    """A pipeline whose recordings have been measured.
+
+    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by test, by their name in the
+    pipeline.
+    fits: those of the sections so far. failed: tests that are missing, and comparisons that cannot do without them; *go_on* then.
+    *jobs*: processes of a study, 0 for one per processor.
+    """
+
+    pipeline: Pipeline
+    tests: Sequence[MeasuredTest]
+    output: OutputFolder
+    _: KW_ONLY
+    tell: Tell = lambda _: None
+    jobs: int = 0
+    test_fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
+    fits: list[Fit] = field(default_factory=list)
+    failed: list[Failed] = field(default_factory=list)
+
+    @property
+    def responses(self) -> list[FrequencyResponse]:
+        """The frequency responses among what was measured."""
+        return [test for test in self.tests if isinstance(test, FrequencyResponse)]
+
+    @property
+    def spectra(self) -> list[ChannelSpectra]:
+        """The spectra of all channels among what was measured."""
+        return [test for test in self.tests if isinstance(test, ChannelSpectra)]
+
+    @property
+    def go_on(self) -> bool:
+        """True if what lacks a test is named and passed over."""
+        return bool(self.failed)
+
+
+# The section identify: the fits of every test.
+
+SINGULAR = "record more periods or blocks, look for channels that are silent or alike, or choose another band or fewer parameters"
+
+
+def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
+    """Every fit on every test that it names; fits already made test by test are reused."""
+    fits: list[Fit] = []
+    conditions = {test.name: test.conditions for test in work.tests}
+    for fit in settings:
+        if fit.name in work.test_fits:
+            made = list(work.test_fits[fit.name])
+        else:
+            # A test that failed is named among the failures.
+            check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
+            made = fits_of(work.tests, _begun(fit, fits, work.pipeline.path), work.pipeline.path)
+        from labpipe.estimation.levels import with_level_findings
+
+        fits.extend(with_level_findings(made, conditions))
+    return fits
+
+
+def _begun(settings: FitSettings, fits: Sequence[Fit], pipeline_path: Path) -> FitSettings:
+    """The settings with the result of the earlier fit that they begin with; LabpipeError names the fit."""
+    try:
+        return settings.kind.begin(settings, fits)
+    except LabpipeError as error:
+        error.where = error.where or f"{pipeline_path}: identify.{settings.name}"
+        raise
+
+
+def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
+    """The fits of the responses or decays whose test the settings name, or of all; LabpipeError names fit and test."""
+    # What fits is not imported by a run that finds all its fits fresh.
+    from labpipe.estimation.budget import with_repeat_sources
+    from labpipe.estimation.fitting import identify
+
+    fits: list[Fit] = []
+    for measured in tests:
+        if settings.test and measured.name not in settings.test:
+            continue
+        try:
+            test_fits = [
+                with_repeat_sources(fit, settings.repeats, measured.name, measured.conditions, settings.coverage)
+                for fit in identify(measured, settings)
+            ]
+        except (LabpipeError, LinAlgError) as error:
+            test = f", test {measured.name}" if measured.name else ""
+            where = f"{pipeline_path}: identify.{settings.name}{test}"
+            if not isinstance(error, LabpipeError):
+                raise FitError(f"the data leave a matrix of the fit without a solution ({error})", where=where, hint=SINGULAR) from error
+            error.where = error.where or where
+            raise
+        fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
+    return fits
+
+
+def check_tested(settings: FitSettings, test_names: Sequence[str]) -> None:
+    """ConfigError when a fit names a test that is not *test_names*."""
+    for name in settings.test:
+        if name not in test_names:
+            raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names))

@@ -1,0 +1,205 @@
+"""First look at an unknown recording: kind of excitation and its band, envelopes and spectra of channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import FloatArray, IntArray
+from labpipe.records.recording import Envelope, Spectrum
+
+# Classification of an unknown force: periodic, impact or random, and its band.
+
+# Least correlation of two periods of a periodic signal; that of noise is far below.
+ALIKE = 0.9
+# Hits: least peak over rms, and least share of samples below a hundredth of the peak.
+HIT_CREST, RESTING = 8.0, 0.7
+# Least power of an excited line relative to the strongest one: -30 dB.
+EXCITED = 1e-3
+# A random recording is cut into about this many blocks, so that its averages number some thirty with 50 % overlap.
+BLOCKS = 16
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact); band with power [Hz]."""
+
+    kind: str
+    length: int
+    band: tuple[float, float]
+    repeats: int
+
+
+def look(force: FloatArray, sample_rate: float) -> Excitation:
+    """The kind of a force (n_sample,) [any unit] sampled at *sample_rate* [Hz]."""
+    force = force - np.median(force)
+    hits = hit_starts(force)
+    if hits.size:
+        gaps = np.diff([*hits, force.size])
+        length = round_down(int(min(gaps)))
+        return Excitation("impact", length, _band(force, sample_rate), int(hits.size))
+    force = force - np.mean(force)
+    period = find_period(force)
+    if period:
+        return Excitation("periodic", period, _line_band(force, period, sample_rate), force.size // period)
+    length = round_down(max(force.size // BLOCKS, 2))
+    return Excitation("random", length, _band(force, sample_rate), force.size // length)
+
+
+def find_period(signal: FloatArray) -> int:
+    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0 when it is not periodic.
+
+    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE and is a local maximum.
+    """
+    n = signal.size
+    if n < 8 or not np.any(signal):
+        return 0
+    spectrum = fft.rfft(signal, fft.next_fast_len(2 * n, real=True))
+    product = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[: n // 2 + 1]
+    power = np.concatenate([[0.0], np.cumsum(signal**2)])
+    lags = np.arange(product.size)
+    correlation = product / np.sqrt(np.maximum(power[n - lags] * (power[n] - power[lags]), np.finfo(float).tiny))
+    # A slow signal also correlates with itself at short lags: lags count from the first low correlation on.
+    uncorrelated = np.flatnonzero(correlation < 0.5)
+    if not uncorrelated.size:
+        return 0
+    later = correlation[uncorrelated[0] :]
+    peaks = np.flatnonzero((later[1:-1] >= ALIKE) & (later[1:-1] >= later[:-2]) & (later[1:-1] >= later[2:])) + 1
+    if not peaks.size:
+        return 0
+    # Noise lowers the correlation at all multiples of the period equally; the period is the shortest lag close to the maximum.
+    near = peaks[later[peaks] >= later[peaks].max() - (1 - ALIKE) / 2]
+    return int(uncorrelated[0] + near[0])
+
+
+def hit_starts(force: FloatArray) -> IntArray:
+    """Samples at which hammer hits begin, (n_hit,); none where the force (n_sample,) [N] is not near zero most of the time."""
+    peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
+    if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
+        return np.empty(0, np.intp)
+    above = np.flatnonzero(np.abs(force) > 0.1 * peak)
+    return above[np.concatenate([[True], np.diff(above) > force.size // 1000 + 10])]
+
+
+def round_down(samples: int) -> int:
+    """The largest 1, 2 or 5 times a power of ten that is not above *samples*."""
+    decade = 10 ** (len(str(samples)) - 1)
+    return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
+
+
+def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
+    """The first and the last line [Hz] with power of a periodic force."""
+    whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
+    power = np.abs(fft.rfft(whole)) ** 2
+    power[0] = 0.0
+    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / period
+    return float(lines[0]), float(lines[-1])
+
+
+def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
+    """The band [Hz] with power of a force that is not periodic, from the mean spectrum of its blocks."""
+    length = max(force.size // BLOCKS, 8)
+    blocks = force[: force.size // length * length].reshape(-1, length)
+    power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
+    power[0] = 0.0
+    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / length
+    if not lines.size:
+        # A force that does not vary, or holds no number, has power nowhere.
+        return 0.0, 0.4 * sample_rate
+    return float(lines[0]), float(min(lines[-1], 0.4 * sample_rate))
+
+
+# Envelope and spectrum of channels, fed block by block with constant memory.
+
+# Intervals of an envelope: between half of this and this, enough for the width of a page.
+STRETCHES = 1024
+# Samples of one block of the spectrum.
+BLOCK = 4096
+
+
+class EnvelopeTrack:
+    """Minima and maxima over intervals of equal length; pairs of intervals are merged when there are too many."""
+
+    def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
+        self._most = stretches + stretches % 2
+        self._step = 1
+        self._low: FloatArray = np.empty((0, n_channel))
+        self._high: FloatArray = np.empty((0, n_channel))
+        self._rest: FloatArray = np.empty((0, n_channel))
+
+    def add(self, block: FloatArray) -> None:
+        """Add the next block (n, n_channel) [unit of the channel]."""
+        pending = np.concatenate([self._rest, block])
+        while True:
+            whole = min(pending.shape[0] // self._step, self._most - self._low.shape[0])
+            low, high = _extremes(pending[: whole * self._step], self._step)
+            self._low, self._high = np.concatenate([self._low, low]), np.concatenate([self._high, high])
+            pending = pending[whole * self._step :]
+            if self._low.shape[0] < self._most:
+                break
+            # The number of intervals is even here, so that they merge in pairs.
+            self._low, self._high, self._step = _extremes(self._low, 2)[0], _extremes(self._high, 2)[1], 2 * self._step
+        self._rest = pending
+
+    def envelopes(self) -> tuple[Envelope, ...]:
+        """The envelope of every channel; samples after the last complete interval form one of their own."""
+        low, high = self._low, self._high
+        if self._rest.shape[0]:
+            ends = _extremes(self._rest, self._rest.shape[0])
+            low, high = np.concatenate([low, ends[0]]), np.concatenate([high, ends[1]])
+        return tuple(Envelope(self._step, low[:, n], high[:, n]) for n in range(low.shape[1]))
+
+
+def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
+    """(smallest, largest) of every *step* rows, missing numbers passed over."""
+    stretches = rows.reshape(-1, step, rows.shape[1])
+    low, high = np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
+    return low, high
+
+
+class SpectrumTrack:
+    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted); blocks with missing numbers are skipped."""
+
+    def __init__(self, n_channel: int, block: int = BLOCK) -> None:
+        self._block = block
+        self._rest: FloatArray = np.empty((0, n_channel))
+        self._power = np.zeros((block // 2 + 1, n_channel))
+        self._count = np.zeros(n_channel, int)
+
+    def add(self, block: FloatArray) -> None:
+        """Add the next block (n, n_channel) [unit of the channel]."""
+        joined = np.concatenate([self._rest, block])
+        whole = joined.shape[0] // self._block
+        for number in range(whole):
+            self._take(joined[number * self._block : (number + 1) * self._block])
+        self._rest = joined[whole * self._block :]
+
+    def _take(self, rows: FloatArray) -> None:
+        complete = np.isfinite(rows).all(axis=0)
+        self._power[:, complete] += _density(rows[:, complete])
+        self._count += complete
+
+    def spectra(self, sample_rate: float | None) -> tuple[Spectrum, ...]:
+        """The spectrum of every channel; for a recording shorter than a block, that of all its samples."""
+        rate = sample_rate or 1.0
+        if not self._count.any() and self._rest.shape[0] > 1:
+            complete = np.isfinite(self._rest).all(axis=0)
+            power = np.where(complete, _density(np.where(complete, self._rest, 0.0)), 0.0)
+            frequency, count = fft.rfftfreq(self._rest.shape[0], 1 / rate), complete.astype(int)
+        else:
+            power, count, frequency = self._power, self._count, fft.rfftfreq(self._block, 1 / rate)
+        density = np.sqrt(power / np.maximum(count, 1) / rate)
+        # Without the line at 0 Hz, since the mean is subtracted.
+        return tuple(Spectrum(frequency[1:], density[1:, n], int(count[n])) for n in range(density.shape[1]))
+
+
+def _density(rows: FloatArray) -> FloatArray:
+    """One-sided power density per cycle and sample of rows (n, n_channel): its sum over n lines / n is the mean square."""
+    n = rows.shape[0]
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
+    power = np.abs(fft.rfft((rows - rows.mean(axis=0)) * window[:, None], axis=0)) ** 2 / np.sum(window**2)
+    power[1 : (n + 1) // 2] *= 2
+    density: FloatArray = power
+    return density

@@ -1,0 +1,318 @@
+"""Frequency responses in tables and variables of any layout, as an entry under ``frfs:`` describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, parse_unit, parse_value, readings, unit_of
+from labpipe.raw_files.arrays_table import load_arrays
+from labpipe.raw_files.frf_csv import port_of
+from labpipe.raw_files.hdf5_variables import hdf5_names, load_hdf5_variables
+from labpipe.raw_files.mat_table import is_hdf5, load_fields
+from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
+from labpipe.raw_files.text_columns import TextColumns
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
+from labpipe.records.response import FORMS, FrequencyResponse
+from labpipe.registry import nearest
+
+# The columns of a table, or the variables of a file, by the name or number under which an entry describes
+# them.
+
+VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
+
+
+class DescribedColumns:
+    """*names* of columns or variables, their *units* where the file states them, and what reads one by its place among the names."""
+
+    def __init__(
+        self,
+        path: Path,
+        names: Sequence[str],
+        units: dict[str, str],
+        read: Callable[[int], Any],
+        place: Callable[[int], str],
+        word: str = "column",
+    ) -> None:
+        self.path, self.names, self.word = path, tuple(names), word
+        self.place = place
+        self._units, self._read = units, read
+
+    def _index(self, described: str) -> int:
+        """The place of a name, else of a number from 1; DataError with the nearest name."""
+        count = self.names.count(described)
+        if count == 1:
+            return self.names.index(described)
+        if count > 1:
+            what = f"the {self.word} '{described}' appears {count} times"
+            raise DataError(what, where=str(self.path), hint="write its number, counted from 1")
+        if described.isdigit() and self.word == "column":
+            if 1 <= int(described) <= len(self.names):
+                return int(described) - 1
+            raise DataError(f"no column {described}: the table has {len(self.names)}", where=str(self.path))
+        raise DataError(f"no {self.word} '{described}'", where=str(self.path), hint=nearest(described, [n for n in self.names if n]))
+
+    def unit(self, described: str) -> str:
+        """The unit that the file states, '' for none or an unknown one."""
+        unit = self._units.get(self.names[self._index(described)], "")
+        try:
+            parse_unit(unit) if unit else None
+        except UnitError:
+            return ""
+        return unit
+
+    def values(self, described: str) -> Any:
+        """The numbers [unit of the file], complex, (n_value,) or of any shape; DataError with the place of the first that is missing."""
+        numbers = np.asarray(self._read(self._index(described)))
+        if numbers.dtype.kind not in "iufc" or not numbers.size:
+            raise DataError(f"{self.word} '{described}' holds no numbers", where=str(self.path))
+        numbers = numbers.astype(np.complex128)
+        numbers = numbers.ravel() if numbers.size == max(numbers.shape, default=1) else numbers
+        if not np.all(np.isfinite(numbers)):
+            row = int(np.argmax(~np.isfinite(numbers.ravel())))
+            raise DataError(f"{self.word} '{described}' has no number at value {row + 1}", where=self.place(row))
+        return numbers
+
+    def real(self, described: str) -> FloatArray:
+        """Real numbers [unit of the file], (n_value,) or of any shape; DataError for complex ones."""
+        numbers = self.values(described)
+        if np.any(numbers.imag):
+            row = int(np.argmax(numbers.imag.ravel() != 0))
+            raise DataError(f"{self.word} '{described}' holds complex numbers, real ones are needed", where=self.place(row))
+        return np.asarray(numbers.real, np.float64)
+
+
+def columns_of_table(path: Path) -> DescribedColumns:
+    """The columns of a text or another table; DataError where the file holds variables."""
+    if plain_suffix(path) in VARIABLE_SUFFIXES:
+        raise DataError("holds variables, no columns", where=str(path), hint="write 'variables' in place of 'columns'")
+    if plain_suffix(path) in TEXT_SUFFIXES:
+        if not path.is_file():
+            raise DataError("is a folder, a file is needed", where=str(path))
+        text = TextColumns(path)
+        return DescribedColumns(path, text.columns, text.units, text.column, text.line)
+    table = open_table(path)
+
+    def read(index: int) -> FloatArray:
+        if table.columns.count(table.columns[index]) > 1:
+            raise DataError(f"the column '{table.columns[index]}' appears several times", where=str(path), hint="rename one of them")
+        return np.concatenate(list(table.chunks([table.columns[index]])))[:, 0]
+
+    return DescribedColumns(path, table.columns, table.units, read, lambda row: f"{path}: row {row + 1}")
+
+
+def columns_of_variables(path: Path) -> DescribedColumns:
+    """The variables of a MATLAB, HDF5 or .npz file; fields of structures are named with dots: FRF.y_values.values."""
+    if plain_suffix(path) not in VARIABLE_SUFFIXES:
+        what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
+        raise DataError(what, where=str(path), hint="write 'columns' in place of 'variables'")
+    if plain_suffix(path) == ".npz":
+        arrays = load_arrays(path)
+        names = list(arrays)
+
+        def read(index: int) -> Any:
+            return arrays[names[index]]
+
+    elif is_hdf5(path):
+        names = [name.replace("/", ".") for name in hdf5_names(path)]
+
+        def read(index: int) -> Any:
+            stored = names[index].replace(".", "/")
+            return load_hdf5_variables(path, [stored])[stored]
+
+    else:
+        fields = load_fields(path)
+        names = list(fields)
+
+        def read(index: int) -> Any:
+            return fields[names[index]]
+
+    return DescribedColumns(path, names, {}, read, lambda _row: str(path), "variable")
+
+
+# Frequency responses in tables and variables of any layout, as an entry under ``frfs:`` describes it.
+
+
+@dataclass(frozen=True)
+class Dofs:
+    """Dofs of one file's rows and columns, from its name or from the entry."""
+
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+
+def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
+    """The response of a file by the description of its columns or variables, in SI units.
+
+    DataError names file and, in a text, the line: for a missing column, a cell without a number, a unit that the file contradicts.
+    """
+    table = layout.table
+    assert table is not None
+    form, scale = layout.scale
+    source = columns_of_table(path) if layout.columns is not None else columns_of_variables(path)
+    if table.matrix:
+        frequency = _frequency(source, table, None)
+        matrix = _whole(
+            source.values(table.matrix), (frequency.size, len(dofs.outputs), len(dofs.inputs)), layout.axes, source, table.matrix
+        )
+        coherence = _whole_coherence(source, table, matrix.shape, layout.axes)
+        outputs, inputs = dofs.outputs, dofs.inputs
+    else:
+        elements = _elements(layout, table, dofs)
+        values = {pair: _element(source, columns, layout) for pair, columns in elements.items()}
+        outputs, inputs = _labels(elements, source)
+        frequency = _frequency(source, table, next(iter(values.values())).size)
+        _check_lengths(source, values, frequency)
+        matrix = _cube(outputs, inputs, lambda pair: values[pair])
+        coherence = None
+        if all(columns.coherence for columns in elements.values()):
+            coherence = _cube(outputs, inputs, lambda pair: source.real(elements[pair].coherence))
+    return FrequencyResponse(
+        frequency, matrix * scale, tuple(map(port_of, outputs)), tuple(map(port_of, inputs)), form=form, coherence=coherence
+    )
+
+
+def _elements(layout: FrfLayout, table: FrfColumns, dofs: Dofs) -> dict[tuple[str, str], ElementColumns]:
+    """The columns of every element by its (output, input)."""
+    if not layout.elements:
+        return {(dofs.outputs[0], dofs.inputs[0]): table}
+    elements = {}
+    for name, columns in layout.elements:
+        output, _, reference = name.partition("/")
+        elements[output, reference or dofs.inputs[0]] = columns
+    return elements
+
+
+def _labels(elements: dict[tuple[str, str], Any], source: DescribedColumns) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    outputs, inputs = (tuple(dict.fromkeys(pair[side] for pair in elements)) for side in (0, 1))
+    missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in elements]
+    if missing:
+        raise DataError(f"'elements' do not name {missing[0]}", where=str(source.path), hint="a full matrix is required")
+    return outputs, inputs
+
+
+def _cube(outputs: tuple[str, ...], inputs: tuple[str, ...], values: Callable[[tuple[str, str]], Any]) -> Any:
+    return np.stack([np.stack([values((o, i)) for i in inputs], -1) for o in outputs], 1)
+
+
+def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
+    """One element (n_frequency,) [unit of the file]."""
+    first, *second = (getattr(columns, name) for name in columns.given)
+    if columns.given[0] not in ("amplitude_db",):
+        _check_stated(source, first, layout)
+    if not second:
+        values = source.values(first)
+        if not np.any(values.imag):
+            what = f"{source.word} '{first}' has no imaginary part anywhere"
+            raise DataError(what, where=str(source.path), hint="an amplitude needs its phase: amplitude and phase_deg")
+        return values
+    size, other = source.real(first), source.real(second[0])
+    if columns.given == ("re", "im"):
+        return size + 1j * other
+    _check_phase(source, second[0], columns.given[1])
+    if columns.given[0] == "amplitude_db":
+        size = 10 ** (size / 20)
+    elif np.any(size < 0):
+        row = int(np.argmax(size < 0))
+        what = f"{source.word} '{first}' holds the negative amplitude {size[row]:g}"
+        raise DataError(what, where=source.place(row), hint="amplitude_db for decibels")
+    phase = np.deg2rad(other) if columns.given[1] == "phase_deg" else other
+    return np.asarray(size * np.exp(1j * phase), np.complex128)
+
+
+def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> None:
+    """DataError when the file itself states another unit."""
+    stated = source.unit(column)
+    if not stated or parse_unit(stated).dimension == parse_unit("1").dimension:
+        return
+    described = layout.unit or FORMS[layout.form]
+    if not set(readings(stated)) & set(readings(described)):
+        what = f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the entry under frfs"
+        raise DataError(what, where=str(source.path), hint=f"write unit: {stated}")
+
+
+def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
+    """DataError when the header states the other unit of angles, or the numbers are no radians."""
+    stated = source.unit(column)
+    described = part.removeprefix("phase_")
+    if stated in ("deg", "°", "rad") and (stated == "rad") != (described == "rad"):
+        other = "phase_rad" if stated == "rad" else "phase_deg"
+        raise DataError(f"{source.word} '{column}' is in {stated} by the file's own header", where=str(source.path), hint=f"write {other}")
+
+
+def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:
+    """The frequencies (n_frequency,) [Hz]; DataError where they do not increase."""
+    column = table.frequency or table.omega
+    if not column:
+        if n_line is None:
+            n_line = max(source.values(table.matrix).shape)
+        return _scalar(source, table.start) + _scalar(source, table.step) * np.arange(n_line)
+    numbers = source.real(column)
+    stated = source.unit(column)
+    try:
+        unit = unit_of(stated, "Hz") if stated else parse_unit("rad/s" if table.omega else "Hz")
+    except UnitError:
+        what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
+        raise DataError(what, where=str(source.path)) from None
+    if table.omega and stated and not unit.dimension[5]:
+        raise DataError(f"{source.word} '{column}' is in {stated} by the file's own header", where=str(source.path), hint="write frequency")
+    frequency = numbers * unit.factor / ((2 * np.pi) if unit.dimension[5] else 1.0)
+    falling = np.flatnonzero(np.diff(frequency) <= 0)
+    if falling.size:
+        row = int(falling[0]) + 1
+        raise DataError(f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})", where=source.place(row))
+    return np.asarray(frequency, np.float64)
+
+
+def _scalar(source: DescribedColumns, text: str) -> float:
+    """A value with its unit, or the number in a variable [Hz]."""
+    if text[0].isdigit() or text[0] in ".+-":
+        try:
+            return parse_value(text, "Hz")
+        except UnitError as error:
+            raise DataError(error.what, where=str(source.path), hint=error.hint) from None
+    values = source.real(text)
+    if values.size != 1:
+        raise DataError(f"{source.word} '{text}' holds {values.size} numbers, one is needed", where=str(source.path))
+    return float(values.flat[0])
+
+
+def _check_lengths(source: DescribedColumns, values: dict[tuple[str, str], ComplexArray], frequency: FloatArray) -> None:
+    for (output, reference), element in values.items():
+        if element.shape != frequency.shape:
+            what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
+            raise DataError(what, where=str(source.path))
+
+
+def _whole(values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str) -> Any:
+    """An array in the order frequency, output, input; DataError when its size or the order of its dimensions is not clear."""
+    orders = [tuple(AXES.index(axis) for axis in axes)] if axes else list(permutations(range(3)))
+    # MATLAB drops trailing dimensions of 1, and a vector may lie either way.
+    fitting = [order for order in orders if _squeezed(tuple(shape[n] for n in order)) == _squeezed(values.shape)]
+    needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
+    if not fitting:
+        raise DataError(f"the variable '{name}' has the size {values.shape}; needed are {needed}", where=str(source.path))
+    arrays = [values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting]
+    if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
+        hint = "name their order, for example axes: [output, input, frequency]"
+        raise DataError(f"the dimensions {values.shape} of '{name}' could be ordered in several ways", where=str(source.path), hint=hint)
+    return arrays[0]
+
+
+def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(length for length in shape if length != 1)
+
+
+def _whole_coherence(source: DescribedColumns, table: FrfColumns, shape: tuple[int, ...], axes: tuple[str, ...]) -> FloatArray | None:
+    if not table.coherence:
+        return None
+    values: FloatArray = _whole(source.real(table.coherence), (shape[0], shape[1], shape[2]), axes, source, table.coherence)
+    return values

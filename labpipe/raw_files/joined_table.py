@@ -1,0 +1,144 @@
+"""Channels of one run that lie in several files, as one table: joined row by row, or on their time columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.raw_files.table import Table
+from labpipe.records.finding import Finding, note
+
+# Relative difference of rates that are the same.
+SAME_RATE = 1e-4
+# Share of a step by which the times of one row may differ between files.
+BESIDE = 0.1
+
+
+class JoinedTable:
+    """The columns of several tables. Satisfies Table.
+
+    A name that several files have is written STEM/NAME for all files but the first. With *time*, the name of their common time column,
+    rows are those of equal times; without, row 1 stands beside row 1. What some files have and others have not is cut, and `findings`
+    says so once the table has been read.
+    """
+
+    def __init__(self, tables: Sequence[Table], time: str | None) -> None:
+        self.path = tables[0].path
+        self._tables, self._time = tuple(tables), time
+        self._place: dict[str, tuple[int, str]] = {}
+        self.units: dict[str, str] = {}
+        for number, table in enumerate(tables):
+            for name in table.columns:
+                key = name if name not in self._place else f"{table.path.stem}/{name}"
+                self._place[key] = number, name
+                if name in table.units:
+                    self.units[key] = table.units[name]
+        self.columns = tuple(self._place)
+        self.sample_rate = self._common_rate()
+        self._cut: list[tuple[Path, int, int]] = []
+
+    def _common_rate(self) -> float | None:
+        rates = [(table.path.name, table.sample_rate) for table in self._tables if table.sample_rate is not None]
+        for name, rate in rates[1:]:
+            if abs(rate / rates[0][1] - 1) > SAME_RATE:
+                raise DataError(f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz", hint="one run has one rate")
+        return rates[0][1] if rates else None
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit together."""
+        places = [self._place[column] for column in columns]
+        members = sorted({number for number, _ in places})
+        # The time of every file is read along, to be compared.
+        times = [self._time] if self._time else []
+        wanted = {n: list(dict.fromkeys([*times, *(name for number, name in places if number == n)])) for n in members}
+        streams = [self._tables[n].chunks(wanted[n]) for n in members]
+        skipped = [0] * len(members)
+        if self._time:
+            streams, skipped = self._aligned(streams, members)
+        parts = _Parallel(streams, skipped)
+        row = 0
+        for blocks in parts:
+            if self._time:
+                self._check_times(blocks, members, row)
+            row += blocks[0].shape[0]
+            yield np.column_stack([blocks[members.index(number)][:, wanted[number].index(name)] for number, name in places])
+        rests = parts.rests()
+        self._cut = [(self._tables[n].path, skip, rest) for n, skip, rest in zip(members, skipped, rests, strict=True) if skip or rest]
+        if not row:
+            raise DataError("the files have no time in common", where=str(self.path), hint="by: sample joins them row by row")
+
+    def _aligned(self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]) -> tuple[list[Iterator[FloatArray]], list[int]]:
+        """The streams again, and the rows of each before the first common time."""
+        firsts = [next(stream) for stream in streams]
+        if min(first.shape[0] for first in firsts) < 2:
+            raise DataError("a file has fewer than two rows", where=str(self.path))
+        starts = [float(first[0, 0]) for first in firsts]
+        steps = [float(first[-1, 0] - first[0, 0]) / (first.shape[0] - 1) for first in firsts]
+        for number, step in enumerate(steps):
+            if not abs(step / steps[0] - 1) < max(1 / min(firsts[0].shape[0], firsts[number].shape[0]), SAME_RATE):
+                name = self._tables[members[number]].path.name
+                what = f"the time steps of {name} ({step:g}) differ from those of {self.path.name} ({steps[0]:g})"
+                raise DataError(what, hint="where that comes from times of few digits, by: sample joins row by row")
+        for number, start in enumerate(starts):
+            offset = (start - starts[0]) / steps[0]
+            if abs(offset - round(offset)) > BESIDE:
+                name = self._tables[members[number]].path.name
+                what = f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of {self.path.name}"
+                raise DataError(what, where=str(self.path), hint="resample one of them; by: sample joins row by row")
+        skipped = [round((max(starts) - start) / steps[0]) for start in starts]
+        return [chain([first], stream) for first, stream in zip(firsts, streams, strict=True)], skipped
+
+    def _check_times(self, blocks: Sequence[FloatArray], members: Sequence[int], row: int) -> None:
+        first = blocks[0][:, 0]
+        step = np.ptp(first) / max(first.size - 1, 1)
+        for number, block in enumerate(blocks[1:], 1):
+            beside = np.abs(block[:, 0] - first) > 0.5 * step
+            if first.size > 1 and beside.any():
+                n = int(np.argmax(beside))
+                name = self._tables[members[number]].path.name
+                what = f"the times of {name} and {self.path.name} run apart: {block[n, 0]:g} and {first[n]:g} at common row {row + n + 1}"
+                raise DataError(what, hint="a lost sample, or two clocks")
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What was cut, once all chunks have been read."""
+        return tuple(
+            note("cut", f"{path.name}: {before} samples at its start and {after} at its end are cut, where another file has none")
+            for path, before, after in self._cut
+        )
+
+
+class _Parallel:
+    """Blocks of several streams with equally many rows, from row *skipped* of each on, until one ends."""
+
+    def __init__(self, streams: Sequence[Iterator[FloatArray]], skipped: Sequence[int]) -> None:
+        self._streams = list(streams)
+        self._skip = list(skipped)
+        self._buffers: list[FloatArray] = [np.empty((0, 0))] * len(streams)
+
+    def __iter__(self) -> Iterator[list[FloatArray]]:
+        while all(self._filled(number) for number in range(len(self._streams))):
+            length = min(buffer.shape[0] for buffer in self._buffers)
+            yield [buffer[:length] for buffer in self._buffers]
+            self._buffers = [buffer[length:] for buffer in self._buffers]
+
+    def _filled(self, number: int) -> bool:
+        """Whether there is a row of a stream, read if need be."""
+        while not self._buffers[number].shape[0]:
+            block = next(self._streams[number], None)
+            if block is None:
+                return False
+            skip = min(self._skip[number], block.shape[0])
+            self._skip[number] -= skip
+            self._buffers[number] = block[skip:]
+        return True
+
+    def rests(self) -> list[int]:
+        """Rows of each stream behind the last common one."""
+        return [
+            buffer.shape[0] + sum(block.shape[0] for block in stream) for buffer, stream in zip(self._buffers, self._streams, strict=True)
+        ]

@@ -1,0 +1,210 @@
+"""MATLAB files of versions 4 to 7.3, and HDF5 files, as tables of channels."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+
+from labpipe.errors import DataError
+from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
+from labpipe.raw_files.hdf5_probe import check_hdf5
+
+# Consistency check of a MATLAB 5 file's elements: some damaged files would crash scipy's reader and with it
+# the program.
+
+_HEADER = 128
+_MATRIX, _COMPRESSED = 14, 15
+_TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
+_CLASSES = range(1, 18)
+_NUMERIC, _COMPLEX = range(6, 16), 0x800
+_FLAGS, _DIMENSIONS = 6, 5
+
+
+def check_elements(path: Path) -> None:
+    """ValueError for an element longer than its container, of unknown type, or a matrix without flags and size.
+
+    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by their readers.
+    """
+    content = path.read_bytes()
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+    if order is not None and 0 not in content[:4]:
+        _check(memoryview(content), _HEADER, len(content), order, top=True)
+
+
+def _check(content: memoryview, begin: int, end: int, order: str, top: bool = False) -> int:
+    """Check the elements from *begin* to *end*, including those inside matrices; their number."""
+    number = 0
+    while begin < end:
+        kind, start, size, following = _element(content, begin, end, order)
+        if top and kind not in (_MATRIX, _COMPRESSED):
+            raise ValueError(f"an element of type {kind} is no variable")
+        if kind == _COMPRESSED:
+            inner = zlib.decompress(content[start : start + size])
+            _check(memoryview(inner), 0, len(inner), order)
+        if kind == _MATRIX and size:
+            _check_matrix(content, start, start + size, order)
+        begin, number = following, number + 1
+    return number
+
+
+def _element(content: memoryview, begin: int, end: int, order: str) -> tuple[int, int, int, int]:
+    """(type, first byte, number of bytes, first byte after it) of the element at *begin*."""
+    if begin + 8 > end:
+        raise ValueError("an element is cut off")
+    kind, size = struct.unpack(f"{order}II", content[begin : begin + 8])
+    start = begin + 8
+    if kind >> 16:
+        kind, size, start, following = kind & 0xFFFF, kind >> 16, begin + 4, begin + 8
+    else:
+        following = start + size + (0 if kind == _COMPRESSED else -size % 8)
+    if kind not in _TYPES or start + size > end or (start == begin + 4 and size > 4):
+        raise ValueError("an element is damaged or cut off")
+    return kind, start, size, following
+
+
+def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None:
+    kind, start, size, following = _element(content, begin, end, order)
+    flags = struct.unpack(f"{order}I", content[start : start + 4])[0] if (kind, size) == (_FLAGS, 8) else 0
+    if flags & 0xFF not in _CLASSES:
+        raise ValueError("a variable has no flags")
+    kind, _, size, following = _element(content, following, end, order)
+    if kind != _DIMENSIONS or size < 8 or size % 4:
+        raise ValueError("a variable has no size")
+    parts = _check(content, following, end, order) - 1
+    if flags & 0xFF in _NUMERIC and parts != (2 if flags & _COMPLEX else 1):
+        raise ValueError("a variable lacks its numbers")
+
+
+# MATLAB files of versions 4 to 7, and of 7.3 as HDF5; no content is executed or unpickled.
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_BROKEN = (
+    ValueError, TypeError, OSError, KeyError, IndexError, EOFError, NotImplementedError, OverflowError, MemoryError, UnicodeDecodeError,
+    struct.error, zlib.error, MatReadError,
+)  # fmt: skip
+
+
+def is_hdf5(path: Path) -> bool:
+    """True for HDF5, as written by MATLAB 7.3 after a block of 512 bytes."""
+    with path.open("rb") as stream:
+        head = stream.read(520)
+    return head.startswith(_HDF5) or head[512:] == _HDF5
+
+
+def load_variables(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
+    if path.stat().st_size == 0:
+        raise DataError("the file is empty", where=str(path))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            check_elements(path)
+            variables = loadmat(str(path), chars_as_strings=True, appendmat=False)
+    except _BROKEN as error:
+        reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
+        raise DataError(f"is not a readable MATLAB file ({reason[:80]})", where=str(path)) from None
+    return {name: value for name, value in variables.items() if not name.startswith("__")}
+
+
+def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """(name, array) of a variable and of the fields of a structure ("run.x")."""
+    names = getattr(getattr(value, "dtype", None), "names", None)
+    if names and value.size == 1:
+        for field in names:
+            yield from _fields(f"{name}.{field}", value.flat[0][field])
+    else:
+        yield name, value
+
+
+def load_fields(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x"; DataError as `load_variables`."""
+    return dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
+
+
+def mat_table(path: Path) -> ArraysTable:
+    """The vectors of a MATLAB file as a table; a structure ``units`` with one text per vector gives their units."""
+    if is_hdf5(path):
+        return hdf5_table(path)
+    arrays = load_fields(path)
+    numeric = {name: value for name, value in arrays.items() if is_numeric(value)}
+    units = {name.removeprefix("units."): text_of(value) for name, value in arrays.items() if name.startswith("units.")}
+    columns = {name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()}
+    rate = rate_of({name: value.item() for name, value in numeric.items() if value.size == 1}, path)
+    return ArraysTable(path, columns, units, rate)
+
+
+def text_of(value: Any) -> str:
+    """A char variable as text, '' for anything else."""
+    array = np.asarray(value)
+    return str(array.flat[0]) if array.dtype.kind == "U" and array.size == 1 else ""
+
+
+# HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block.
+
+_UNITS = ("unit", "units", "unit_string")
+
+
+def hdf5_table(path: Path) -> ArraysTable:
+    """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError when it is damaged.
+
+    Links into other files are not followed.
+    """
+    if path.stat().st_size == 0:
+        raise DataError("the file is empty", where=str(path))
+    check_hdf5(path)
+    try:
+        file = h5py.File(path, "r")
+        sets = _numeric_sets(file)
+        scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
+        scalars |= _rate_attributes(file, sets)
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", where=str(path)) from None
+    columns = {name: column for key, item in sets.items() if item.size > 1 for name, column in columns_of(key, item).items()}
+    units = {name: _unit(sets, name) for name in columns}
+    return ArraysTable(path, columns, units, rate_of(scalars, path))
+
+
+def _numeric_sets(file: h5py.File) -> dict[str, Any]:
+    sets: dict[str, Any] = {}
+
+    def add(name: str, item: Any) -> None:
+        is_text = getattr(item, "attrs", {}).get("MATLAB_class", b"") in (b"char", b"cell")
+        if isinstance(item, h5py.Dataset) and not name.startswith("#") and not is_text:
+            if item.shape == ():
+                if item.dtype.kind in "iuf":
+                    sets[name] = item
+            elif item.shape and is_numeric(item):
+                sets[name] = item
+
+    file.visititems(add)
+    return sets
+
+
+def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
+    """Numeric attributes of the file and of its data sets, by place and name."""
+    rates: dict[str, float] = {}
+    for place, item in {"": file, **sets}.items():
+        for name, value in item.attrs.items():
+            if np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf":
+                rates[f"{place}/{name}"] = float(np.asarray(value).item())
+    return rates
+
+
+def _unit(sets: dict[str, Any], name: str) -> str:
+    item: Any = sets.get(name)
+    if item is None:
+        item = sets.get(name.rpartition("_")[0])
+    for key in _UNITS if item is not None else ():
+        if key in item.attrs:
+            value = item.attrs[key]
+            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return ""

@@ -1,0 +1,417 @@
+"""Faults of the samples, block by block: clipping, missing numbers, constant channels, uneven time steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, FloatArray, IntArray
+from labpipe.errors import DataError
+from labpipe.quantities import LARGEST, SMALLEST
+from labpipe.records.finding import Finding
+
+# Samples at the ends of a channel's range, block by block: peaks that a logger has cut off.
+
+# Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
+CLIPPED_RUN = 3
+# Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal leaves its extreme at
+# once, as white noise does, no run is long. The slow turn of a sine holds 5 times as many.
+CLIPPED_CROWD, NEXT_VALUES = 10, 15
+# Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
+AT_LIMIT = 1e-9
+
+
+class EndValues:
+    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all where they crowd there.
+
+    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value starts afresh.
+    """
+
+    def __init__(self, sign: float) -> None:
+        self._sign = sign
+        self._extreme = -np.inf
+        self._in_runs = 0
+        self._first = self._first_in_runs = -1
+        self._open = 0
+        # The NEXT_VALUES + 1 outermost different values, ascending, and how many samples have each.
+        self._values, self._counts = np.empty(0), np.empty(0, np.int64)
+
+    def reaches(self, extreme: float) -> bool:
+        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted; a run ends where it has none."""
+        if self._values.size <= NEXT_VALUES or extreme >= self._reached:
+            return True
+        self._open = 0
+        return False
+
+    @property
+    def _reached(self) -> float:
+        """From where on values, times the sign, are counted."""
+        lowest = float(self._values[0])
+        return lowest - AT_LIMIT * abs(lowest)
+
+    def add(self, column: FloatArray, start: int) -> None:
+        """Add a channel's next numbers (n,) [unit of the channel], of which the first is sample *start*."""
+        places, values = self._outermost(column)
+        if not values.size:
+            self._open = 0
+            return
+        self._count(values)
+        peak = float(values.max())
+        if peak > self._extreme:
+            self._extreme, self._in_runs, self._first, self._first_in_runs, self._open = peak, 0, -1, -1, 0
+        at_end = places[values == self._extreme]
+        if not at_end.size:
+            self._open = 0
+            return
+        if self._first < 0:
+            self._first = start + int(at_end[0])
+        breaks = np.flatnonzero(np.diff(at_end) > 1)
+        begins, ends = at_end[np.concatenate([[0], breaks + 1])], at_end[np.concatenate([breaks, [at_end.size - 1]])] + 1
+        for begin, end in zip(begins, ends, strict=True):
+            self._count_run(int(begin), int(end), self._open if begin == 0 else 0, start)
+        last = int(ends[-1] - begins[-1]) + (self._open if begins[-1] == 0 else 0)
+        self._open = last if ends[-1] == column.size else 0
+
+    def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Where the column (n,) reaches the outermost values so far, and its values there times the sign: few, after the first block."""
+        if self._values.size <= NEXT_VALUES:
+            places = np.flatnonzero(np.isfinite(column))
+            return places, self._sign * column[places]
+        reached = self._reached
+        places = np.flatnonzero(column >= reached if self._sign > 0 else column <= -reached)
+        values = self._sign * column[places]
+        finite = np.isfinite(values)
+        return (places, values) if finite.all() else (places[finite], values[finite])
+
+    def _count(self, outer: FloatArray) -> None:
+        """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger is finer."""
+        fresh, counts = np.unique(outer.astype(np.float32).astype(float), return_counts=True)
+        joined, place = np.unique(np.concatenate([self._values, fresh]), return_inverse=True)
+        total = np.bincount(place, np.concatenate([self._counts, counts]), joined.size).astype(np.int64)
+        self._values, self._counts = joined[-NEXT_VALUES - 1 :], total[-NEXT_VALUES - 1 :]
+
+    def _count_run(self, begin: int, end: int, carried: int, start: int) -> None:
+        length = end - begin + carried
+        if length < CLIPPED_RUN:
+            return
+        self._in_runs += length if carried < CLIPPED_RUN else end - begin
+        if self._first_in_runs < 0:
+            self._first_in_runs = start + begin - carried
+
+    def clipped(self) -> tuple[int, int]:
+        """(clipped samples, first of them); none where the extreme is zero: there a window has set the force to zero, or nothing acted."""
+        if self._extreme == 0:
+            return 0, -1
+        if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
+            return int(self._counts[-1]), self._first
+        return self._in_runs, self._first_in_runs
+
+
+class AtLimit:
+    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is clipped."""
+
+    def __init__(self, sign: float, limits: tuple[float, float]) -> None:
+        low, high = limits
+        self._sign = sign
+        self._limit = (high if sign > 0 else -low) - AT_LIMIT * (high - low)
+        self._count = 0
+        self._first = -1
+
+    def reaches(self, extreme: float) -> bool:
+        """Whether numbers that go up to *extreme*, times the sign, are clipped."""
+        return extreme >= self._limit
+
+    def add(self, column: FloatArray, start: int) -> None:
+        """Add a channel's next numbers (n,) [unit of the channel], of which the first is sample *start*."""
+        beyond = np.isfinite(column) & (self._sign * column >= self._limit)
+        if self._first < 0 and beyond.any():
+            self._first = start + int(np.argmax(beyond))
+        self._count += int(beyond.sum())
+
+    def clipped(self) -> tuple[int, int]:
+        """(clipped samples, first of them)."""
+        return self._count, self._first
+
+
+def both_ends(limits: tuple[float, float] | None) -> tuple[EndValues, EndValues] | tuple[AtLimit, AtLimit]:
+    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values."""
+    if limits is None:
+        return EndValues(-1.0), EndValues(1.0)
+    return AtLimit(-1.0, limits), AtLimit(1.0, limits)
+
+
+# Faults of the samples, block by block: clipping, missing numbers, constant channels, uneven time steps.
+
+# A time step may differ from the mean by this share, beside the rounding of printed times.
+JITTER = 1e-3
+# Time steps longer than this many last printed digits cannot hide a lost sample in the rounding of the times.
+FINE = 3.0
+# Share of the last printed digit by which mean and median step differ when the times have too few digits.
+COARSE = 0.1
+# Times may repeat or shorten a step where it is longer than this many last digits: a lost sample would still be seen.
+LEAST = 0.75
+# No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
+FASTEST = 1e12
+# Samples of which the sums are made at once.
+IN_CACHE = 1 << 13
+# Times with more significant digits are exact enough.
+MOST_DIGITS = 9
+
+
+def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
+    """DataError for the first number of a block (n, n_channel) [SI] from sample *first* on that no measurement gives: beyond LARGEST."""
+    beyond = np.abs(block) > LARGEST
+    # Infinities are missing numbers, which are reported as such.
+    beyond &= np.isfinite(block)
+    if not beyond.any():
+        return
+    sample, channel = (int(place) for place in np.argwhere(beyond)[0])
+    what = f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is no measured number"
+    raise DataError(what, hint="check the unit, the sensitivity and the column")
+
+
+class ChannelScreen:
+    """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold NaN."""
+
+    def __init__(self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None) -> None:
+        """*limits* of the range of every channel, where known."""
+        n = len(names)
+        self._names = list(names)
+        self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
+        self._sum, self._squares, self._origin = np.zeros(n), np.zeros(n), np.full(n, np.nan)
+        self.n_sample = 0
+        self._n_missing = np.zeros(n, int)
+        self._first_missing = np.full(n, -1)
+        self._ends = [both_ends(limit) for limit in limits or [None] * n]
+
+    def add(self, block: FloatArray) -> None:
+        """Add the next block (n, n_channel) [unit of the channel]."""
+        if not block.shape[0]:
+            return
+        # Along a channel numbers lie side by side: reductions across rows of a few channels take eight times as long.
+        columns = np.ascontiguousarray(block.T)
+        low, high = columns.min(axis=1), columns.max(axis=1)
+        # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not searched.
+        if np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST:
+            self._add_levels(columns)
+        else:
+            low, high = self._add_with_gaps(block, columns)
+        self._add_ends(low, high, block.shape[0], columns.__getitem__)
+
+    def add_between(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> bool:
+        """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit of the channel] alone.
+
+        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known then. False, and nothing
+        added, for samples that are missing or beyond measure, which `add` takes.
+        """
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST):
+            return False
+        self._add_ends(low, high, n_sample, column_of)
+        return True
+
+    def _add_ends(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> None:
+        self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
+        for number, (lower, upper) in enumerate(self._ends):
+            # Most blocks of a long record stay within what was there before, and are not searched.
+            for end in [end for end, extreme in ((lower, -low[number]), (upper, high[number])) if end.reaches(float(extreme))]:
+                end.add(column_of(number), self.n_sample)
+        self.n_sample += n_sample
+
+    def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Add a block that may hold NaN, *columns* its transpose; the least and the largest number of each channel (n_channel,)."""
+        check_amounts(self._names, block, self.n_sample)
+        missing = ~np.isfinite(columns)
+        self._add_levels(columns, missing)
+        self._note_missing(missing)
+        return np.min(columns, axis=1, initial=np.inf, where=~missing), np.max(columns, axis=1, initial=-np.inf, where=~missing)
+
+    def _add_levels(self, columns: FloatArray, missing: BoolArray | None = None) -> None:
+        """Sums about each channel's first number, so that a small signal on a large offset keeps its variance."""
+        fresh = np.isnan(self._origin)
+        if missing is None:
+            self._origin[fresh] = columns[fresh, 0]
+        else:
+            fresh &= ~missing.all(axis=1)
+            self._origin[fresh] = columns[fresh, np.argmin(missing, axis=1)[fresh]]
+        for start in range(0, columns.shape[1], IN_CACHE):
+            piece = slice(start, start + IN_CACHE)
+            beside = columns[:, piece] - self._origin[:, None]
+            if missing is not None:
+                beside[missing[:, piece]] = 0.0
+            self._sum += beside.sum(axis=1)
+            self._squares += np.einsum("cn,cn->c", beside, beside)
+
+    def _note_missing(self, missing: BoolArray) -> None:
+        self._n_missing += missing.sum(axis=1)
+        fresh = (self._first_missing < 0) & missing.any(axis=1)
+        self._first_missing[fresh] = self.n_sample + np.argmax(missing[fresh], axis=1)
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean per channel over the samples that are numbers, (n_channel,) [unit of the channel]."""
+        return self._sum / np.maximum(self.n_sample - self._n_missing, 1) + np.nan_to_num(self._origin)
+
+    @property
+    def rms(self) -> FloatArray:
+        """Root mean square about the mean per channel, (n_channel,) [unit of the channel]."""
+        n = np.maximum(self.n_sample - self._n_missing, 1)
+        return np.sqrt(np.maximum(self._squares / n - (self._sum / n) ** 2, 0.0))
+
+    def levels(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation [unit of the channel] of every channel by its name."""
+        return {name: (float(mean), float(rms)) for name, mean, rms in zip(self._names, self.mean, self.rms, strict=True)}
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Warnings of gaps, constant channels and clipping, with the channel and the first sample."""
+        faults: list[Finding] = []
+        for number, name in enumerate(self._names):
+            if self._n_missing[number]:
+                count, first = self._n_missing[number], self._first_missing[number]
+                faults.append(
+                    Finding("gap", f"channel {name}: {count} of {self.n_sample} samples are no numbers, the first is sample {first}")
+                )
+            if self._n_missing[number] == self.n_sample:
+                continue
+            if not self.maximum[number] > self.minimum[number]:
+                faults.append(Finding("constant", f"channel {name} does not vary at all"))
+                continue
+            self._check_size(number, name)
+            faults.extend(self._clipping(number, name))
+        return tuple(faults)
+
+    def _check_size(self, number: int, name: str) -> None:
+        """DataError for a channel whose numbers are so small that their squares vanish."""
+        largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
+        if largest < SMALLEST:
+            what = f"channel {name}: no number above {largest:g}, which nothing measures"
+            raise DataError(what, hint="check the unit, the sensitivity and the column")
+
+    def _clipping(self, number: int, name: str) -> list[Finding]:
+        runs = [end.clipped() for end in self._ends[number]]
+        count = sum(n for n, _ in runs)
+        if not count:
+            return []
+        first = min(start for n, start in runs if n)
+        share = 100 * count / self.n_sample
+        # Not 1e+02.
+        percent = f"{share:.0f}" if share >= 99.5 else f"{share:.2g}"
+        message = (
+            f"channel {name}: {count} samples ({percent} %) stand at the end of the range, the first is sample {first}; "
+            "the peaks are cut off and amplitudes come out too small"
+        )
+        return [Finding("clipped", message)]
+
+
+class TimeAxisScreen:
+    """Check of a time column [s] for equal, rising steps, fed block by block."""
+
+    def __init__(self, column: str) -> None:
+        self._column = column
+        self._first = self._last = np.nan
+        self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
+        self._n_sample = 0
+        self._resolution = np.inf
+        self._digits = 1
+        self._typical = np.nan
+
+    def add(self, times: FloatArray) -> None:
+        """Add the next times (n,) [s]; DataError at a missing time or one that does not rise."""
+        if not times.size:
+            return
+        if not np.all(np.isfinite(times)):
+            sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
+            raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
+        joined = times if self._n_sample == 0 else np.concatenate([[self._last], times])
+        offset = self._n_sample if self._n_sample == 0 else self._n_sample - 1
+        steps = np.diff(joined)
+        if steps.size:
+            if np.any(steps < 0):
+                sample = offset + 1 + int(np.argmax(steps < 0))
+                raise DataError(f"the time column '{self._column}' does not rise at sample {sample} ({joined[sample - offset]:g} s)")
+            if np.isnan(self._typical):
+                self._typical = float(np.median(steps))
+            self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
+            self._largest = max(self._largest, (float(steps.max()), offset + 1 + int(steps.argmax())))
+        # The finest resolution of all blocks: a short block may hold round numbers only.
+        self._resolution = min(self._resolution, _printed_resolution(times))
+        self._digits = max(self._digits, _printed_digits(times))
+        if self._n_sample == 0:
+            self._first = float(times[0])
+        self._last = float(times[-1])
+        self._n_sample += times.size
+
+    def sample_rate(self) -> float:
+        """(n - 1) / (t_last - t_first) [Hz]; DataError when the steps are not equal within jitter and the rounding of the times."""
+        if self._n_sample < 2:
+            raise DataError(f"the time column '{self._column}' has fewer than two samples")
+        step = (self._last - self._first) / (self._n_sample - 1)
+        # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That is not allowed for
+        # where a step is hardly longer than the digit and the median step equals the mean: an unequal step is a lost sample then.
+        # Nor does a step shorter than usual hide one, or any step where the first times, of more decimals, show how long steps are.
+        by_digits = _last_digit(max(abs(self._first), abs(self._last)), self._digits)
+        resolution = max(self._resolution, by_digits if step > LEAST * by_digits else 0.0)
+        off = step - self._typical
+        clear = off < 0 or self._resolution < COARSE * resolution
+        coarse = step > FINE * resolution or abs(off) > COARSE * resolution or (clear and step > LEAST * resolution)
+        # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a step.
+        stored = float(np.spacing(max(abs(self._first), abs(self._last))))
+        allowed = JITTER * step + stored + (resolution if coarse else 0.0)
+        if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
+            raise DataError(
+                f"the time column '{self._column}' does not rise at sample {self._smallest[1]}",
+                hint="times of too few digits? give sample_rate in the rig file instead of time",
+            )
+        for extreme, sample in (self._largest, self._smallest):
+            if abs(extreme - step) > allowed:
+                raise DataError(
+                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
+                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
+                )
+        if not 1 / FASTEST <= step <= FASTEST:
+            what = f"the time steps of column '{self._column}' are {step:g} s"
+            raise DataError(what, hint=f"rates lie between {1 / FASTEST:g} and {FASTEST:g} Hz: check the unit of the time")
+        rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
+        return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
+
+
+def plain_rate(step: float, doubt: float) -> float:
+    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *doubt* [s]: files of one logger have one rate then."""
+    rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 12))
+    return next((rate for rate in rates if abs(1 / rate - step) <= doubt), float(f"{1 / step:.12g}"))
+
+
+def _printed_digits(times: FloatArray) -> int:
+    """Significant digits with which all times are printed, up to MOST_DIGITS; more for numbers of full precision."""
+    sizes = np.abs(times[times != 0])
+    if not sizes.size:
+        return 1
+    exponent = np.floor(np.log10(sizes) * (1 + 1e-15))
+    # A few numbers of full precision spare the search through all.
+    for chosen in (slice(0, 16), slice(None)):
+        for digits in range(1, MOST_DIGITS + 1):
+            scaled = sizes[chosen] * 10.0 ** (digits - 1 - exponent[chosen])
+            if np.all(np.abs(scaled - np.round(scaled)) <= 1e-12 * scaled):
+                break
+        else:
+            return MOST_DIGITS + 8
+    return digits
+
+
+def _last_digit(largest: float, digits: int) -> float:
+    """Size of the last of *digits* significant digits of the largest time."""
+    return 10.0 ** (math.floor(math.log10(largest)) + 1 - digits) if largest > 0 else 0.0
+
+
+def _printed_resolution(times: FloatArray) -> float:
+    """The last printed digit of the times: the largest power of ten, 1 at most, of which all are multiples.
+
+    Never finer than the floating-point numbers: a date in seconds is accurate to 2e-7 s only.
+    """
+    spacing = float(np.spacing(np.max(np.abs(times))))
+    for digits in range(12):
+        scaled = times * 10.0**digits
+        if np.all(np.abs(scaled - np.round(scaled)) <= 4 * spacing * 10.0**digits) and spacing * 10.0**digits < COARSE:
+            return 10.0**-digits
+    return 4 * spacing

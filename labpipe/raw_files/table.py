@@ -1,0 +1,264 @@
+"""A table on disk: named columns of numbers, read chunk by chunk. READERS by suffix."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError, LabpipeError, cut
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.registry import Registry, nearest
+
+# Unique column names.
+
+
+def unique(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, with repeated ones numbered from the second on: a, a_2, a_3."""
+    unique_names: list[str] = []
+    for name in names:
+        candidate, number = name, 1
+        while candidate in unique_names:
+            number += 1
+            candidate = f"{name}_{number}"
+        unique_names.append(candidate)
+    return tuple(unique_names)
+
+
+# The boundary to files of other programs: whatever damaged bytes make a library raise is a fault of the
+# file.
+
+Read = TypeVar("Read")
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """DataError for every exception of a library inside the block; faults of the machine keep their own words."""
+    try:
+        # Numbers beyond all measure are refused by the screening, with channel and sample.
+        with np.errstate(all="ignore"):
+            yield
+    except LabpipeError:
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise _unreadable(path, error) from None
+    except Exception as error:
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> DataError:
+    said = (str(error).splitlines() or [""])[0].rstrip(".")
+    return DataError(f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})", where=str(path), hint=DAMAGED)
+
+
+DAMAGED = "the file is damaged, or not what its ending says"
+
+
+def guarded(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+    """What *read* makes of a file."""
+    with readable(path):
+        return read(path, *arguments)
+
+
+class GuardedTable:
+    """A table whose chunks are read within the boundary. Satisfies Table."""
+
+    def __init__(self, table: Any) -> None:
+        self._table = table
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._table, name)
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """The chunks (n, n_column) [unit of the file] of the table."""
+        return self._guarded(self._table.chunks(columns))
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """Column by column (n,) [unit of the file], of a table that has them so."""
+        return self._guarded(self._table.column_chunks(columns))
+
+    def _guarded(self, chunks: Iterator[Read]) -> Iterator[Read]:
+        while True:
+            with readable(self._table.path):
+                chunk = next(chunks, None)
+            if chunk is None:
+                return
+            yield chunk
+
+
+# A look at a file by a child process: a damaged one can loop for ever or crash inside a library, out of
+# reach of exceptions.
+
+# Reads a file as the program does later: it raises, loops or crashes where that would.
+Touch = Callable[[Path], None]
+
+# Processor seconds for a file, and for each of its megabytes; and a wall clock of some times as much.
+SECONDS, SECONDS_PER_MB, PATIENCE = 1.9, 0.05, 4
+# Memory [bytes] that looking at a file may take beside what the program has already, and the file itself.
+MEMORY = 2 << 30
+GOOD, UNREADABLE = 0, 3
+
+_looked_at: dict[tuple[str, int, int, int], int] = {}
+
+
+def check_in_child(path: Path, kind: str, touch: Touch) -> None:
+    """DataError for a file of a *kind* that a child process cannot *touch*, a function of a module, within its limits."""
+    status = path.stat()
+    key = (str(path), status.st_mtime_ns, status.st_size, status.st_ino)
+    if key not in _looked_at:
+        _looked_at[key] = _look(path, touch, math.ceil(SECONDS + SECONDS_PER_MB * status.st_size / 1e6))
+    code = _looked_at[key]
+    if code not in (GOOD, UNREADABLE):
+        how = "takes too long" if code in (-signal.SIGXCPU, -signal.SIGKILL) else f"fails inside the {kind} library"
+        raise DataError(f"is not a readable {kind} file (reading it {how})", where=str(path), hint="the file is damaged")
+
+
+def _look(path: Path, touch: Touch, seconds: int) -> int:
+    """The exit code of a child process that reads the file, negative for the signal that ended it."""
+    if not hasattr(os, "fork"):
+        command = [sys.executable, "-m", "labpipe.raw_files.table", touch.__module__, touch.__name__, str(path)]
+        try:
+            return subprocess.run(command, timeout=seconds * PATIENCE, check=False).returncode
+        except subprocess.TimeoutExpired:
+            return -signal.SIGTERM
+    child = os.fork()
+    if child == 0:
+        os._exit(_read_within(path, touch, seconds))
+    return _ended(child, seconds * PATIENCE)
+
+
+def _ended(child: int, seconds: float) -> int:
+    """How the child ended; it is killed when it takes longer."""
+    pause, deadline = 0.0005, time.monotonic() + seconds
+    while True:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        if time.monotonic() > deadline:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(pause)
+        pause = min(2 * pause, 0.05)
+
+
+def _read_within(path: Path, touch: Touch, seconds: int) -> int:
+    """In the child: its limits, then the file. Nothing of the parent's is touched or flushed."""
+    try:
+        import faulthandler
+        import gc
+        import resource
+
+        # The parent's objects are no garbage of the child's: looking at them would copy all their pages.
+        gc.freeze()
+        faulthandler.disable()
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with open("/proc/self/statm", encoding="ascii") as statm:
+            most = int(statm.read().split()[0]) * resource.getpagesize() + path.stat().st_size + MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    except (ImportError, OSError, ValueError):
+        pass
+    try:
+        touch(path)
+    except BaseException:
+        # What it is the parent finds by the same exception, and says.
+        return UNREADABLE
+    return GOOD
+
+
+if __name__ == "__main__":
+    module, name, file = sys.argv[1:]
+    sys.exit(_read_within(Path(file), getattr(import_module(module), name), 1 << 20))
+
+# A table on disk: named columns of numbers, read chunk by chunk. READERS by suffix.
+
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc")
+READERS = Registry(
+    "reader",
+    {
+        **dict.fromkeys(TEXT_SUFFIXES, "labpipe.raw_files.text_table:CsvTable"),
+        ".parquet": "labpipe.raw_files.other_tables:ParquetTable",
+        **dict.fromkeys((".uff", ".unv", ".uf"), "labpipe.raw_files.uff_read:UffTable"),
+        ".mat": "labpipe.raw_files.mat_table:mat_table",
+        **dict.fromkeys((".h5", ".hdf5", ".hdf"), "labpipe.raw_files.mat_table:hdf5_table"),
+        ".tdms": "labpipe.raw_files.tdms_table:TdmsTable",
+        ".wav": "labpipe.raw_files.other_tables:WavTable",
+        ".lvm": "labpipe.raw_files.lvm_table:LvmTable",
+        **dict.fromkeys((".npy", ".npz"), "labpipe.raw_files.arrays_table:numpy_table"),
+        **dict.fromkeys((".xlsx", ".xlsm"), "labpipe.raw_files.other_tables:XlsxTable"),
+        **dict.fromkeys((".mf4", ".mdf"), "labpipe.raw_files.mdf_table:mdf_table"),
+    },
+)
+
+
+class Table(Protocol):
+    """Columns by name; *units* and *sample_rate* [Hz] where the file states them; missing numbers are NaN."""
+
+    path: Path
+    columns: tuple[str, ...]
+    units: dict[str, str]
+    sample_rate: float | None
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file] of the named columns."""
+        ...
+
+
+def open_table(path: Path) -> Table:
+    """The table of a file by its suffix; DataError for a missing file, a folder, or an unknown kind."""
+    if path.is_dir():
+        raise DataError("is a folder, not a file", where=str(path))
+    if not path.exists():
+        raise DataError("no such file", where=str(path))
+    suffix = plain_suffix(path)
+    if suffix not in READERS.names():
+        raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
+    if not path.is_file():
+        raise DataError("is no regular file", where=str(path))
+    table: Table = GuardedTable(guarded(READERS.load(suffix), path))
+    return table
+
+
+class QuickTable(Table, Protocol):
+    """A table whose file states its *n_row* rows and is read as fast as labpipe's own recordings, column by column."""
+
+    n_row: int
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """Consecutive chunks of the named columns, each (n,) [unit of the file], in single precision or integers where the file is."""
+        ...
+
+
+def as_quick(table: Table) -> QuickTable | None:
+    """The table where it is a quick one; None for any other."""
+    return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
+
+
+def load_extra(module: str, extra: str, path: Path) -> Any:
+    """A library that only some files need; DataError names the extra by which it is installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise DataError(f"needs the package {module}", where=str(path), hint=f"pip install 'labpipe[{extra}]'") from None
+
+
+def check_columns(table: Table, required: Sequence[str]) -> None:
+    """DataError for a required column that is missing (with the nearest name) or not unique."""
+    for name in required:
+        count = table.columns.count(name)
+        if count == 0:
+            raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
+        if count > 1:
+            raise DataError(f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them")

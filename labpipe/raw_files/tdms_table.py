@@ -1,0 +1,129 @@
+"""TDMS files of National Instruments, read block by block; scaling properties are applied by npTDMS."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nptdms import TdmsFile
+from nptdms.log import log_manager
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import DataError
+from labpipe.raw_files.table import unique
+
+CHUNK_ROWS = 1 << 17
+_UNITS = ("unit_string", "NI_UnitDescription", "unit")
+_SENSITIVITIES = ("sensitivity", "ni_sensitivity", "sensor_sensitivity", "transducer_sensitivity")
+_SENSITIVITY_UNITS = ("sensitivity_unit", "sensitivity_units", "ni_sensitivityunits", "sensor_sensitivity_unit")
+_SAME = 1e-6
+_BROKEN = (ValueError, TypeError, OSError, KeyError, IndexError, EOFError, OverflowError, MemoryError, NotImplementedError, struct.error)
+
+
+class TdmsTable:
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table; *sensitivities* where properties state them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        # Suppresses npTDMS's log of a damaged file: there is one error message.
+        log_manager.set_level(logging.ERROR)
+        if path.stat().st_size == 0:
+            raise DataError("the file is empty", where=str(path))
+        try:
+            with path.open("rb") as stream, TdmsFile.open(stream) as file:
+                _check_whole(file, path)
+                channels = [channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)]
+                self._keep(channels)
+        except _BROKEN as error:
+            raise self._damaged(error) from None
+
+    def _keep(self, candidates: list[Any]) -> None:
+        length = max((len(channel) for channel in candidates), default=0)
+        if length < 1:
+            raise DataError("holds no channel of numbers", where=str(self.path))
+        channels = [channel for channel in candidates if len(channel) == length]
+        names = [channel.name for channel in channels]
+        self.columns = unique([c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels])
+        self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
+        self.n_row = length
+        self.units = {name: unit for name, channel in zip(self.columns, channels, strict=True) if (unit := _unit(channel))}
+        self.sensitivities = {name: text for name, channel in zip(self.columns, channels, strict=True) if (text := _sensitivity(channel))}
+        self.sample_rate = _rate(channels, self.path)
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other; DataError when the file is damaged."""
+        for rows in self._rows(columns):
+            yield rows.T
+
+    def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
+        """The same, column by column (n,) [unit of the file]."""
+        return map(list, self._rows(columns))
+
+    def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """The same, columns as rows (n_column, n); every chunk of the file is read once, with all channels in it."""
+        places = [self._places[column] for column in columns]
+        parts: list[list[FloatArray]] = [[] for _ in places]
+        held, done = np.zeros(len(places), int), 0
+        try:
+            with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
+                for chunk in file.data_chunks():
+                    for n, (group, name) in enumerate(places):
+                        parts[n].append(chunk[group][name][:])
+                        held[n] += parts[n][-1].size
+                    whole = int(held.min()) // CHUNK_ROWS * CHUNK_ROWS
+                    if whole:
+                        values = [np.concatenate(pieces) for pieces in parts]
+                        yield from _blocks(values, whole)
+                        parts, held, done = [[column[whole:]] for column in values], held - whole, done + whole
+            if np.any(done + held != self.n_row):
+                raise EOFError("cut off")
+            yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
+        except _BROKEN as error:
+            raise self._damaged(error) from None
+
+    def _damaged(self, error: Exception) -> DataError:
+        reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
+        return DataError(f"is not a readable TDMS file ({reason[:80]})", where=str(self.path))
+
+
+def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
+    """The first *n_row* values of columns (n,) as blocks (n_column, n)."""
+    for start in range(0, n_row, CHUNK_ROWS):
+        yield np.array([column[start : min(start + CHUNK_ROWS, n_row)] for column in columns], float)
+
+
+def _check_whole(file: TdmsFile, path: Path) -> None:
+    if file.file_status.incomplete_final_segment:
+        raise DataError("its last segment is truncated", where=str(path), hint="the logger was interrupted, or the copy is incomplete")
+
+
+def _is_numeric(channel: Any) -> bool:
+    return len(channel) > 0 and np.dtype(channel.dtype).kind in "iuf"
+
+
+def _unit(channel: Any) -> str:
+    return next((str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), "")
+
+
+def _sensitivity(channel: Any) -> str:
+    """The sensitivity that a property states ("100 mV/g"), or a number and its unit in two; '' for none."""
+    properties = {str(key).lower(): str(value) for key, value in channel.properties.items()}
+    text = next((properties[key] for key in _SENSITIVITIES if properties.get(key)), "")
+    unit = next((properties[key] for key in _SENSITIVITY_UNITS if properties.get(key)), "")
+    return f"{text} {unit}".strip()
+
+
+def _rate(channels: list[Any], path: Path) -> float | None:
+    """The rate [Hz] of all channels by their wf_increment; DataError when they differ."""
+    steps = {channel.name: float(channel.properties["wf_increment"]) for channel in channels if channel.properties.get("wf_increment")}
+    if not steps:
+        return None
+    low, high = min(steps.values()), max(steps.values())
+    if low <= 0 or high > low * (1 + _SAME):
+        raise DataError(f"its channels have time steps from {low:g} s to {high:g} s", where=str(path), hint="one rate is required")
+    rate = 1 / low
+    return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

@@ -1,0 +1,409 @@
+"""Text tables with automatic detection of delimiter, decimal sign, header and units; read in blocks by pyarrow."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+
+from labpipe.arrays import FloatArray
+from labpipe.artefacts.parquet import numpy_array
+from labpipe.errors import DataError, cut
+from labpipe.quantities import UnitError, parse_unit
+from labpipe.raw_files.rows_csv import text_of
+
+# Text tables, plain or compressed with gzip or Zstandard; decompressed while reading.
+
+PACKED = (".gz", ".zst")
+
+
+def plain_suffix(path: Path) -> str:
+    """The suffix that determines a file's kind: run.csv.gz -> .csv."""
+    suffix = path.suffix.lower()
+    return Path(path.stem).suffix.lower() if suffix in PACKED else suffix
+
+
+def open_unpacked(path: Path) -> BinaryIO:
+    """The bytes of a file, decompressed according to its suffix."""
+    if path.suffix.lower() in PACKED:
+        stream: BinaryIO = pa.input_stream(str(path), compression="gzip" if path.suffix.lower() == ".gz" else "zstd")
+        return stream
+    return path.open("rb")
+
+
+def damaged(path: Path, error: Exception) -> DataError:
+    """The error of a compressed file that cannot be decompressed."""
+    return DataError(f"cannot be unpacked ({str(error).splitlines()[0][:80]})", where=str(path), hint="the file is damaged or cut off")
+
+
+# A text table whose fields any number of blanks keeps apart, as a stream with one blank between two fields.
+
+LINES = 1 << 14
+
+
+class SqueezedBlanks(io.RawIOBase):
+    """UTF-8 bytes of *stream* (text in *encoding*), line by line without blanks at the ends and with one between fields."""
+
+    def __init__(self, stream: BinaryIO, encoding: str) -> None:
+        # Line feeds only end a line, as for whoever counts the lines of the header.
+        self._lines = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")
+        self._rest = b""
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """At most *size* bytes; none at the end."""
+        while size < 0 or len(self._rest) < size:
+            lines = list(islice(self._lines, LINES))
+            if not lines:
+                break
+            self._rest += "".join(" ".join(line.split()) + "\n" for line in lines).encode()
+        wanted = self._rest if size < 0 else self._rest[:size]
+        self._rest = self._rest[len(wanted) :]
+        return wanted
+
+    def close(self) -> None:
+        """Close the file, too."""
+        self._lines.close()
+        super().close()
+
+
+# Times of day, with or without a date, as seconds.
+
+DAY = 86400.0
+_STAMP = re.compile(
+    r"""\s*"?(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T ]\s*)?(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)"""
+    r"""\s*(?P<half>[AP]M)?\s*(?:Z|[+-]\d\d:?\d\d)?"?\s*""",
+    re.IGNORECASE,
+)
+
+
+def is_stamp(field: str) -> bool:
+    """True for 10:00:00.5, 2024-03-01 10:00:00,5, 3/1/2024 10:00:00 AM, 2024-03-01T10:00:00Z."""
+    return _STAMP.fullmatch(field) is not None
+
+
+class StampClock:
+    """Seconds since the midnight before the first stamp. Days follow one another, so that no order of day and month is guessed."""
+
+    def __init__(self, column: str) -> None:
+        self._column = column
+        self._date: str | None = None
+        self._last = -np.inf
+        self._midnight = 0.0
+
+    def seconds(self, stamps: Iterable[str | None]) -> FloatArray:
+        """The next stamps in seconds (n,) [s], NaN for a missing one; DataError for a date that is not the next day."""
+        return np.array([self._second(stamp) for stamp in stamps], np.float64)
+
+    def _second(self, stamp: str | None) -> float:
+        match = _STAMP.fullmatch(stamp or "")
+        if match is None:
+            return float("nan")
+        hour = int(match["hour"])
+        if match["half"]:
+            hour = hour % 12 + (12 if match["half"].upper() == "PM" else 0)
+        second = hour * 3600 + int(match["minute"]) * 60 + float(match["second"].replace(",", "."))
+        new_day = second < self._last - DAY / 2 if match["date"] is None else self._date not in (None, match["date"])
+        if new_day:
+            if second > self._last:
+                raise DataError(
+                    f"the column '{self._column}' leaves out time between {self._date} and {stamp}", hint="split the file there"
+                )
+            self._midnight += DAY
+        self._date, self._last = match["date"], second
+        return self._midnight + second
+
+
+# Detection of a text table's layout: encoding, delimiter, decimal sign, header, unit row, first row of
+# numbers.
+
+HEAD_BYTES = 1 << 18
+# Lines analysed from either end of the head; no header is longer.
+SAMPLE_LINES = 200
+# Blanks: any number of them stands between two fields.
+BLANKS = " "
+DELIMITERS = ("\t", ";", ",", "|", BLANKS)
+MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
+_COMMENT = re.compile(r"^\s*(?:[#%!]|//)+\s?")
+LONGEST_UNIT = 100
+_BRACKETS = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
+
+
+IsNumber = Callable[[str, str], bool]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based.
+
+    *stamps*: the fields that hold times of day or dates.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    names: tuple[str, ...]
+    units: dict[str, str]
+    first_line: int
+    stamps: tuple[int, ...] = ()
+
+
+def is_cell(field: str, decimal: str) -> bool:
+    """True if a field is one number with this decimal sign, or a time of day."""
+    return is_number(field, decimal) or (":" in field and is_stamp(field))
+
+
+def is_number(field: str, decimal: str) -> bool:
+    """True if a field is one number with this decimal sign."""
+    text = field.strip().strip('"')
+    if decimal == "," and "." in text:
+        return False
+    try:
+        float(text.replace(",", ".") if decimal == "," else text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def is_number_or_missing(field: str, decimal: str, number: IsNumber = is_cell) -> bool:
+    """True if a field is a number or a known mark for a missing one."""
+    return is_missing(field) or number(field, decimal)
+
+
+def is_missing(field: str) -> bool:
+    """True if a field is a known mark for a missing number."""
+    return field.strip().strip('"') in MISSING
+
+
+def fields_of(line: str, delimiter: str) -> list[str]:
+    """The fields of a line."""
+    return line.split() if delimiter == BLANKS else line.split(delimiter)
+
+
+def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers; *number* knows what a number is."""
+    encoding, lines = _head(path)
+    sample = _sample(len(lines))
+    candidates = [
+        (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal, number))
+        for delimiter in DELIMITERS
+        for decimal in (".", ",")
+        if delimiter != decimal
+    ]
+    # Of equal rows blanks delimit none: they stand beside other delimiters, too.
+    delimited = (_rank(c[2]) for c in candidates if c[0] != BLANKS and c[3] > 1)
+    most = max(delimited, default=0)
+    layouts = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
+    delimiter, decimal, rows, n_field = max(layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
+    if not rows:
+        raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
+    first = next(
+        n for n, line in enumerate(lines) if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
+    )
+    names, units = header_of(lines[:first], delimiter, n_field)
+    stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
+    return Layout(encoding, delimiter, decimal, names, units, first, stamps)
+
+
+def _head(path: Path) -> tuple[str, list[str]]:
+    try:
+        with open_unpacked(path) as stream:
+            head = stream.read(HEAD_BYTES)
+    except OSError as error:
+        raise damaged(path, error) if path.suffix.lower() in PACKED else error from None
+    if not head.strip():
+        raise DataError("the file is empty", where=str(path))
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif b"\0" in head:
+        raise DataError("is not a text file", where=str(path))
+    else:
+        encoding = "utf-8-sig" if head.startswith(codecs.BOM_UTF8) else _utf8_or_latin(head)
+    # Not splitlines(): pyarrow, which skips the header by its number of lines, counts line feeds only.
+    lines = [line.rstrip("\r") for line in head.decode(encoding, errors="ignore").split("\n")]
+    return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
+
+
+def _utf8_or_latin(head: bytes) -> str:
+    try:
+        head[:-4].decode("utf-8") if len(head) == HEAD_BYTES else head.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _sample(n_line: int) -> list[int]:
+    """The lines analysed for every layout: all of a short file, the first and the last ones of a long one."""
+    if n_line <= 2 * SAMPLE_LINES:
+        return list(range(n_line))
+    return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
+
+
+def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
+    """True if a line is a row of numbers, some of which may be missing."""
+    numbers = 0
+    for field in fields_of(line, delimiter):
+        if number(field, decimal):
+            numbers += 1
+        elif not is_missing(field):
+            return False
+    return numbers > 0
+
+
+def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber) -> tuple[list[int], int]:
+    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent one)."""
+    counts: dict[int, list[int]] = {}
+    for number in sample:
+        if _is_numeric(lines[number], delimiter, decimal, is_cell):
+            counts.setdefault(len(fields_of(lines[number], delimiter)), []).append(number)
+    n_field = max(counts, key=lambda n: (len(counts[n]), n), default=0)
+    return counts.get(n_field, []), n_field
+
+
+def _rank(rows: list[int]) -> float:
+    """Number of numeric rows on a coarse scale, so that a few faulty rows do not determine the delimiter."""
+    return round(len(rows).bit_length(), 0)
+
+
+def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -> bool:
+    delimiter, _, rows, n_field = candidate
+    above = [line for line in lines[: rows[0]] if line.strip()] if rows else []
+    return bool(above) and len(fields_of(above[-1], delimiter)) in (n_field, n_field - 1)
+
+
+def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
+    rows = [[text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
+    # A data row may end in a delimiter that its header lacks.
+    fewest = n_field if delimiter == BLANKS else n_field - 1
+    titles = [row + [""] * (n_field - len(row)) for row in rows if fewest <= len(row) <= n_field and any(row)]
+    if not titles:
+        return tuple(str(n + 1) for n in range(n_field)), {}
+    names, unit_row = titles[-1], [""] * n_field
+    if len(titles) > 1 and all(not field or _unit_of(field) for field in names):
+        names, unit_row = titles[-2], [_unit_of(field) for field in names]
+    units = {name: unit or bracketed_unit(name) for name, unit in zip(names, unit_row, strict=True)}
+    return tuple(names), {name: unit for name, unit in units.items() if unit}
+
+
+def _unit_of(field: str) -> str:
+    """The unit in a field of a unit row, '' for none."""
+    text = field.strip().strip("[]()").strip()
+    try:
+        parse_unit(text)
+    except UnitError:
+        return ""
+    return text
+
+
+def bracketed_unit(name: str) -> str:
+    """ "x [um]" -> "um"; '' when the brackets hold no unit."""
+    # No unit is longer; a search through a long row of brackets would take its square.
+    match = _BRACKETS.search(name[-LONGEST_UNIT:])
+    return _unit_of(match[1]) if match else ""
+
+
+# Text tables with automatic detection of delimiter, decimal sign, header and units; read in blocks by
+# pyarrow.
+
+# Read ahead, a few times over: larger blocks are no faster and cost memory.
+BLOCK_BYTES = 1 << 21
+
+
+class CsvTable:
+    """A text table of numbers. Satisfies Table; a faulty row is reported with its line number."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.layout = find_layout(path)
+        self.columns = tuple(name for name in self.layout.names if name)
+        self.units = self.layout.units
+        self.sample_rate: float | None = None
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
+
+        DataError names line and column of the first row that is not numbers.
+        """
+        fields = [str(self.layout.names.index(name)) for name in columns]
+        clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+        try:
+            with self._bytes() as source:
+                for batch in self._open(source, fields):
+                    if batch.num_rows:
+                        yield np.array([self._numbers(batch.column(field), clocks.get(field)) for field in fields]).T
+        except pa.ArrowInvalid as error:
+            raise self._located(columns, str(error)) from None
+        except UnicodeError as error:
+            what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
+            raise DataError(what, where=str(self.path), hint="the file is damaged or cut off") from None
+        except OSError as error:
+            raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
+
+    def _open(self, source: Any, fields: list[str]) -> pc.CSVStreamingReader:
+        layout = self.layout
+        encoding = "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
+        n_field = len(layout.names)
+        return pc.open_csv(
+            source,
+            pc.ReadOptions(
+                block_size=BLOCK_BYTES,
+                skip_rows=layout.first_line,
+                column_names=[str(n) for n in range(n_field)],
+                encoding=encoding,
+            ),
+            pc.ParseOptions(delimiter=layout.delimiter),
+            pc.ConvertOptions(
+                column_types={field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields},
+                include_columns=fields,
+                null_values=sorted(MISSING),
+                decimal_point=layout.decimal,
+            ),
+        )
+
+    @staticmethod
+    def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
+        """The numbers of a column, or the seconds of its times of day."""
+        values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
+        return values
+
+    @contextmanager
+    def _bytes(self) -> Iterator[Any]:
+        """The file, or its unpacked bytes, in which one blank stands between two fields."""
+        if self.layout.delimiter == BLANKS:
+            with SqueezedBlanks(open_unpacked(self.path), self.layout.encoding) as stream:
+                yield stream
+        elif self.path.suffix.lower() in PACKED:
+            with open_unpacked(self.path) as stream:
+                yield stream
+        else:
+            yield self.path
+
+    def _located(self, columns: Sequence[str], reason: str) -> DataError:
+        """The error with the first faulty line, found by reading the file again as text."""
+        layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
+        with open_unpacked(self.path) as stream, io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines:
+            for number, line in enumerate(lines):
+                if number < layout.first_line or not line.strip():
+                    continue
+                fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
+                where = f"{self.path}:{number + 1}"
+                if len(fields) != len(layout.names):
+                    return DataError(f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before", where=where)
+                for index, name in zip(indices, columns, strict=True):
+                    if not is_number_or_missing(fields[index], layout.decimal):
+                        return DataError(f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where)
+        return DataError(f"cannot be read: {reason.splitlines()[0]}", where=str(self.path))

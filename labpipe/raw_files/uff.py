@@ -1,0 +1,333 @@
+"""Universal files: the records 58, 58b and 164, located without reading their numbers; units; time records as a table.
+
+Layout: I-DEAS universal dataset 58, records 1-12, and its binary header 58b.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+
+UFF_SUFFIXES = (".uff", ".unv", ".uf")
+TIME, FRF, COHERENCE = 1, 4, 6
+_MARK = re.compile(rb"^[ \t]*-1[ \t]*\r?$", re.MULTILINE)
+# After binary numbers the closing -1 need not begin a line.
+_CLOSING = re.compile(rb"\s*-1[ \t]*\r?(?:\n|\Z)")
+_HEADER_LINES = 11
+_POINT = (5, 10, 5, 10, 11, 10, 4, 11, 10, 4)
+_FORM = (10, 10, 10, 13, 13, 13)
+_AXIS = (10, 5, 5, 5, 21, 21)
+# Ordinate data types of record 7: width of a text field, bytes of a binary number, numbers per value.
+_TEXT_WIDTH = {2: 13, 4: 20, 5: 13, 6: 20}
+_BYTES = {2: 4, 4: 8, 5: 4, 6: 8}
+_PARTS = {2: 1, 4: 1, 5: 2, 6: 2}
+_ABSCISSA_WIDTH = 13
+_BYTE_ORDER = {"1": "<", "2": ">"}
+_IEEE = "2"
+_END = re.compile(rb"\s*-1\s")
+
+
+@dataclass(frozen=True)
+class NumberLayout:
+    """Position of the numbers (bytes *begin* to *end*) and parts of one value; *dtype* is None for text."""
+
+    begin: int
+    end: int
+    n_value: int
+    parts: int
+    even: bool
+    width: int
+    dtype: np.dtype[np.void] | None = None
+
+
+@dataclass(frozen=True)
+class UffPoint:
+    """Point of measurement or excitation: entity name ('' for none), node, direction (0 scalar, 1..3 x y z, 4..6 about them)."""
+
+    name: str
+    node: int
+    direction: int
+
+
+@dataclass(frozen=True)
+class UffAxis:
+    """An axis of a record: specific data type (8 displacement, 11 velocity, 12 acceleration, 13 force, ...), label and unit label."""
+
+    kind: int
+    label: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class UffScale:
+    """The factors of a 164 record: SI value = value / factor."""
+
+    length: float
+    force: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class UffRecord:
+    """One record 58 or 58b; *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false."""
+
+    number: int
+    title: str
+    function: int
+    response: UffPoint
+    reference: UffPoint
+    n_value: int
+    even: bool
+    start: float
+    step: float
+    abscissa: UffAxis
+    ordinate: UffAxis
+    denominator: UffAxis
+    scale: UffScale | None
+    layout: NumberLayout
+
+    @property
+    def where(self) -> str:
+        """Name of the record in messages."""
+        return f"record {self.number} ({self.title or 'without a title'})"
+
+
+class _Lines:
+    """The lines of a file from a position on."""
+
+    def __init__(self, path: Path, buffer: mmap.mmap) -> None:
+        self.path, self.buffer, self.position = path, buffer, 0
+
+    def next(self) -> str | None:
+        """The next line, or None at the end of the file."""
+        if self.position >= len(self.buffer):
+            return None
+        end = self.buffer.find(b"\n", self.position)
+        end = len(self.buffer) if end < 0 else end
+        line = self.buffer[self.position : end].rstrip(b"\r")
+        self.position = end + 1
+        return _decoded(line)
+
+    def needed(self, count: int) -> list[str]:
+        """The next lines; DataError at the end of the file."""
+        lines = [self.next() for _ in range(count)]
+        complete = [line for line in lines if line is not None]
+        if len(complete) < count:
+            raise DataError("ends within the header of a record", where=str(self.path), hint="the file is truncated")
+        return complete
+
+    def mark(self) -> re.Match[bytes] | None:
+        """The -1 here, or the next line that is one."""
+        return _CLOSING.match(self.buffer, self.position) or _MARK.search(self.buffer, self.position)
+
+
+def _decoded(line: bytes) -> str:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+def open_uff(path: Path) -> mmap.mmap:
+    """The bytes of a file, mapped; DataError when it is empty."""
+    with path.open("rb") as stream:
+        try:
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except ValueError:
+            raise DataError("the file is empty", where=str(path)) from None
+
+
+def read_uff(path: Path) -> tuple[UffRecord, ...]:
+    """All records 58 and 58b of a universal file; DataError for another or truncated file, or without such a record."""
+    with open_uff(path) as buffer:
+        records = tuple(_records(_Lines(path, buffer)))
+    if not records:
+        raise DataError("holds no record 58", where=str(path), hint="only records 58 and 58b are read")
+    return records
+
+
+def _records(lines: _Lines) -> Iterator[UffRecord]:
+    scale: UffScale | None = None
+    number = 0
+    while (line := lines.next()) is not None:
+        if not line.strip(" \t\r\0\x1a"):
+            continue
+        if line.strip() != "-1":
+            raise DataError(f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'", where=str(lines.path))
+        kind = lines.needed(1)[0]
+        if kind[:6].strip() == "58":
+            number += 1
+            yield _record(lines, kind, number, scale)
+        elif kind.strip() == "164":
+            scale = _scale(lines)
+        _to_end(lines, kind)
+
+
+def _to_end(lines: _Lines, kind: str) -> None:
+    mark = lines.mark()
+    if mark is None:
+        raise DataError(f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is truncated")
+    lines.position = mark.end() + 1
+
+
+def _scale(lines: _Lines) -> UffScale:
+    """The factors of a 164 record: length, force, temperature, offset."""
+    text = " ".join(lines.needed(2)[1:]).upper().replace("D", "E")
+    try:
+        length, force = (float(text[n : n + 25]) for n in (0, 25))
+    except ValueError:
+        length = force = 0.0
+    if not (length > 0 and force > 0):
+        raise DataError("the factors of the units record 164 cannot be read", where=str(lines.path))
+    return UffScale(length, force)
+
+
+def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> UffRecord:
+    """The record whose first line is *kind*; leaves the position after its numbers."""
+    header = lines.needed(_HEADER_LINES)
+    title = _name(header[0])
+    try:
+        point, form = _cut(header[5], _POINT), _cut(header[6], _FORM)
+        function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
+        even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
+        response, reference = _point(point[4:7]), _point(point[7:10])
+        abscissa, ordinate, denominator = (_axis(_cut(line, _AXIS)) for line in header[7:10])
+        layout = _layout(lines, kind, ordinate_type, n_value, even)
+    except ValueError as error:
+        raise DataError(f"record {number} ({title}): {error}", where=str(lines.path)) from None
+    lines.position = layout.end
+    return UffRecord(
+        number=number,
+        title=title,
+        function=function,
+        response=response,
+        reference=reference,
+        n_value=n_value,
+        even=even,
+        start=start,
+        step=step,
+        abscissa=abscissa,
+        ordinate=ordinate,
+        denominator=denominator,
+        scale=scale,
+        layout=layout,
+    )
+
+
+def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
+    if n_value < 1:
+        raise ValueError("holds no values")
+    if "b" in kind.lower():
+        codes = kind[kind.lower().index("b") + 1 :].split()
+        return _binary_layout(lines.buffer, lines.position, codes, ordinate_type, n_value, even)
+    mark = lines.mark()
+    return _text_layout(lines.position, len(lines.buffer) if mark is None else mark.start(), ordinate_type, n_value, even)
+
+
+def _cut(line: str, widths: tuple[int, ...]) -> list[str]:
+    fields, position = [], 0
+    for width in widths:
+        fields.append(line[position : position + width].strip())
+        position += width
+    return fields
+
+
+def _integer(field: str) -> int:
+    return int(field or 0)
+
+
+def _real(field: str) -> float:
+    return float(field.upper().replace("D", "E") or 0)
+
+
+def _name(field: str) -> str:
+    text = field.strip().strip("\0")
+    return "" if text.upper() == "NONE" else text
+
+
+def _point(fields: list[str]) -> UffPoint:
+    direction = _integer(fields[2])
+    if abs(direction) > 6:
+        raise ValueError(f"unknown direction {direction}")
+    return UffPoint(_name(fields[0]), _integer(fields[1]), direction)
+
+
+def _axis(fields: list[str]) -> UffAxis:
+    return UffAxis(_integer(fields[0]), _name(fields[4]), _name(fields[5]))
+
+
+def _text_layout(begin: int, end: int, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
+    """The layout of numbers as text; ValueError for an unknown ordinate type."""
+    _check_type(ordinate_type)
+    return NumberLayout(begin, end, n_value, _PARTS[ordinate_type], even, _TEXT_WIDTH[ordinate_type])
+
+
+def _binary_layout(buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
+    """The layout of binary numbers, up to the closing -1; ValueError when it is missing.
+
+    The byte count of the 58b header is not used: some programs count complex values once. Some programs write the abscissa or single
+    precision data as doubles, contrary to the format; the position of the -1 shows it.
+    """
+    _check_type(ordinate_type)
+    if len(codes) < 2 or codes[0] not in _BYTE_ORDER or codes[1] != _IEEE:
+        raise ValueError("the byte order or number format of the 58b header is unknown")
+    order, parts = _BYTE_ORDER[codes[0]], _PARTS[ordinate_type]
+    for abscissa, ordinate in ((4, _BYTES[ordinate_type]), (8, 8)):
+        fields = [] if even else [("x", f"{order}f{abscissa}")]
+        dtype = np.dtype([*fields, ("y", f"{order}f{ordinate}", (parts,))])
+        end = begin + n_value * dtype.itemsize
+        if _END.match(buffer[end : end + 16] + b"\n"):
+            return NumberLayout(begin, end, n_value, parts, even, 0, dtype)
+    raise ValueError(f"the closing -1 does not follow its {n_value} values: it is cut off or damaged")
+
+
+def _check_type(ordinate_type: int) -> None:
+    if ordinate_type not in _PARTS:
+        raise ValueError(f"unknown ordinate data type {ordinate_type}")
+
+
+def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
+    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file].
+
+    ValueError when their number differs from that of the header.
+    """
+    if layout.dtype is None:
+        abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
+    else:
+        values = np.frombuffer(buffer[layout.begin : layout.end], layout.dtype)
+        abscissa, ordinate = (None if layout.even else values["x"].astype(np.float64)), values["y"].astype(np.float64)
+    return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
+
+
+def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray]:
+    columns = layout.parts + (not layout.even)
+    numbers = _split(text.upper().replace(b"D", b"E"), layout)
+    if numbers.size != columns * layout.n_value:
+        raise ValueError(f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged")
+    table = numbers.reshape(-1, columns)
+    return (None, table) if layout.even else (table[:, 0], table[:, 1:])
+
+
+def _split(text: bytes, layout: NumberLayout) -> FloatArray:
+    """Numbers separated by blanks or, where fields touch (long exponents), by their widths."""
+    try:
+        return np.array(text.split(), dtype=np.float64)
+    except ValueError:
+        widths = [] if layout.even else [_ABSCISSA_WIDTH]
+        return np.array([field for line in text.splitlines() for field in _fields(line, [*widths, *[layout.width] * layout.parts])], float)
+
+
+def _fields(line: bytes, widths: list[int]) -> list[bytes]:
+    fields, position, n = [], 0, 0
+    while line[position:].strip():
+        width = widths[n % len(widths)]
+        fields.append(line[position : position + width])
+        position, n = position + width, n + 1
+    return fields

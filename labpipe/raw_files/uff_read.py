@@ -1,0 +1,285 @@
+"""What universal files hold in SI units: the FRF records as one matrix, the time records as a table of channels.
+
+Units follow from the 164 record, else from the unit labels of a record, else numbers are taken as they are.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, parse_unit, parse_value
+from labpipe.raw_files.table import unique
+from labpipe.raw_files.uff import COHERENCE, FRF, TIME, UffAxis, UffPoint, UffRecord, open_uff, read_numbers, read_uff
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.rig import AXIS_ANGLES
+
+# Specific data types of a record's axes -> SI unit.
+SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N", 15: "Pa", 17: "s", 18: "Hz"}
+FORMS = {8: "receptance", 11: "mobility", 12: "accelerance"}
+_FORM_UNITS = {8: "m/N", 11: "m/(N.s)", 12: "m/(N.s^2)"}
+_FORCES = (9, 13)
+_SAME = 1e-4
+AXES = ("", "x", "y", "z", "rx", "ry", "rz")
+# Relative tolerance between the frequency axes of records, which are printed with six digits.
+_SAME_AXIS = 1e-5
+Key = tuple[str, int, int]
+Numbers = TypeVar("Numbers", np.floating, np.complexfloating)
+CHUNK_ROWS = 1 << 17
+# The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative tolerance.
+_STEP_DIGITS = 1e-5
+_DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
+
+
+def read_frf_uff(path: Path, name: str = "") -> FrequencyResponse:
+    """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6).
+
+    Rows and columns are the responses and references in order of appearance; a function in -X is converted to +X. DataError for a
+    missing or repeated element, for different forms or frequencies, and for missing numbers.
+    """
+    records = read_uff(path)
+    frfs = [record for record in records if record.function == FRF]
+    try:
+        if not frfs:
+            raise DataError("holds no FRF records", hint="time records belong under recordings: in a pipeline")
+        form = _one_form(frfs)
+        with open_uff(path) as buffer:
+            return _response(buffer, frfs, [record for record in records if record.function == COHERENCE], form, name)
+    except DataError as error:
+        error.where = error.where or str(path)
+        raise
+
+
+def _one_form(frfs: Sequence[UffRecord]) -> str:
+    forms = [form_of(record) for record in frfs]
+    for record, form in zip(frfs, forms, strict=True):
+        if form != forms[0]:
+            raise DataError(f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}", hint="one file holds one form")
+    return forms[0]
+
+
+def _response(buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffRecord], form: str, name: str) -> FrequencyResponse:
+    frequency = _frequency(buffer, frfs[0])
+    outputs = tuple(dict.fromkeys(_key(record.response) for record in frfs))
+    inputs = tuple(dict.fromkeys(_key(record.reference) for record in frfs))
+    several = len({node for _, node, axis in (*outputs, *inputs) if axis}) > 1
+    elements = _elements(frfs)
+    matrix = _cube(outputs, inputs, lambda o, i: _values(buffer, _element(elements, o, i), frequency))
+    coherence_records = _elements(coherences)
+    has_all = all((o, i) in coherence_records for o in outputs for i in inputs)
+    coherence = _cube(outputs, inputs, lambda o, i: _same_lines(buffer, coherence_records[o, i], frequency).real) if has_all else None
+    return FrequencyResponse(
+        frequency, matrix, _ports(outputs, several), _ports(inputs, several), form=form, coherence=coherence, name=name
+    )
+
+
+def _key(point: UffPoint) -> Key:
+    """Point and direction, without the sign."""
+    return point.name, point.node, abs(point.direction)
+
+
+def _elements(records: Sequence[UffRecord]) -> dict[tuple[Key, Key], UffRecord]:
+    elements: dict[tuple[Key, Key], UffRecord] = {}
+    for record in records:
+        pair = _key(record.response), _key(record.reference)
+        if pair in elements:
+            raise DataError(f"{record.where} has the same dofs as {elements[pair].where}", hint="one file holds one test")
+        elements[pair] = record
+    return elements
+
+
+def _element(elements: dict[tuple[Key, Key], UffRecord], output: Key, reference: Key) -> UffRecord:
+    if (output, reference) not in elements:
+        raise DataError(f"no FRF record for response {_text(output)} and reference {_text(reference)}", hint="a full matrix is required")
+    return elements[output, reference]
+
+
+def _text(key: Key) -> str:
+    return f"{key[0] or key[1]} {AXES[key[2]]}".strip()
+
+
+def _cube(outputs: Sequence[Key], inputs: Sequence[Key], values: Callable[[Key, Key], NDArray[Numbers]]) -> NDArray[Numbers]:
+    return np.stack([np.stack([values(o, i) for i in inputs], -1) for o in outputs], 1)
+
+
+def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
+    """The frequencies [Hz] of a record."""
+    try:
+        abscissa = read_numbers(buffer, record.layout)[0]
+    except ValueError as error:
+        raise DataError(f"{record.where}: {error}") from None
+    return record.start + record.step * np.arange(record.n_value) if abscissa is None else abscissa
+
+
+def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
+    """The numbers of a record; DataError unless its frequencies equal *frequency*."""
+    if record.n_value != frequency.size:
+        raise DataError(f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}")
+    abscissa = _frequency(buffer, record)
+    if not np.allclose(abscissa, frequency, rtol=_SAME_AXIS, atol=0):
+        raise DataError(f"the frequencies of {record.where} differ from those of the first FRF record")
+    return read_numbers(buffer, record.layout)[1]
+
+
+def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> ComplexArray:
+    if record.layout.parts != 2:
+        raise DataError(f"{record.where}: an FRF of real numbers, complex ones are required")
+    sign = -1.0 if (record.response.direction < 0) != (record.reference.direction < 0) else 1.0
+    return np.asarray(_same_lines(buffer, record, frequency) * np.float64(sign * frf_factor(record)), np.complex128)
+
+
+def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
+    """Ports named by entity, else by node and direction ("x", or "3.x" with several nodes)."""
+    labels = [name or _dof(node, axis, several) for name, node, axis in keys]
+    if len(set(labels)) < len(labels):
+        labels = [".".join(part for part in (name, str(node), AXES[axis]) if part) for name, node, axis in keys]
+    return tuple(_port(label, key, several) for label, key in zip(labels, keys, strict=True))
+
+
+def _dof(node: int, axis: int, several: bool) -> str:
+    return (f"{node}.{AXES[axis]}" if several else AXES[axis]) if axis else str(node)
+
+
+def _port(label: str, key: Key, several: bool) -> Port:
+    _, node, axis = key
+    if axis:
+        dof = label if label.endswith(f".{AXES[axis]}") else _dof(node, axis, several)
+        return Port(label, label, dof, AXIS_ANGLES.get(AXES[axis]))
+    return Port(label, label, label, _angle(label))
+
+
+def _angle(label: str) -> float | None:
+    """The direction of a scalar point named by its angle, as written by labpipe ("45 deg")."""
+    try:
+        return parse_value(label, "rad")
+    except UnitError:
+        return None
+
+
+class UffTable:
+    """Time records of equal length of one file. Satisfies Table."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        records = [record for record in read_uff(path) if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)]
+        if not records:
+            raise DataError("holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline")
+        _check_alike(records, path)
+        self.columns = unique([channel_name(record) for record in records])
+        self._records = dict(zip(self.columns, records, strict=True))
+        self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
+        self.sample_rate: float | None = whole_rate(1 / records[0].step)
+
+    def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
+        with open_uff(self.path) as buffer:
+            try:
+                table = [np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns]
+            except ValueError as error:
+                raise DataError(f"a time record cannot be read: {error}", where=str(self.path)) from None
+        factors = np.array([time_unit(self._records[name])[1] for name in columns])
+        for start in range(0, len(table[0]), CHUNK_ROWS):
+            yield np.column_stack([column[start : start + CHUNK_ROWS] for column in table]) * factors
+
+
+def _check_alike(records: list[UffRecord], path: Path) -> None:
+    first = records[0]
+    for record in records:
+        if not record.even or not record.step > 0:
+            raise DataError(f"{record.where}: its samples are not evenly spaced", where=str(path))
+        if record.layout.parts != 1:
+            raise DataError(f"{record.where}: a time record of complex values", where=str(path))
+        if (record.n_value, record.step) != (first.n_value, first.step):
+            what = f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} {first.n_value}, {first.step:g} s"
+            raise DataError(what, where=str(path), hint="one file is one recording: split it")
+
+
+def channel_name(record: UffRecord) -> str:
+    """Entity name of the response, else its node and direction, else the axis label, the title or the record's number."""
+    point = record.response
+    sign = "-" if point.direction < 0 else "+"
+    dof = f"{point.node}{sign}{_DIRECTIONS[abs(point.direction)]}" if point.direction else str(point.node)
+    return point.name or (dof if point.node else "") or record.ordinate.label or record.title or str(record.number)
+
+
+def whole_rate(rate: float) -> float:
+    """The sampling rate [Hz], rounded to a whole number within the precision of the printed time step."""
+    return float(round(rate)) if abs(round(rate) / rate - 1) < _STEP_DIGITS else rate
+
+
+def readable_unit(label: str, kind: int) -> str:
+    """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown one."""
+    text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", label.strip().strip("[]"))
+    if kind == 12:
+        text = re.sub(r"(?<![A-Za-z])g(?![A-Za-z])", "gn", text)
+    try:
+        parse_unit(text)
+    except UnitError:
+        return ""
+    return text
+
+
+def axis_unit(axis: UffAxis) -> str:
+    """The unit of an axis by its label, '' for none or an unknown one."""
+    return readable_unit(axis.unit, axis.kind) if axis.unit else ""
+
+
+def form_of(record: UffRecord) -> str:
+    """receptance, mobility or accelerance by the data types of the two axes; DataError for any other function."""
+    if record.ordinate.kind not in FORMS or record.denominator.kind not in _FORCES:
+        types = f"{record.ordinate.kind} per {record.denominator.kind}"
+        what = f"{record.where}: the data types {types} are not displacement, velocity or acceleration per force"
+        raise DataError(what, hint="8, 11 or 12 per 13 are required")
+    if max(abs(record.response.direction), abs(record.reference.direction)) > 3:
+        raise DataError(f"{record.where}: rotations and moments are not supported")
+    return FORMS[record.ordinate.kind]
+
+
+def frf_factor(record: UffRecord) -> float:
+    """SI value per value of an FRF record; DataError for an unknown label, or one that contradicts the 164 record."""
+    labelled = _labelled_factor(record)
+    if record.scale is None:
+        if labelled is None:
+            raise DataError(f"{record.where}: unknown unit '{record.ordinate.unit}'", hint="there is no record 164 with the units")
+        return labelled
+    factor = record.scale.force / record.scale.length
+    stated = bool(record.ordinate.unit) and labelled is not None
+    if stated and labelled is not None and abs(labelled / factor - 1) > _SAME:
+        raise DataError(f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164")
+    return factor
+
+
+def _labelled_factor(record: UffRecord) -> float | None:
+    """The factor of the labels: one for the whole quotient, or one for each part; 1 without labels, None for unknown ones."""
+    kind, label = record.ordinate.kind, record.ordinate.unit
+    if not label:
+        return 1.0
+    unit = readable_unit(label, kind)
+    if not unit:
+        return None
+    ordinate = parse_unit(unit)
+    if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
+        return ordinate.factor
+    force = parse_unit(axis_unit(record.denominator) or "N")
+    if ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension and force.dimension == parse_unit("N").dimension:
+        return ordinate.factor / force.factor
+    return None
+
+
+def time_unit(record: UffRecord) -> tuple[str, float]:
+    """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
+
+    With a record 164 the SI unit by data type; else the unit of the label, and factor 1.
+    """
+    kind = record.ordinate.kind
+    if record.scale is not None and kind in (8, 9, 11, 12, 13):
+        return SI_UNITS[kind], 1 / (record.scale.force if kind in _FORCES else record.scale.length)
+    return axis_unit(record.ordinate), 1.0

@@ -1,1 +1,0 @@
-"""A rotor on its bearings: unbalance, forward response, critical and threshold speeds."""

@@ -1,0 +1,463 @@
+"""Linear virtual rigs: masses on springs and dampers under a force or on a table that shakes, with sensors and their noise.
+
+Motions are exact: H times the spectrum of the force line by line, of a force that is periodic in the run, or of one from rest that is
+followed until what comes round has died out. The excitation is any force that is sampled: a multisine, swept sines, white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import ConfigError
+from labpipe.raw_files.excitation import Multisine, Sweep
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.settings import Settings, setting
+from labpipe.simulate.virtual_rigs import (
+    Simulation,
+    VirtualRigKind,
+    coefficients_by_name,
+    force_and_displacements,
+    kind_of_recordings,
+    one_mass_truth,
+    require_positive,
+    whole_numbers,
+)
+
+# A free decay is followed until this share of it is left.
+DIED_OUT = 1e-12
+
+
+def dynamic_stiffness(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, omega: FloatArray) -> ComplexArray:
+    """Z = K + j w C - w^2 M at *omega* (n_line,) [rad/s]: of numbers (n_line,), of matrices (n_line, n_dof, n_dof) [N/m].
+
+    Equation (sim-one-dof).
+    """
+    k, c, m = (np.asarray(part, float) for part in (stiffness, damping, mass))
+    w = np.reshape(omega, (-1, *[1] * k.ndim))
+    return np.asarray(k + 1j * w * c - w**2 * m)
+
+
+def receptance(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, frequency: FloatArray) -> ComplexArray:
+    """H = (K + j w C - w^2 M)^-1 at *frequency* (n_line,) [Hz], of the shape of `dynamic_stiffness` [m/N]. Equation (sim-mdof)."""
+    z = dynamic_stiffness(mass, stiffness, damping, 2 * np.pi * frequency)
+    return np.asarray(1 / z if z.ndim == 1 else np.linalg.inv(z))
+
+
+def white_noise(band: tuple[float, float], rms: float, n_sample: int, sample_rate: float, rng: np.random.Generator) -> FloatArray:
+    """Normal white noise in *band* [Hz] without its mean, periodic in its (n_sample,) samples, of this *rms*."""
+    spectrum = fft.rfft(rng.standard_normal(n_sample))
+    frequency = fft.rfftfreq(n_sample, 1 / sample_rate)
+    spectrum[(frequency < band[0]) | (frequency > band[1]) | (frequency == 0)] = 0.0
+    white = fft.irfft(spectrum, n_sample)
+    return np.asarray(white * (rms / np.std(white)))
+
+
+def lines_of(n_sample: int, sample_rate: float, settling: float = 0.0) -> tuple[int, FloatArray]:
+    """Samples, and frequencies (n_line,) [Hz], of the DFT of a run that is periodic, or that has *settling* [s] after it."""
+    length = fft.next_fast_len(n_sample + int(settling * sample_rate), real=True) if settling else n_sample
+    return length, fft.rfftfreq(length, 1 / sample_rate)
+
+
+def response(transfer: ComplexArray, force: FloatArray, length: int) -> FloatArray:
+    """DFT^-1 [H DFT F], (n_sample,): the response to *force* (n_sample,) [N], *transfer* (n_line,) [unit per N] on the lines of `lines_of`.
+
+    Equation (sim-sweep).
+    """
+    return np.asarray(fft.irfft(fft.rfft(force, length) * transfer, length)[: force.size])
+
+
+def line_frequencies(force: Multisine) -> FloatArray:
+    """Angular frequencies of the excited lines [rad/s], (n_line,)."""
+    return 2 * np.pi * force.spacing * force.lines
+
+
+def line_amplitude(force: Multisine) -> float:
+    """Amplitude of each line of a flat multisine, rms sqrt(2 / n_line) [N]. Equation (sim-line-amplitude)."""
+    return float(force.rms * np.sqrt(2 / force.lines.size))
+
+
+def steady_state(force: Multisine, transfer: ComplexArray, n_sample: int, periods: int) -> FloatArray:
+    """Response (n_sample periods,) [unit of the response] to the multisine, exact line by line: X_k = H(w_k) F_k.
+
+    *transfer* (n_line,) [unit of the response per N], *n_sample* of a period.
+
+    Equation (sim-steady).
+    """
+    spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
+    spectrum[force.lines] = transfer * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
+    return np.tile(fft.irfft(spectrum, n_sample), periods)
+
+
+def free_decay(displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float) -> FloatArray:
+    """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m]. Equation (sim-transient)."""
+    t = np.arange(displacement.size) / sample_rate
+    omega = 2 * np.pi * frequency
+    return np.asarray(-displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t))
+
+
+def sensed(
+    name: str, channels: Sequence[Channel], clean: Sequence[FloatArray], noise: Sequence[float], rate: float, rng: np.random.Generator
+) -> Recording:
+    """What sensors with independent white *noise* [SI] record of the *clean* signals, (n_sample,) each, at *rate* [Hz]."""
+    samples = np.column_stack(clean)
+    return Recording(tuple(channels), samples + rng.standard_normal(samples.shape) * noise, rate, name)
+
+
+# Tacho of a shaft: a pulse [V] over this share of every turn.
+PULSE, PULSE_SHARE = 5.0, 0.3
+TACHO = Channel("n", "tacho", "reference", "n")
+
+
+def pulses(angle: FloatArray) -> FloatArray:
+    """What a TACHO records at *angle* (n_sample,) [rad] of the shaft, (n_sample,) [V]."""
+    return np.where(angle / (2 * np.pi) % 1.0 < PULSE_SHARE, PULSE, 0.0)
+
+
+# One mass on a table that shakes, or under swept sines.
+
+
+class OneMass(Settings):
+    """A mass on a spring and a damper, excited in a band."""
+
+    mass: float
+    stiffness: float
+    damping: float
+    band: tuple[float, float]
+    sample_rate: float
+
+    def check_band(self) -> None:
+        """ConfigError for a band that the sampling rate does not hold."""
+        if not 0 < self.band[0] < self.band[1] < self.sample_rate / 2:
+            raise ConfigError(f"band must lie between 0 and {self.sample_rate / 2:g} Hz", field="band")
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """k, c, mass, f_n and zeta [SI, Hz]."""
+        return one_mass_truth(self.mass, self.stiffness, self.damping)
+
+    def receptance(self, frequency: FloatArray) -> ComplexArray:
+        """H at *frequency* (n,) [Hz], (n,) [m/N]."""
+        return receptance(self.mass, self.stiffness, self.damping, frequency)
+
+    def from_rest(self, n_sample: int) -> tuple[int, FloatArray]:
+        """`lines_of` a run that is followed until only DIED_OUT is left of what was moving, for -2 m / c ln DIED_OUT.
+
+        The length of the transform [samples], and the angular frequencies (n_line,) [rad/s].
+        """
+        return lines_of(n_sample, self.sample_rate, float(-np.log(DIED_OUT) * 2 * self.mass / self.damping))
+
+
+@dataclass(frozen=True)
+class BaseNoise(Settings):
+    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+
+    base: float = setting("value", "accelerometer on the table", unit="m/s^2", default=0.005)
+    acceleration: float = setting("value", "accelerometer on the mass", unit="m/s^2", default=0.1)
+    displacement: float = setting("value", "probe between table and mass", unit="m", default=1e-6)
+
+
+@dataclass(frozen=True)
+class BaseRig(OneMass):
+    """m x'' = -k (x - b) - c (x' - b'), b the table's motion: white noise in two runs, a logarithmic sweep from rest in the third."""
+
+    kind: str = setting("choice", "which virtual rig", choices=("virtual-base-rig",))
+    mass: float = setting("value", "mass that moves", unit="kg")
+    stiffness: float = setting("value", "stiffness between table and mass", unit="N/m")
+    damping: float = setting("value", "damping between table and mass", unit="N.s/m")
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual mass on a shaking table")
+    acceleration: float = setting("value", "rms acceleration of the table", unit="m/s^2", default=5.0)
+    band: tuple[float, float] = setting("band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0))
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
+    duration: float = setting("value", "length of a run", unit="s", default=32.0)
+    pause: float = setting("value", "pause after the sweep, part of its run", unit="s", default=4.0)
+    noise: BaseNoise = setting("section", "measuring noise", section=BaseNoise, default=BaseNoise())
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "stiffness", "damping", "acceleration", "sample_rate", "duration")
+        self.check_band()
+        if not 0 <= self.pause < self.duration:
+            raise ConfigError("pause must lie between 0 and the length of a run", field="pause")
+
+
+@dataclass(frozen=True)
+class SweepRig(OneMass):
+    """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause; white noise on force and probe."""
+
+    kind: str = setting("choice", "which virtual rig", choices=("virtual-sweep-rig",))
+    mass: float = setting("value", "mass that moves", unit="kg")
+    stiffness: float = setting("value", "stiffness of its support", unit="N/m")
+    damping: float = setting("value", "damping of its support", unit="N.s/m")
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual mass under swept sines")
+    band: tuple[float, float] = setting("band", "band that is swept", unit="Hz", default=(20.0, 80.0))
+    force: float = setting("value", "rms force while a sweep runs", unit="N", default=5.0)
+    duration: float = setting("value", "length of the linear sweep; the others take half as long", unit="s", default=24.0)
+    pause: float = setting("value", "pause after every sweep", unit="s", default=3.0)
+    noise: float = setting("value", "standard deviation of the probe's noise", unit="m", default=1e-6)
+    force_noise: float = setting("value", "standard deviation of the force transducer's noise", unit="N", default=0.02)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "stiffness", "damping", "force", "duration", "sample_rate")
+        for name in ("pause", "noise", "force_noise"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} must not be negative", field=name)
+        self.check_band()
+
+
+# Measured is the acceleration of the mass, or its displacement relative to the table.
+BASE_RUNS = ("absolute", "relative", "sweep")
+
+
+def relative_transmissibility(rig: BaseRig, frequency: FloatArray) -> ComplexArray:
+    """w^2 m / Z [1] at *frequency* (n,) [Hz], (n,): motion relative to the table over the table's; the absolute one is 1 more.
+
+    Equation (sim-base).
+    """
+    w = 2 * np.pi * frequency
+    return w**2 * rig.mass / dynamic_stiffness(rig.mass, rig.stiffness, rig.damping, w)
+
+
+def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
+    """Acceleration *base* of the table and *mass* [m/s^2], or *gap* between them [m]: -m H of the acceleration, at 0 Hz too."""
+    n_sample, swept, level = round(rig.duration * rig.sample_rate), name == "sweep", rig.noise
+    if swept:
+        sweep = Sweep(rig.band, rig.duration - rig.pause, rig.acceleration, "logarithmic", "up", rig.pause)
+        base = sweep.samples(rig.sample_rate, 1)
+    else:
+        base = white_noise(rig.band, rig.acceleration, n_sample, rig.sample_rate, rng)
+    length, lines = rig.from_rest(base.size) if swept else lines_of(base.size, rig.sample_rate)
+    table = Channel("base", "acceleration", "input", "z")
+    if name == "relative":
+        gap = -rig.mass * rig.receptance(lines)
+        measured, moved, noise = Channel("gap", "displacement", "output", "z"), response(gap, base, length), level.displacement
+    else:
+        moved = response(1 + relative_transmissibility(rig, lines), base, length)
+        measured, noise = Channel("mass", "acceleration", "output", "z"), level.acceleration
+    return sensed(name, [table, measured], [base, moved], [level.base, noise], rig.sample_rate, rng)
+
+
+# Law, direction and number of the sweeps of a run.
+SWEEP_RUNS = {"linear": ("linear", "up", 1), "logarithmic": ("logarithmic", "up-down", 4)}
+# The logger begins this long before the first sweep [s].
+PRETRIGGER = 0.5
+
+
+def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
+    """Force f [N] and displacement y [m] with noise."""
+    law, direction, count = SWEEP_RUNS[name]
+    sweep = Sweep(rig.band, rig.duration / (1 if count == 1 else 2), rig.force, law, direction, rig.pause)
+    force = np.concatenate([np.zeros(round(PRETRIGGER * rig.sample_rate)), sweep.samples(rig.sample_rate, count)])
+    length, lines = rig.from_rest(force.size)
+    moved = response(rig.receptance(lines), force, length)
+    channels = [Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y")]
+    return sensed(name, channels, [force, moved], [rig.force_noise, rig.noise], rig.sample_rate, rng)
+
+
+# A rotor in an anisotropic support under a white-noise force, along x in one run and along y in the other.
+
+SHAKEN_RUNS = {"along-x": "x", "along-y": "y"}
+
+
+@dataclass(frozen=True)
+class SensorNoise(Settings):
+    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+
+    displacement: float = setting("value", "displacement sensors", unit="m", default=5e-6)
+    force: float = setting("value", "force transducer", unit="N", default=0.05)
+
+
+@dataclass(frozen=True)
+class WhiteNoiseRig(Settings):
+    """m q'' + C q' + K q = f of the rotor's centre (x, y), with an unbalance that turns from x to y.
+
+    Force, sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on Machado's.
+    """
+
+    kind: str = setting("choice", "which virtual rig", choices=("virtual-white-noise-rig",))
+    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", unit="N/m")
+    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", unit="N.s/m")
+    mass: float = setting("value", "mass that moves with the rotor", unit="kg")
+    _: KW_ONLY
+    name: str = setting("text", "name of the rig", default="Virtual rotor under white noise")
+    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
+    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=400.0)
+    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=1024.0)
+    blocks: int = setting("integer", "blocks recorded one after the other", default=100)
+    block: float = setting("value", "length of one block", unit="s", default=5.0)
+    speed: float = setting("value", "shaft speed", unit="Hz", default=50.0)
+    unbalance: float = setting("value", "mass times eccentricity", unit="kg.m", default=5.5e-5)
+    noise: SensorNoise = setting("section", "measuring noise", section=SensorNoise, default=SensorNoise())
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "damping"):
+            if np.shape(getattr(self, name)) != (2, 2):
+                raise ConfigError(f"{name} is not a 2 x 2 matrix", field=name)
+        require_positive(self, "mass", "force", "bandwidth", "sample_rate", "blocks", "block")
+        for name in ("speed", "bandwidth"):
+            if not 0 <= getattr(self, name) < self.sample_rate / 2:
+                raise ConfigError(f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field=name)
+
+    @property
+    def n_sample(self) -> int:
+        return self.blocks * round(self.block * self.sample_rate)
+
+    def receptance(self, frequency: FloatArray) -> ComplexArray:
+        """H at *frequency* (n,) [Hz], (n, 2, 2) [m/N]."""
+        return receptance(self.mass * np.eye(2), self.stiffness, self.damping, frequency)
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """k_xx ... c_yy, mass, speed and unbalance [SI, Hz], by name."""
+        coefficients = coefficients_by_name("xy", k=self.stiffness, c=self.damping)
+        return {"mass": self.mass, **coefficients, "speed_hz": self.speed, "unbalance": self.unbalance}
+
+
+def _shaken_run(rig: WhiteNoiseRig, name: str, rng: np.random.Generator) -> Recording:
+    """Force f, displacements x and y [SI]."""
+    axis = SHAKEN_RUNS[name]
+    force = white_noise((0.0, rig.bandwidth), rig.force, rig.n_sample, rig.sample_rate, rng)
+    at_lines = rig.receptance(fft.rfftfreq(rig.n_sample, 1 / rig.sample_rate))[:, :, "xy".index(axis)]
+    turning = rig.receptance(np.array([rig.speed]))[0], rig.unbalance, 2 * np.pi * rig.speed
+    outputs = [Channel(dof, "displacement", "output", dof, AXIS_ANGLES[dof]) for dof in "xy"]
+    channels = [Channel("f", "force", "input", axis, AXIS_ANGLES[axis]), *outputs]
+    return shaken_rotor(rig, name, channels, fft.rfft(force), at_lines, turning, rng)
+
+
+def shaken_rotor(
+    rig: Any,
+    name: str,
+    channels: Sequence[Channel],
+    spectrum: ComplexArray,
+    at_lines: ComplexArray,
+    turning: tuple[ComplexArray, float, float],
+    rng: np.random.Generator,
+) -> Recording:
+    """A force and the displacements on two axes, with unbalance and noise; of *rig* its n_sample, sample_rate and noise.
+
+    The force, *spectrum* (n_line,) [N], is periodic in the whole run and band-limited, so x = H f line by line is the exact steady state,
+    without aliasing; *at_lines* (n_line, 2) [m/N]. *turning*: H (2, 2) at the shaft speed, unbalance u [kg m] and speed W [rad/s], from the
+    first axis to the second: u W^2 (cos, sin)(W t + phase).
+    """
+    h, unbalance, omega = turning
+    angle = omega * np.arange(rig.n_sample) / rig.sample_rate + rng.uniform(0, 2 * np.pi)
+    synchronous = (np.exp(1j * angle)[:, None] * (h @ (unbalance * omega**2 * np.array([1, -1j])))).real
+    motion = fft.irfft(spectrum[:, None] * at_lines, rig.n_sample, axis=0) + synchronous
+    noise = [rig.noise.force, *[rig.noise.displacement] * 2]
+    return sensed(name, channels, [fft.irfft(spectrum, rig.n_sample), *motion.T], noise, rig.sample_rate, rng)
+
+
+# Masses, springs and dampers whose FRF is given directly, with noise of known size on it.
+
+
+@dataclass(frozen=True)
+class Lines(Settings):
+    """Equally spaced frequency lines."""
+
+    first: float = setting("value", "lowest frequency", unit="Hz")
+    last: float = setting("value", "highest frequency", unit="Hz")
+    count: int = setting("integer", "number of lines")
+
+
+@dataclass(frozen=True)
+class VirtualMdofRig(Settings):
+    """M q'' + C q' + K q = f on dofs 1, 2, ..., a force and a response on each."""
+
+    kind: str = setting("choice", "which virtual rig", choices=("virtual-mdof-rig",))
+    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K", unit="N/m")
+    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C", unit="N.s/m")
+    mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting("mass", "masses, or the mass matrix M", unit="kg")
+    lines: Lines = setting("section", "frequency lines of the FRF", section=Lines)
+    noise: float = setting("value", "standard deviation on the real and on the imaginary part, as a share of the largest |H|", unit="1")
+    name: str = setting("text", "name of the rig", default="Virtual rig of masses, springs and dampers")
+
+    def __post_init__(self) -> None:
+        n = len(self.stiffness)
+        for name in ("stiffness", "damping"):
+            if np.shape(getattr(self, name)) != (n, n):
+                raise ConfigError(f"{name} is not a {n} x {n} matrix")
+        # A list of masses, or of rows; both, or rows of other lengths, have no shape.
+        if not isinstance(self.mass, tuple) or len(self.mass) != n or {np.shape(row) for row in self.mass} not in ({()}, {(n,)}):
+            raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
+        if self.noise < 0:
+            raise ConfigError("noise must not be negative")
+        if self.lines.count < 2 or not 0 <= self.lines.first < self.lines.last:
+            raise ConfigError("lines: two or more from `first` up to `last` are needed")
+
+    @property
+    def frequency(self) -> FloatArray:
+        """(n_line,) [Hz]."""
+        return np.linspace(self.lines.first, self.lines.last, self.lines.count)
+
+    @property
+    def mass_matrix(self) -> FloatArray:
+        """M (n_dof, n_dof) [kg]."""
+        mass = np.array(self.mass, float)
+        return np.diag(mass) if mass.ndim == 1 else mass
+
+    @property
+    def receptance(self) -> ComplexArray:
+        """H on the rig's lines, (n_line, n_dof, n_dof) [m/N]."""
+        return receptance(self.mass_matrix, self.stiffness, self.damping, self.frequency)
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """k_i_j [N/m], c_i_j [N.s/m] and m_i_j [kg] by name."""
+        labels = [str(number + 1) for number in range(len(self.stiffness))]
+        return coefficients_by_name(labels, "_", k=self.stiffness, c=self.damping, m=self.mass_matrix)
+
+
+def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> FrequencyResponse:
+    """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated all the same.
+
+    Equation (sim-mdof-noise).
+    """
+    exact = rig.receptance
+    std = rig.noise * float(np.max(np.abs(exact)))
+    noise = 0.0 if rng is None else std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
+    ports = tuple(Port(dof, dof, dof) for dof in (str(number + 1) for number in range(exact.shape[1])))
+    covariance = uncorrelated(np.full(exact.shape, 2 * std**2)) if std > 0 else None
+    return FrequencyResponse(rig.frequency, exact + noise, ports, ports, covariance=covariance, name=rig.name)
+
+
+BASE_RIG = kind_of_recordings(
+    BaseRig,
+    runs=lambda _rig: BASE_RUNS,
+    record=_base_run,
+    logged=lambda run: whole_numbers(run, steps={"base": 1, "mass": 10, "gap": 100}),
+    truth=lambda rig: rig.truth,
+)
+SWEEP_RIG = kind_of_recordings(
+    SweepRig,
+    runs=lambda _rig: tuple(SWEEP_RUNS),
+    record=_sweep_run,
+    logged=lambda run: whole_numbers(run, steps={"f": 10, "y": 100}),
+    truth=lambda rig: rig.truth,
+    noisy=lambda rig, level: replace(rig, noise=level * rig.noise, force_noise=level * rig.force_noise),
+)
+WHITE_NOISE_RIG = kind_of_recordings(
+    WhiteNoiseRig,
+    runs=lambda _rig: tuple(SHAKEN_RUNS),
+    record=_shaken_run,
+    logged=force_and_displacements,
+    truth=lambda rig: rig.truth,
+)
+MDOF_RIG = VirtualRigKind(
+    settings=VirtualMdofRig,
+    runs=lambda _rig: (),
+    simulate=lambda rig, seed, _runs: Simulation({"frf": noisy_response(rig, np.random.default_rng(seed))}, {"truth": rig.truth}),
+    parameters=lambda rig, _runs: rig.truth,
+    noisy=lambda rig, level: replace(rig, noise=level),
+    response=lambda rig, seeds: noisy_response(rig, None if seeds is None else np.random.default_rng(tuple(seeds))),
+    with_lines=lambda rig, count: replace(rig, lines=replace(rig.lines, count=count)),
+)

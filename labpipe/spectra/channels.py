@@ -1,0 +1,167 @@
+"""Channels of recordings on their way to spectra: blocks, sums of channels, uncertainties of their calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, Number, SampleSource
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.spectra import UncertainFactor
+from labpipe.records.uncertain import COURSES, ChannelDoubt
+
+# Blocks of a recording on their way to the spectra, with checks for missing samples and constant forces.
+
+# Samples of a block: a few blocks fit into the cache together with their spectra.
+READ_SAMPLES = 1 << 17
+
+
+def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
+    """The recording's blocks (n, n_channel) [unit of the channel].
+
+    DataError at the first sample that is no number, and at the end for a force that does not vary.
+    """
+    start = 0
+    silent: dict[int, float] = {}
+    for block in source.blocks(READ_SAMPLES):
+        # The sum is not finite if any sample is missing; only then is the sample searched for.
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = block.sum()
+        if not np.isfinite(total):
+            _refuse_missing(source, block, start)
+        if start == 0:
+            silent = {column: block[0, column] for column, channel in enumerate(source.channels) if channel.role == "input"}
+        silent = {column: level for column, level in silent.items() if np.all(block[:, column] == level)}
+        start += block.shape[0]
+        yield block
+    for column in silent:
+        what = f"the force channel '{source.channels[column].name}' of '{source.name}' does not vary"
+        raise DataError(what, hint="is the sensor connected?")
+
+
+def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None:
+    missing = np.argwhere(~np.isfinite(block))
+    if not missing.size:
+        return
+    sample, column = (int(n) for n in missing[0])
+    where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
+    hint = "labpipe does not fill gaps; cut the recording there or record it again"
+    raise DataError(f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint)
+
+
+# What the doubts of channels' calibrations do to the vector of all channels: errors of gain, delay, phase
+# and direction.
+
+FORCE = "force"
+
+
+def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
+    """One factor for each doubt of a recorded channel; numbers of one source have one name, and so one error.
+
+    channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums from recorded channels.
+    """
+    n_recorded = combined.shape[1]
+    return tuple(
+        UncertainFactor(doubt.doubt.source, 0.0, doubt.doubt.std_error, doubt.doubt.unit, derivative, power, doubt.doubt.source)
+        for number, channel in enumerate(channels[:n_recorded])
+        for doubt in channel.doubts
+        for derivative, power in [_derivative(channels, combined, number, doubt)]
+        if np.any(derivative)
+    )
+
+
+def _derivative(channels: Sequence[Channel], combined: ComplexArray, number: int, doubt: ChannelDoubt) -> tuple[ComplexArray, int]:
+    """The change of the vector per unit of the error, and the power of the angular frequency that goes with it."""
+    n_channel, n_recorded = combined.shape
+    if doubt.effect == "direction":
+        change = np.zeros((n_recorded, n_channel), np.complex128)
+        change[:, :n_recorded] = turned_channels(channels[:n_recorded], number)
+        return combined @ change, 0
+    row = np.zeros(n_channel, np.complex128)
+    row[number], power = COURSES[doubt.effect]
+    return np.outer(combined[:, number], row), power
+
+
+def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
+    """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too large; zero where not known.
+
+    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta) + d X(theta + 90 deg). Forces
+    f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j d more, in components along all n.
+    """
+    change = np.zeros((len(channels), len(channels)))
+    known_angles = {
+        n: angle
+        for n, channel in enumerate(channels)
+        if channel.quantity == channels[number].quantity and (angle := _angle(channel)) is not None
+    }
+    if number not in known_angles or len(known_angles) != 2:
+        return change
+    pair = list(known_angles)
+    angles = np.array(list(known_angles.values()))
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    if abs(np.linalg.det(directions)) <= np.sin(np.deg2rad(1)):
+        return change
+    across = np.array([-np.sin(known_angles[number]), np.cos(known_angles[number])])
+    if channels[number].quantity == FORCE:
+        change[pair, number] = np.linalg.solve(directions.T, across)
+    else:
+        change[number, pair] = -across @ np.linalg.inv(directions)
+    return change
+
+
+def _angle(channel: Channel) -> float | None:
+    return AXIS_ANGLES.get(channel.dof) if channel.angle is None else channel.angle
+
+
+# Sums of channels in recordings: where a sum in time holds, and the doubt of the numbers in it.
+
+
+def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
+    """DataError for a sum in use whose members have different delays or frequency responses: made sample by sample it is not the sum."""
+    by_name = {channel.name: channel for channel in source.channels}
+    for channel in used:
+        members = [by_name[term.channel] for term in channel.terms if term.channel in by_name]
+        if len({(member.delay, member.response) for member in members}) > 1:
+            chains = ", ".join(f"{member.name}: {_chain(member)}" for member in members)
+            what = f"channel '{channel.name}' is a sum of channels with different delays or frequency responses ({chains})"
+            raise DataError(what, hint="frf: {result: spectra} sums them line by line after their corrections")
+
+
+def _chain(channel: Channel) -> str:
+    return f"{1e6 * channel.delay:g} us" + (" and a response table" if channel.response else "")
+
+
+def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]:
+    """The numbers with a doubt in sums of channels, each with the sums that it stands in."""
+    used: dict[Number, list[Channel]] = {}
+    for channel in channels:
+        for number in dict.fromkeys(number for term in channel.terms for number in term.numbers):
+            used.setdefault(number, []).append(channel)
+    return used
+
+
+def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
+    """Of sums that are inputs or outputs: doubts of their members' directions that no one channel across them propagates."""
+    channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
+    turned = {name for source in sources for name in _alone(source.channels)}
+    members = {channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in turned])}
+    return tuple(
+        Finding(
+            "number-doubt",
+            f"doubts of the direction of {', '.join(names)} in {name}: no one other channel of the quantity in a known direction "
+            "tells what is read across, and they are not in the intervals of the FRF and of its fits",
+        )
+        for name, names in members.items()
+    )
+
+
+def _alone(channels: Sequence[Channel]) -> Iterator[str]:
+    """Recorded channels whose direction has a doubt, and that no other one tells the motion across."""
+    recorded = [channel for channel in channels if not channel.terms]
+    for number, channel in enumerate(recorded):
+        if any(doubt.effect == "direction" for doubt in channel.doubts) and not np.any(turned_channels(recorded, number)):
+            yield channel.name

@@ -1,0 +1,303 @@
+"""Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of frequency.
+
+Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing in the residual.
+
+A(r) Y(k + r) = B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on System
+Identification, "Non-parametric frequency response estimation using a local rational model"; here linear in its coefficients).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.records.recording import SampleSource
+from labpipe.records.response import Blocks
+from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
+from labpipe.spectra.settings import FrfSettings
+
+# Local polynomial method: around a line FRF and leakage are polynomials over the lines (Pintelon and
+# Schoukens 2012, chapter 7).
+
+# Lines solved together, so that memory does not depend on the record, and lines from which the correlation is averaged.
+LINES_AT_ONCE, CORRELATED = 2048, 4096
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """FRF at the middle of every window: matrix (n_line, n_output, n_input) [output unit / N], covariance (n_line, n, n) of its vec.
+
+    multiple_coherence (n_line, n_output) [1] of the lines in the window without their leakage; correlation (2 n,) [1] of the error
+    with that of the next lines; condition (n_line,) [1]: of the equations of every line; dof: complex degrees of freedom of its noise.
+    """
+
+    matrix: ComplexArray
+    covariance: ComplexArray
+    multiple_coherence: FloatArray
+    correlation: FloatArray
+    condition: FloatArray
+    dof: int
+
+
+def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
+    """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every force.
+
+    Equation (frf-local-freedom).
+    """
+    return n_block * (2 * half_width - degree) - (degree + 1) * n_input
+
+
+def local_polynomials(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalFit:
+    """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common, leakage T of each block alone.
+
+    forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without window; the first and the last
+    half_width lines have no window of their own and are left out. H(k) = G_0; its covariance is that of least squares,
+    S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation (frf-local-polynomial).
+    """
+    n_line = forces.shape[1] - 2 * half_width
+    starts = range(0, n_line, LINES_AT_ONCE)
+    parts = [
+        _window_fits(
+            forces[:, first : first + min(LINES_AT_ONCE, n_line - first) + 2 * half_width],
+            responses[:, first : first + min(LINES_AT_ONCE, n_line - first) + 2 * half_width],
+            degree,
+            half_width,
+        )
+        for first in starts
+    ]
+    weights = np.concatenate([weight for *_, weight in parts])[:CORRELATED]
+    return LocalFit(
+        np.concatenate([part[0] for part in parts]),
+        np.concatenate([part[1] for part in parts]),
+        np.concatenate([part[2] for part in parts]),
+        _correlation(weights),
+        np.concatenate([part[3] for part in parts]),
+        freedom(forces.shape[0], forces.shape[2], degree, half_width),
+    )
+
+
+def _window_fits(
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, ComplexArray]:
+    """Matrix, covariance, multiple coherence, condition, and weights (n_line, n_input, n_block, 2 n + 1) of the noise of every line."""
+    n_block, _, n_input = forces.shape
+    width = 2 * half_width + 1
+    offsets = np.arange(-half_width, half_width + 1) / half_width
+    powers = offsets[:, None] ** np.arange(degree + 1)
+    smooth = np.linalg.qr(powers)[0]
+    u, y = _windows(forces, width), _windows(responses, width)
+    columns = (u[..., None, :] * powers[:, :, None]).reshape(*u.shape[:3], -1)
+    whole_size = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2)))
+    columns, y = _without(columns, smooth), _without(y, smooth)
+    n_line = columns.shape[0]
+    columns, y = columns.reshape(n_line, n_block * width, -1), y.reshape(n_line, n_block * width, -1)
+    scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1, keepdims=True))
+    columns = columns / np.where(scale > 0, scale, 1.0)
+    gram = hermitian(columns) @ columns
+    inverse = np.linalg.pinv(gram, hermitian=True)
+    gain = inverse @ hermitian(columns)
+    residual = y - columns @ (gain @ y)
+    gain = gain[:, :n_input] / scale.swapaxes(1, 2)[:, :n_input]
+    dof = freedom(n_block, n_input, degree, half_width)
+    noise = (residual.swapaxes(1, 2) @ residual.conj()) / dof
+    spread = gain @ hermitian(gain)
+    n = n_input * y.shape[2]
+    covariance = (noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(n_line, n, n)
+    left, whole = np.sum(np.abs(residual) ** 2, axis=1), np.sum(np.abs(y) ** 2, axis=1)
+    coherence = 1 - np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
+    matrix = (gain @ y).swapaxes(1, 2)
+    weights = gain.reshape(n_line, n_input, n_block, width)
+    # Of a force that is smooth over the lines itself nothing but rounding is left beside the leakage.
+    left_over = np.min(np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1)
+    condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
+    return matrix, without_rounding(covariance), coherence, condition, weights
+
+
+def _windows(spectra: ComplexArray, width: int) -> ComplexArray:
+    """The lines around every line, (n_line, n_block, width, n_channel)."""
+    return np.lib.stride_tricks.sliding_window_view(spectra, width, axis=1).transpose(1, 0, 3, 2)
+
+
+def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
+    """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1) explain."""
+    return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
+
+
+def _correlation(weights: ComplexArray) -> FloatArray:
+    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: the noise of the lines that both windows hold, averaged over the lines."""
+    width = weights.shape[3]
+    size = np.sqrt(np.sum(np.abs(weights) ** 2, axis=(2, 3)))
+    unit = weights / np.where(size > 0, size, 1.0)[:, :, None, None]
+    shared = [
+        np.mean(np.sum(unit[:-lag, :, :, lag:] * unit[lag:, :, :, : width - lag].conj(), axis=(2, 3)).real) if unit.shape[0] > lag else 0.0
+        for lag in range(1, width)
+    ]
+    return np.array(shared)
+
+
+# Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing
+# in the residual.
+
+# Lines solved together, so that memory does not depend on the record; share of a column's power below which it is noise of rounding.
+RATIONAL_LINES_AT_ONCE, ROUNDING = 2048, 1e-13
+
+
+@dataclass(frozen=True)
+class LocalNoise:
+    """What a local rational FRF leaves of every line: noise (n_line, n_output, n_output) [output unit^2] of one block.
+
+    leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line, n_block, n_output) [1]; *dof*
+    complex degrees of freedom of the noise of a line, *width* the number of lines they come from.
+    """
+
+    noise: ComplexArray
+    leakage: ComplexArray
+    spread: FloatArray
+    dof: int
+    width: int
+
+
+def noise_freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
+    """Complex degrees of freedom of the residual of one output: as of local polynomials, less one for the pole."""
+    return freedom(n_block, n_input, degree, half_width) - 1
+
+
+def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
+    """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block, n_line, n_input) [N].
+
+    Both are transforms without window. Every output has its own pole, which all blocks share as they share B; each block has its own
+    leakage T, of which T(0) is the value at the line. The first and the last half_width lines are left out. Equation (frf-local-rational).
+    """
+    n_line = forces.shape[1] - 2 * half_width
+    parts: list[tuple[ComplexArray, ComplexArray, FloatArray]] = []
+    for first in range(0, n_line, RATIONAL_LINES_AT_ONCE):
+        around = slice(first, first + min(RATIONAL_LINES_AT_ONCE, n_line - first) + 2 * half_width)
+        parts.append(_around_lines(forces[:, around], responses[:, around], degree, half_width))
+    noise: ComplexArray = np.concatenate([part[0] for part in parts])
+    leakage: ComplexArray = np.concatenate([part[1] for part in parts])
+    spread: FloatArray = np.concatenate([part[2] for part in parts])
+    dof = noise_freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    return LocalNoise(noise / dof, leakage, spread, dof, 2 * half_width + 1)
+
+
+def _around_lines(
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Sums of the residual's products (n_line, n_output, n_output), leakage and spread (n_line, n_block, n_output)."""
+    n_block, _, n_output = responses.shape
+    width = 2 * half_width + 1
+    offsets = np.arange(-half_width, half_width + 1) / half_width
+    powers = offsets[:, None] ** np.arange(degree + 1)
+    smooth = np.linalg.qr(powers)[0]
+    u, y = _windows(forces, width), _windows(responses, width)
+    of_forces = (u[..., None, :] * powers[:, :, None]).reshape(*u.shape[:3], -1)
+    residuals, leakage, spread = [], [], []
+    for output in range(n_output):
+        # The output's own column takes the pole: -a r Y on the right side.
+        columns = np.concatenate([of_forces, (y[..., output] * offsets)[..., None]], axis=3)
+        residual, leaked, variance = _solved(columns, y[..., output], smooth, half_width)
+        residuals.append(residual.reshape(residual.shape[0], n_block * width))
+        leakage.append(leaked)
+        spread.append(variance)
+    joined = np.stack(residuals, axis=1)
+    return joined @ hermitian(joined), np.stack(leakage, axis=2), np.stack(spread, axis=2)
+
+
+def _solved(columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials *smooth* (width, degree + 1).
+
+    Gives residual (n_line, n_block, width), and leakage (n_line, n_block) in the middle of the window with its variance over the noise's.
+    """
+    n_line, n_block, width, n = columns.shape
+    scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2), keepdims=True))
+    columns = columns / np.where(scale > 0, scale, 1.0)
+    at_middle = smooth @ smooth[middle]
+    of_columns, of_y = np.einsum("t,lbtc->lbc", at_middle, columns), np.einsum("t,lbt->lb", at_middle, y)
+    columns, rest = _rational_without(columns, smooth), _rational_without(y[..., None], smooth)
+    rows = columns.reshape(n_line, n_block * width, n)
+    inverse = np.linalg.pinv(hermitian(rows) @ rows, rcond=ROUNDING, hermitian=True)
+    factors = inverse @ (hermitian(rows) @ rest.reshape(n_line, -1, 1))
+    residual = rest - (rows @ factors).reshape(rest.shape)
+    spread = np.dot(at_middle, at_middle) + np.einsum("lbp,lpq,lbq->lb", of_columns, inverse, of_columns.conj()).real
+    return residual[..., 0], of_y - (of_columns @ factors)[..., 0], spread
+
+
+def _rational_without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
+    """Columns (n_line, n_block, width, n) without what polynomials (width, degree + 1) explain, n the last axis."""
+    return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
+
+
+# Recordings of a random excitation -> FRF matrix by the local polynomial method, with the covariance from
+# the local residual.
+
+# Degrees of freedom of the noise of a line that the half width is chosen for, and least that is accepted.
+USUAL_DOF, LEAST_DOF = 8, 2
+# Condition number of the equations of a line above which the forces are not rough enough to tell FRF and leakage apart.
+WORST_CONDITION = 1e8
+
+
+def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF from DFTs of neighbouring blocks without window; DataError for forces that cannot be told from leakage or from each other."""
+    assert settings.block is not None
+    rate = sources[0].sample_rate
+    n_sample = round(settings.block * rate)
+    blocks = np.concatenate([layout.padded(number, _spectra(source, n_sample), 1) for number, source in enumerate(sources)])
+    n_input = len(layout.inputs)
+    half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
+    if freedom(blocks.shape[0], n_input, settings.degree, half_width) < LEAST_DOF:
+        least = usual_half_width(blocks.shape[0], n_input, settings.degree)
+        raise DataError(f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out")
+    frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
+    inner = frequency[half_width:-half_width]
+    if not inner.size:
+        raise DataError(f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}", hint="lengthen `block`")
+    chosen = np.flatnonzero(lines_left(inner, settings))
+    first, last = int(chosen[0]), int(chosen[-1]) + 1
+    around = slice(first, last + 2 * half_width)
+    fitted = local_polynomials(blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width)
+    lines = chosen - first
+    _check_condition(fitted.condition[lines], layout)
+    coherence = fitted.multiple_coherence[lines]
+    power: FloatArray = np.mean(np.abs(blocks[:, half_width + chosen, n_input:]) ** 2, axis=0)
+    return Parts(
+        frequency=inner[chosen],
+        matrix=fitted.matrix[lines],
+        covariance=fitted.covariance[lines],
+        # One value of the noise serves all lines of a window, as if each had this many averages.
+        averages=1 + fitted.dof / (2 * half_width + 1),
+        dof=float(fitted.dof),
+        findings=coherence_findings(coherence, power, layout),
+        coherence=coherence[:, :, None] if n_input == 1 else None,
+        multiple_coherence=coherence,
+        blocks=Blocks(settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree, layout.derivatives),
+        line_correlation=tuple(complex(value) for value in fitted.correlation),
+    )
+
+
+def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
+    """The least half width with USUAL_DOF degrees of freedom of the noise, and with more lines than a polynomial has coefficients."""
+    return next(n for n in range(degree + 1, 10_000) if freedom(n_block, n_input, degree, n) >= USUAL_DOF)
+
+
+def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
+    """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last below half the rate."""
+    if source.n_sample < n_sample or n_sample < 8:
+        have = source.n_sample / source.sample_rate
+        raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {n_sample / source.sample_rate:g} s")
+    samples = np.concatenate(list(checked_blocks(source)))
+    whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
+    return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])
+
+
+def _check_condition(condition: FloatArray, layout: Layout) -> None:
+    if np.any(condition > WORST_CONDITION):
+        names = ", ".join(port.label for port in layout.inputs)
+        what = f"the force {names} is too smooth over the lines, or too few recordings have it, to tell FRF and leakage apart"
+        raise DataError(what, hint="a random force in every direction, or leave `local` out")

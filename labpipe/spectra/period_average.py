@@ -1,0 +1,177 @@
+"""Periodic excitation: average of whole periods line by line, noise from the scatter between periods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, special
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.errors import ConfigError, DataError
+
+# Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for example).
+OUTLIER_LEVEL = 1e-3
+
+
+@dataclass(frozen=True)
+class LineSpectrum:
+    """Fourier amplitudes of all channels averaged over periods, and the noise of the averages.
+
+    frequency  (n_line,) [Hz]
+    mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t) [unit of the channel]
+    noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H], or None with a single period
+    dof        complex degrees of freedom behind each line of the noise
+    """
+
+    frequency: FloatArray
+    mean: ComplexArray
+    noise: ComplexArray | None
+    n_period: int
+    dof: float
+
+    def select(self, lines: BoolArray) -> LineSpectrum:
+        """The spectrum at the lines of the mask *lines* (n_line,); mean and noise keep their units [unit of the channel]."""
+        noise = None if self.noise is None else self.noise[lines]
+        return LineSpectrum(self.frequency[lines], self.mean[lines], noise, self.n_period, self.dof)
+
+
+def samples_per_period(period: float, sample_rate: float) -> int:
+    """Samples in a period [s]; ConfigError unless their number is whole."""
+    exact = period * sample_rate
+    n_sample = round(exact)
+    if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
+        hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
+        raise ConfigError(f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number", hint=hint)
+    return n_sample
+
+
+class PeriodAverage:
+    """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
+
+    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation (spec-period).
+    """
+
+    def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
+        """*n_sample* samples per period, *skip* transient periods; *lines* of the DFT, by default all above 0 Hz."""
+        self._n_sample = n_sample
+        self._lines = lines
+        self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
+        self._skip = skip
+        self._rest: FloatArray = np.empty((0, n_channel))
+        n_line = self._line_numbers.size
+        self._mean = np.zeros((n_line, n_channel), np.complex128)
+        self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
+        self.n_period = 0
+
+    def add(self, block: FloatArray) -> None:
+        """Add the next block (n, n_channel) [unit of the channel]."""
+        samples = np.concatenate([self._rest, block]) if self._rest.size else block
+        n_whole = samples.shape[0] // self._n_sample
+        for number in range(n_whole):
+            self._add_period(samples[number * self._n_sample : (number + 1) * self._n_sample])
+        self._rest = samples[n_whole * self._n_sample :].copy()
+
+    def _add_period(self, period: FloatArray) -> None:
+        if self._skip > 0:
+            self._skip -= 1
+            return
+        # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
+        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (2 / self._n_sample)
+        self.n_period += 1
+        before = amplitude - self._mean
+        self._mean += before / self.n_period
+        after = amplitude - self._mean
+        self._scatter += before[:, :, None] * after[:, None, :].conj()
+
+    def spectrum(self, sample_rate: float) -> LineSpectrum:
+        """The averaged lines; DataError when no period is left after the transient ones. Equation (spec-period-noise)."""
+        n = self.n_period
+        if n == 0:
+            raise DataError(
+                "the recording is too short for one period after the transient ones",
+                hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or record longer",
+            )
+        frequency = self._line_numbers * (sample_rate / self._n_sample)
+        noise = None if n == 1 else self._scatter / (n * (n - 1))
+        return LineSpectrum(frequency, self._mean.copy(), noise, n, float(n - 1))
+
+
+def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
+    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
+
+    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood fit with weights
+    of 4 degrees of freedom is inefficient and underestimates its standard errors. Measurement noise is broadband, so neighbouring
+    lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged;
+    of fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours' raises theirs.
+    Equation (spec-smoothed-noise).
+    """
+    if spectrum.noise is None or half_width == 0:
+        return spectrum
+    broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
+    smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
+    own = spectrum.noise
+    if with_inverse and spectrum.dof < own.shape[-1]:
+        power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
+        raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
+        own = np.where(np.all((around > 0) | (power == 0), axis=1)[:, None, None], smooth * raised[:, :, None] * raised[:, None], own)
+    noise = np.where(broadband[:, None, None], smooth, own)
+    count = _neighbourhood_count(broadband, half_width, centre=True)
+    dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
+    return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
+
+
+def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
+    """Lines whose noise power (n_line, n_channel) equals that of their neighbours, by repeated F-tests.
+
+    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is repeated without the outliers.
+    """
+    broadband = np.ones(power.shape[0], bool)
+    while True:
+        neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
+        count = _neighbourhood_count(broadband, half_width, centre=False)
+        limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
+        # A line without remaining neighbours cannot be tested.
+        outliers = np.any((power > limit[:, None] * neighbours) & (neighbours > 0), axis=1) & broadband
+        if not np.any(outliers):
+            return broadband
+        broadband &= ~outliers
+
+
+def _neighbourhood_sum(values: NDArray[Any], half_width: int, centre: bool) -> NDArray[Any]:
+    """Sum over k-h ... k+h along axis 0, truncated at the ends, with or without line k itself (*centre*).
+
+    Term by term: differences of running sums would lose small noise behind one huge line.
+    """
+    total = values.copy() if centre else np.zeros_like(values)
+    for shift in range(1, min(half_width, values.shape[0] - 1) + 1):
+        total[shift:] += values[:-shift]
+        total[:-shift] += values[shift:]
+    return total
+
+
+def _neighbourhood_count(chosen: BoolArray, half_width: int, centre: bool) -> FloatArray:
+    return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, centre), 1)
+
+
+def neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True) -> NDArray[Any]:
+    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ... k+h, with or without line k itself."""
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, centre)
+    mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, centre).reshape(shape)
+    return mean
+
+
+def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> BoolArray:
+    """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
+
+    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation (spec-excited).
+    """
+    force = np.abs(spectrum.mean[:, inputs])
+    excited = force > floor * np.max(force, axis=0)
+    if spectrum.noise is not None:
+        std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, inputs])
+        excited &= force > signal_to_noise * std
+    return np.any(excited, axis=1)

@@ -1,0 +1,433 @@
+"""Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the scatter of blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.records.finding import Finding, note
+from labpipe.records.recording import SampleSource
+from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.covariance import ENOUGH_DOF, covariance_of_periodic
+from labpipe.spectra.period_average import neighbourhood_mean
+from labpipe.spectra.ports import Layout, Parts, lines_left
+from labpipe.spectra.quality import force_inverse
+from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sweeps import Dwell, find_dwells, loudest
+
+# Sines of one frequency in samples: frequency, complex amplitudes, and their scatter from block to block.
+
+# Steps of Gauss and Newton for the frequency: the error shrinks by orders of magnitude with each.
+STEPS = 6
+
+
+def design(frequency: float, n_sample: int) -> FloatArray:
+    """cos, -sin and 1 (n_sample, 3) [1] at a *frequency* [periods per sample], so that the first two factors are Re and Im of X."""
+    phase = 2 * np.pi * frequency * np.arange(n_sample)
+    return np.column_stack([np.cos(phase), -np.sin(phase), np.ones(n_sample)])
+
+
+def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
+    """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample, n_channel) [unit of the channel].
+
+    Equation (spec-sine).
+    """
+    factors = np.linalg.lstsq(design(frequency, samples.shape[0]), samples, rcond=None)[0]
+    amplitude: ComplexArray = factors[0] + 1j * factors[1]
+    return amplitude
+
+
+def sine_frequency(signal: FloatArray, frequency: float) -> float:
+    """Frequency [periods per sample] of a sine with offset in white noise, by least squares (n_sample,) [any unit] from a first guess.
+
+    Its variance is the bound of Cramer and Rao, 6 s^2 / (pi^2 A^2 N^3) [periods^2 per sample^2] for the amplitude A and the noise s
+    (Rife and Boorstyn 1974, IEEE Trans. Inf. Theory 20, for large N).
+    """
+    n = signal.size
+    time = np.arange(n) - (n - 1) / 2
+    for _ in range(STEPS):
+        phase = 2 * np.pi * frequency * time
+        cos, sin = np.cos(phase), np.sin(phase)
+        basis = np.column_stack([cos, sin, np.ones(n)])
+        a, b, _ = np.linalg.lstsq(basis, signal, rcond=None)[0]
+        slope = 2 * np.pi * time * (b * cos - a * sin)
+        frequency += float(np.linalg.lstsq(np.column_stack([basis, slope]), signal, rcond=None)[0][3])
+    return frequency
+
+
+def block_amplitudes(samples: FloatArray, frequency: float, length: float, count: int) -> ComplexArray:
+    """X (count, n_channel) [unit of the channel] in blocks of *length* samples one after the other, of *samples* (n_sample, n_channel).
+
+    Their phase is that of the first sample of all.
+    """
+    blocks = []
+    for number in range(count):
+        start, stop = round(number * length), round((number + 1) * length)
+        blocks.append(amplitudes(samples[start:stop], frequency) * np.exp(-2j * np.pi * frequency * start))
+    return np.array(blocks)
+
+
+def frequency_variance(signal: FloatArray, frequency: float) -> float:
+    """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal* (n_sample,) [any unit].
+
+    Equation (spec-sine-variance).
+    """
+    n = signal.size
+    basis = design(frequency, n)
+    factors = np.linalg.lstsq(basis, signal, rcond=None)[0]
+    noise = float(np.sum((signal - basis @ factors) ** 2)) / max(n - 4, 1)
+    return 6 * noise / (np.pi**2 * float(factors[0] ** 2 + factors[1] ** 2) * n**3)
+
+
+# How long after each step the transient lasts: until what is left of it is far below the noise of the
+# result.
+
+# Bins of the time after a step, from zero to the end of the longest dwell.
+N_BIN = 40
+# Standard errors by which the scatter in a bin exceeds that of noise while a transient is seen.
+SEEN = 4.0
+# Share of a standard error that the transient may leave in a result.
+LEFT = 0.2
+# Noise of a block [of its amplitude] below which no sensor is believed to be: a transient smaller than that has settled.
+LEAST_NOISE = 1e-4
+
+
+@dataclass(frozen=True)
+class Course:
+    """Amplitudes of a dwell, block by block: *times* (n_block,) [s] after the step, *values* (n_block, n_channel) [unit of the channel]."""
+
+    times: FloatArray
+    values: ComplexArray
+
+    def of(self, channel: int) -> Course:
+        return Course(self.times, self.values[:, [channel]])
+
+    def deviation(self) -> FloatArray:
+        """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives, (n_block, n_channel) [1]."""
+        half = self.values[self.values.shape[0] // 2 :]
+        n = half.shape[0]
+        noise = np.mean(np.abs(np.diff(half, axis=0)) ** 2, axis=0) / 2
+        floor = LEAST_NOISE * np.mean(np.abs(half), axis=0)
+        scale = np.maximum(noise, floor**2)
+        early = np.arange(self.values.shape[0])[:, None] < self.values.shape[0] - n
+        return np.asarray(np.abs(self.values - half.mean(axis=0)) ** 2 / scale - np.where(early, 1 + 1 / n, 1 - 1 / n))
+
+
+def settle_time(courses: Sequence[Course]) -> float:
+    """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0 where none is seen.
+
+    All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t - t_1) / tau), shows the
+    transient up to t_1, and is continued from there. A transient of a/s standard deviations of a block leaves the mean of n blocks
+    off by a tau / (n T) in standard errors s / sqrt(n). DataError when the transient outlasts the dwells. Equation (frf-settle).
+    """
+    longest = max(float(course.times[-1]) for course in courses)
+    edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
+    time, excess, error = _binned(courses, edges)
+    seen = excess > SEEN * error
+    last = int(np.argmin(seen)) if not np.all(seen) else seen.size
+    if last == 0:
+        return 0.0
+    if time[last - 1] > 0.6 * longest:
+        what = f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last {longest:.3g} s"
+        raise DataError(what, hint="longer dwells; or state `settle`")
+    end = float(edges[_bin(edges, time[last - 1]) + 1])
+    tau = _time_constant(time[:last], excess[:last])
+    wanted = min(_allowed(course, tau) for course in courses)
+    return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
+
+
+def _bin(edges: FloatArray, time: float) -> int:
+    return int(np.searchsorted(edges, time, side="right")) - 1
+
+
+def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its standard error under noise."""
+    total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
+    when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
+    for course in courses:
+        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, edges.size - 2)
+        number = np.bincount(place, minlength=edges.size - 1)
+        some = number > 0
+        deviation = course.deviation()
+        sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
+        total[some] += sums[some] / number[some]
+        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom, heavier than chi2.
+        variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
+        when += np.bincount(place, course.times, minlength=edges.size - 1)
+        count += number
+    some = count > 0
+    return when[some] / count[some], total[some], np.sqrt(variance[some])
+
+
+def _time_constant(time: FloatArray, excess: FloatArray) -> float:
+    """tau [s] of an excess exp(-2 t / tau), from its largest value to the end of what is seen; at least a bin, where it falls faster."""
+    top = int(np.argmax(excess))
+    shortest = float(time[-1]) / max(time.size, 1)
+    if time.size - top < 2:
+        return shortest
+    slope = np.polyfit(time[top:], np.log(excess[top:]), 1)[0]
+    return max(shortest, -2.0 / float(slope)) if slope < 0 else float(time[-1])
+
+
+def _allowed(course: Course, tau: float) -> float:
+    """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n blocks."""
+    n = course.times.size
+    step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
+    return float(LEFT**2 * n / max(1.0, tau / step) ** 2)
+
+
+# Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the
+# scatter within each.
+
+# Blocks into which a dwell is cut for its noise: at most, and at least.
+MOST_BLOCKS, LEAST_BLOCKS = 32, 4
+# Fewest samples of a block, so that three values are fitted to more.
+LEAST_SAMPLES = 8
+# Frequencies of two dwells are the same within this share of one over their length: far below what a dwell can resolve.
+SAME_LINE = 0.05
+# Share of the force's power that the sine explains in a dwell, and of the largest amplitude that it has.
+SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
+
+
+@dataclass(frozen=True)
+class Line:
+    """A dwell evaluated: *frequency* [Hz] and its variance [Hz^2], *duration* [s] of what is used, complex degrees of freedom *dof*.
+
+    mean (n_channel,) [unit of the channel], its covariance *noise* (n_channel, n_channel) [unit^2].
+    """
+
+    frequency: float
+    variance: float
+    duration: float
+    mean: ComplexArray
+    noise: ComplexArray
+    dof: float
+
+
+def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF H = Y pinv(U) at the frequencies at which every recording dwells.
+
+    DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in common, or when the forces
+    are not independent. Equation (frf-stepped).
+    """
+    measured = [
+        _lines(source, settings, layout.input_columns[number], layout.output_columns[number]) for number, source in enumerate(sources)
+    ]
+    common, n_alone = _common([lines for lines, _ in measured])
+    frequency = np.array([np.mean([line.frequency for line in row]) for row in common])
+    chosen = lines_left(frequency, settings)
+    common = [row for row, is_chosen in zip(common, chosen, strict=True) if is_chosen]
+    columns = list(zip(*common, strict=True))
+    n_input = len(layout.inputs)
+    mean = np.stack([layout.padded(e, np.stack([line.mean for line in lines]), 1) for e, lines in enumerate(columns)], axis=2)
+    dof = min(line.dof for row in common for line in row)
+    half_width = min(settings.smooth, int(np.ceil((ENOUGH_DOF / dof - 1) / 2))) if dof < ENOUGH_DOF else 0
+    noise = np.stack([layout.padded(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
+    inverse = force_inverse(mean[:, :n_input], layout)
+    matrix = mean[:, n_input:] @ inverse
+    return Parts(
+        frequency=frequency[chosen],
+        matrix=matrix,
+        covariance=covariance_of_periodic(matrix, inverse, noise) + _of_frequency(frequency[chosen], matrix, common),
+        averages=dof + 1,
+        dof=dof * min(2 * half_width + 1, len(common)),
+        findings=(*(finding for _, finding in measured), *_alone(n_alone)),
+        snr=_signal_to_noise(mean, noise),
+    )
+
+
+def _of_frequency(frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]) -> ComplexArray:
+    """Covariance (n_line, n, n) that the doubt of the frequency leaves: g g^H var(f), g = dH/df (n_line, n) from neighbouring lines."""
+    flat = matrix.reshape(frequency.size, -1)
+    slope = np.zeros(flat.shape, np.complex128)
+    if frequency.size > 1:
+        slope[:] = np.gradient(flat, frequency, axis=0)
+    variance = np.array([max(line.variance for line in row) for row in rows])
+    return np.asarray(slope[:, :, None] * slope[:, None, :].conj() * variance[:, None, None])
+
+
+def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
+    """Noise of the means (n_line, n_channel, n_channel) [unit^2], its density averaged over *half_width* lines to either side."""
+    duration = np.array([line.duration for line in lines])[:, None, None]
+    noise = np.stack([line.noise for line in lines])
+    if half_width == 0:
+        return noise
+    return np.asarray(neighbourhood_mean(noise * duration, np.ones(len(lines), bool), half_width) / duration)
+
+
+def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
+    """|mean| / std of the mean per line and channel, the largest over the recordings, (n_line, n_channel)."""
+    std = np.sqrt(np.maximum(np.einsum("eljj->lje", noise).real, 0.0))
+    ratio = np.divide(np.abs(mean), std, out=np.full(std.shape, np.inf), where=std > 0)
+    ratio[np.abs(mean) == 0] = 0.0
+    return np.minimum(np.max(ratio, axis=2), 1e12)
+
+
+def _alone(number: int) -> tuple[Finding, ...]:
+    if not number:
+        return ()
+    return (Finding("dwells-left-out", f"{number} dwell(s) are left out: not every recording has their frequency"),)
+
+
+def _lines(
+    source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
+) -> tuple[list[Line], Finding]:
+    """The evaluated dwells of a recording by rising frequency, and a note on them."""
+    samples = np.concatenate(list(checked_blocks(source)))
+    rate = source.sample_rate
+    force = loudest(samples, np.array([column for column in input_columns if column >= 0]))
+    try:
+        dwells = _loud_sines(samples[:, force], find_dwells(samples[:, force]))
+        # The other forces are noise here, references know nothing of the steps.
+        courses = _courses(samples[:, [force, *output_columns]], dwells, rate)
+        settle = _settle(courses) if settings.settle is None else settings.settle
+    except DataError as error:
+        raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
+    settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
+    lines = [_line(source, samples, dwell, settling, force) for dwell in dwells]
+    merged = _merged(lines)
+    used = sum(line.duration for line in lines) * rate / samples.shape[0]
+    repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
+    message = (
+        f"'{source.name}': {len(merged)} frequencies{repeats}, {merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {settle:.3g} s are "
+        f"left out after each step; {100 * used:.0f} % of the record is used"
+    )
+    return merged, note("dwells", message)
+
+
+def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
+    """Dwells in which a sine explains the force; pauses with hum are none."""
+    sizes, shares = [], []
+    for dwell in dwells:
+        part = force[dwell.start : dwell.stop]
+        size = float(np.abs(amplitudes(part[:, None], dwell.frequency)[0]))
+        sizes.append(size)
+        shares.append(size**2 / 2 / max(float(np.var(part)), np.finfo(float).tiny))
+    kept = [
+        dwell for dwell, size, share in zip(dwells, sizes, shares, strict=True) if share > SINE_SHARE and size > LEAST_LEVEL * max(sizes)
+    ]
+    if not kept:
+        raise DataError("the force is no sine in any of its dwells", hint="is it another excitation?")
+    return kept
+
+
+def _periods_per_block(frequency: float, n_period: int) -> int:
+    """Whole periods per block, at least as many as hold LEAST_SAMPLES, so that there are at most MOST_BLOCKS blocks."""
+    return max(int(np.ceil(LEAST_SAMPLES * frequency)), -(-n_period // MOST_BLOCKS), 1)
+
+
+@dataclass(frozen=True)
+class _Settling:
+    """Times after a step [s] that *responses* and *force* take to settle, and periods dropped in any case."""
+
+    responses: float
+    force: float
+    periods: int
+
+    def samples(self, time: float, dwell: Dwell, rate: float) -> int:
+        return int(np.ceil(max(time * rate, self.periods / dwell.frequency)))
+
+
+def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
+    """The amplitudes of the dwells that have periods enough, from the step on; the first channel is the force that steps."""
+    courses = []
+    for dwell in dwells:
+        part = samples[dwell.start : dwell.stop]
+        # An error of the frequency would turn the amplitudes as a transient does; the force settles first.
+        frequency = sine_frequency(part[part.shape[0] // 2 :, 0], dwell.frequency)
+        length = max(1, int(np.ceil(LEAST_SAMPLES * frequency))) / frequency
+        count = int(part.shape[0] / length) - 1
+        if count >= 2 * LEAST_BLOCKS:
+            values = block_amplitudes(part, frequency, length, count)
+            courses.append(Course((np.arange(count) + 0.5) * length / rate, values))
+    return courses
+
+
+def _settle(courses: list[Course]) -> float:
+    """The time after a step [s] that the recording itself shows."""
+    if not courses:
+        raise DataError(f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`")
+    return settle_time(courses)
+
+
+def _settle_of_force(courses: list[Course], otherwise: float) -> float:
+    """The time after a step [s] from which the force alone is steady: it gives the frequency, the more exactly the longer it is."""
+    try:
+        return _settle([course.of(0) for course in courses])
+    except DataError:
+        return otherwise
+
+
+def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Settling, force: int) -> Line:
+    """The amplitudes of one dwell after its transient, relative to the phase of the force."""
+    rate = source.sample_rate
+    start = dwell.start + settling.samples(settling.responses, dwell, rate)
+    # The last period may hold the beginning of the next step.
+    n_period = int((dwell.stop - start) * dwell.frequency) - 1
+    per_block = _periods_per_block(dwell.frequency, max(n_period, 1))
+    count = n_period // per_block
+    if count < LEAST_BLOCKS:
+        length, needed = (dwell.stop - dwell.start) / rate, (start - dwell.start + (LEAST_BLOCKS * per_block + 2) / dwell.frequency) / rate
+        what = f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, {needed:.3g} s are needed"
+        raise DataError(
+            f"{what}: {settling.responses:.3g} s for its transient, then periods",
+            hint="longer dwells, or state `settle`; a slow sweep has none",
+        )
+    rough = samples[start : start + round(n_period / dwell.frequency)]
+    period = round(1 / dwell.frequency)
+    steady = samples[dwell.start + settling.samples(settling.force, dwell, rate) : dwell.stop - period, force]
+    frequency = sine_frequency(steady, dwell.frequency)
+    variance = frequency_variance(steady, frequency) * rate**2
+    length = per_block / frequency
+    blocks = block_amplitudes(rough, frequency, length, count)
+    used = rough[: round(count * length)]
+    mean = amplitudes(used, frequency)
+    error = blocks - blocks.mean(axis=0)
+    noise = np.einsum("na,nb->ab", error, error.conj()) / (count * (count - 1))
+    turn = np.exp(-1j * np.angle(mean[force]))
+    return Line(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
+
+
+def _merged(lines: list[Line]) -> list[Line]:
+    """The lines by rising frequency; dwells at one frequency averaged by their duration."""
+    groups: list[list[Line]] = []
+    for line in sorted(lines, key=lambda line: line.frequency):
+        if groups and _same(groups[-1][0], line):
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    return [_average(group) for group in groups]
+
+
+def _same(one: Line, other: Line) -> bool:
+    return abs(one.frequency - other.frequency) < SAME_LINE / min(one.duration, other.duration)
+
+
+def _average(group: list[Line]) -> Line:
+    total = sum(line.duration for line in group)
+    shares = [line.duration / total for line in group]
+    return Line(
+        frequency=sum(share * line.frequency for share, line in zip(shares, group, strict=True)),
+        variance=sum(share**2 * line.variance for share, line in zip(shares, group, strict=True)),
+        duration=total,
+        mean=np.sum([share * line.mean for share, line in zip(shares, group, strict=True)], axis=0),
+        noise=np.sum([share**2 * line.noise for share, line in zip(shares, group, strict=True)], axis=0),
+        dof=sum(line.dof for line in group),
+    )
+
+
+def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], int]:
+    """Rows of the lines of all recordings at one frequency, and how many lines are in no row; DataError without any."""
+    rows = []
+    for line in recordings[0]:
+        partners = [next((other for other in lines if _same(line, other)), None) for lines in recordings[1:]]
+        row = (line, *(other for other in partners if other is not None))
+        if len(row) == len(recordings):
+            rows.append(row)
+    if not rows:
+        raise DataError("the recordings dwell at no frequency in common", hint="the same steps in every force direction")
+    return rows, sum(len(lines) for lines in recordings) - len(rows) * len(recordings)

@@ -1,0 +1,147 @@
+"""Two tests band by band: bands with different coefficients, corrected for the number of bands (Holm 1979)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.distributions import student_quantile, student_tail
+from labpipe.errors import ConfigError, FitError
+from labpipe.records.comparison import ComparedBand, Comparison
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
+from labpipe.registry import nearest
+from labpipe.uncertainty.amounts import chance, parameter_changes, random_error
+from labpipe.uncertainty.settings import CompareSettings
+
+ANY = "k"
+MOST_NAMED = 8
+COEFFICIENTS = ("N/m", "N.s/m")
+
+
+@dataclass(frozen=True)
+class TwoTests:
+    """The fits of two tests, of the groups *names* in order."""
+
+    names: tuple[str, str]
+    fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
+
+
+def holm(p_values: FloatArray) -> FloatArray:
+    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid under any dependence.
+
+    Equation (comp-holm).
+    """
+    order = np.argsort(p_values)
+    steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
+    corrected = np.empty_like(p_values)
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected
+
+
+def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
+    """Comparison of all coefficients in the bands common to both tests, second group against first.
+
+    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to both tests and therefore
+    excluded. ConfigError for an unknown parameter, FitError without a common band. Equation (comp-bands).
+    """
+    names = _parameters(settings, tests)
+    pairs = [(a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz]
+    usable = [(a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error]
+    if not usable:
+        raise FitError("the two tests have no band in common with standard errors", hint="fit both in the same bands")
+    raw = [_tested(a, b, name) for a, b, name in usable]
+    corrected = holm(np.array([p for p, _ in raw]))
+    first, second = tests.names
+    bands = tuple(
+        _band(f"{second} against {first}", *pair, reach, float(p)) for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
+    )
+    differing = [band for band in bands if band.p_value is not None and band.p_value < settings.level]
+    verdict = "different" if differing else "no difference"
+    return Comparison(
+        name=settings.name,
+        kind="bands",
+        subject=f"{', '.join(names)}, fit {settings.fit}",
+        unit="N/m",
+        points=(),
+        amounts=(
+            Parameter("different", float(len(differing)), "1", derived=True),
+            Parameter("tested", float(len(bands)), "1", derived=True),
+            chance("p_value", float(np.min(corrected))),
+        ),
+        verdict=verdict,
+        statement=_statement(tests, bands, differing, verdict, settings.level, len(pairs) - len(usable)),
+        condition=settings.group,
+        bands=bands,
+    )
+
+
+def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
+    """The parameter of the settings, or all coefficients."""
+    names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
+    if settings.parameter == ANY and ANY not in names:
+        return names
+    if settings.parameter == ANY:
+        return [name for name in names if name in ("k", "c")]
+    if settings.parameter not in names:
+        raise ConfigError(f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names))
+    return [settings.parameter]
+
+
+def _tested(a: Fit, b: Fit, name: str) -> tuple[float, float]:
+    """Two-sided p-value of a difference, and half the width of its 95 % interval."""
+    errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
+    first, second = parameter_changes((a, b), name).T
+    total = float(np.sqrt(np.sum(errors**2) + np.sum((second - first) ** 2)))
+    dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
+    t = (b.parameter(name).value - a.parameter(name).value) / total
+    return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
+
+
+def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:
+    """The second group's value beside the first's; the ratio's interval is that of the difference."""
+    old, new = a.parameter(name), b.parameter(name)
+    assert new.ci95 is not None
+    ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
+    ratio = new.value / old.value
+    return ComparedBand(
+        test,
+        name,
+        new.unit,
+        band_hz=a.band_hz,
+        value=new.value,
+        ci95=new.ci95,
+        other=old.value,
+        other_ci95=old.ci95,
+        ratio=ratio,
+        ratio_ci95=(ends[0], ends[1]),
+        p_value=p_value,
+    )
+
+
+def _statement(
+    tests: TwoTests, bands: Sequence[ComparedBand], differing: Sequence[ComparedBand], verdict: str, level: float, left_out: int
+) -> str:
+    first, second = tests.names
+    result = f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
+    corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
+    listed = [f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})" for band in differing[:MOST_NAMED]]
+    more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
+    named = f" They are {', '.join(listed)}{more}." if listed else ""
+    missing = f" {left_out} have no standard error and are left out." if left_out else ""
+    return result + corrected + named + missing
+
+
+def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]]) -> TwoTests:
+    """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with several."""
+    chosen = []
+    for name in settings.groups:
+        members = [test for test, group in groups if group == name]
+        if len(members) != 1:
+            names = ", ".join(sorted({group for _, group in groups}))
+            raise ConfigError(f"{len(members)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {names}")
+        chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
+    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]))

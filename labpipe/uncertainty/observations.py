@@ -1,0 +1,174 @@
+"""Inputs of a comparison: one parameter of one fit in every test, with the conditions of the test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.quantities import UnitError, si_amount
+from labpipe.records.comparison import ComparedPoint
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
+from labpipe.registry import nearest
+from labpipe.uncertainty.amounts import parameter_changes, random_error
+from labpipe.uncertainty.settings import CompareSettings
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A parameter of a test's fit; *condition* and *second* one in SI (NaN where the settings name none), *group* as written."""
+
+    fit: Fit
+    parameter: Parameter
+    condition: float
+    second: float
+    group: str
+
+    @property
+    def value(self) -> float:
+        return self.parameter.value
+
+    @property
+    def std_error(self) -> float:
+        """The standard error of this test alone, without errors that tests have in common; FitError for a parameter without one."""
+        error = random_error(self.fit, self.parameter)
+        if error is None:
+            raise FitError(f"'{self.parameter.name}' of test {self.fit.test} has no standard error", hint="a comparison needs one")
+        return error
+
+    @property
+    def relative(self) -> float:
+        """Standard error over value; FitError for a value that is not above zero."""
+        if not self.value > 0:
+            raise FitError(f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}", hint="only positive values have a ratio")
+        return self.std_error / self.value
+
+    def point(self) -> ComparedPoint:
+        condition, second = (None if np.isnan(amount) else amount for amount in (self.condition, self.second))
+        return ComparedPoint(self.fit.test, self.value, ci95=self.parameter.ci95, condition=condition, second=second, group=self.group)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The observations of one comparison, in ascending order of the conditions, with the units of value and conditions."""
+
+    settings: CompareSettings
+    observations: tuple[Observation, ...]
+    condition_unit: str
+    second_unit: str = ""
+
+    @property
+    def unit(self) -> str:
+        return self.observations[0].parameter.unit
+
+    @property
+    def condition(self) -> FloatArray:
+        """Condition of every test, (n_test,) [condition_unit]."""
+        return np.array([observation.condition for observation in self.observations])
+
+    @property
+    def second(self) -> FloatArray:
+        """Second condition of every test, (n_test,) [second_unit]."""
+        return np.array([observation.second for observation in self.observations])
+
+    @property
+    def value(self) -> FloatArray:
+        """Parameter of every test, (n_test,) [unit]."""
+        return np.array([observation.value for observation in self.observations])
+
+    @property
+    def std_error(self) -> FloatArray:
+        """Standard error of every test alone, (n_test,) [unit]; FitError for a parameter without one."""
+        return np.array([observation.std_error for observation in self.observations])
+
+    @property
+    def relative(self) -> FloatArray:
+        """Relative standard error of every test alone, (n_test,) [1]; FitError for a value that is not above zero."""
+        return np.array([observation.relative for observation in self.observations])
+
+    @property
+    def common(self) -> FloatArray:
+        """Change of the value of every test by one standard uncertainty of every common source, (n_source, n_test) [unit]."""
+        return parameter_changes([observation.fit for observation in self.observations], self.observations[0].parameter.name)
+
+    @property
+    def subject(self) -> str:
+        """Subject of the comparison in words: "k of z, fit peaks"."""
+        term = f" of {self.settings.term}" if self.settings.term else ""
+        return f"{self.observations[0].parameter.name}{term}, fit {self.settings.fit}"
+
+    def points(self) -> tuple[ComparedPoint, ...]:
+        return tuple(observation.point() for observation in self.observations)
+
+
+def campaign_of(
+    settings: CompareSettings, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]], parameter: str = ""
+) -> Campaign:
+    """The observations of the settings, sorted by condition; *conditions* of every test by its name; *parameter*: in place of theirs.
+
+    ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
+    """
+    observations: list[Observation] = []
+    units: set[tuple[str, ...]] = set()
+    for fit in _chosen(settings, fits):
+        of_test = conditions.get(fit.test, {})
+        amounts = [condition_of(name, fit.test, of_test) for name in settings.over]
+        units.add(tuple(unit for _, unit in amounts))
+        first, second = (*(value for value, _ in amounts), float("nan"), float("nan"))[:2]
+        observations.append(
+            Observation(fit, _parameter(parameter or settings.parameter, fit), first, second, group_of(settings, fit.test, of_test))
+        )
+    if len(units) > 1:
+        listed = ", ".join(sorted(" and ".join(pair) for pair in units))
+        raise ConfigError(f"the condition '{', '.join(settings.over)}' has the units {listed}", hint="write it in one dimension")
+    if len(observations) < 2:
+        raise FitError(f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed")
+    if settings.over:
+        observations.sort(key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group))
+    return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
+
+
+def _chosen(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
+    """The fit of every test; ConfigError where there is none, or several in a test."""
+    named = [fit for fit in fits if fit.name == settings.fit]
+    if not named:
+        raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in fits}))
+    chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
+    if not chosen:
+        raise ConfigError(f"fit '{settings.fit}' has no term '{settings.term}'", hint=nearest(settings.term, {f.term for f in named}))
+    tests = [fit.test for fit in chosen]
+    twice = next((test for test in tests if tests.count(test) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"fit '{settings.fit}' has several results in test '{twice}'", hint="name one with `term`, or fit one band")
+    return chosen
+
+
+def _parameter(name: str, fit: Fit) -> Parameter:
+    try:
+        return fit.parameter(name)
+    except KeyError:
+        names = [parameter.name for parameter in fit.parameters]
+        raise ConfigError(f"fit '{fit.name}' has no '{name}'", hint=nearest(name, names)) from None
+
+
+def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
+    if name not in conditions:
+        raise ConfigError(f"test '{test}' has no condition '{name}'", hint="write it under the test's `conditions`")
+    return str(conditions[name])
+
+
+def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
+    return _condition(settings.group, test, conditions) if settings.group else ""
+
+
+def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
+    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
+    try:
+        return si_amount(_condition(name, test, conditions))
+    except UnitError as error:
+        raise ConfigError(f"condition {name} of test '{test}': {error.what}", hint=error.hint) from None

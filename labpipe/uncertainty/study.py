@@ -1,0 +1,369 @@
+"""study: all fits of a pipeline on a virtual rig, over noise levels and numbers of lines, with errors and coverage."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.measured import measured_part, select_ports
+from labpipe.estimation.model import Setup, constrained
+from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.weights import whitener
+from labpipe.processes import end_with_parent
+from labpipe.records.finding import Parameter
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.settings import Settings, setting
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.study import StudiedParameter, Study, StudyCase, StudyThreshold
+from labpipe.simulate.virtual_rigs import Truth as RigTruth
+from labpipe.simulate.virtual_rigs import VirtualRig, chosen_runs, kind_of, simulated_response
+from labpipe.spectra.bands import lines_in
+from labpipe.spectra.settings import FrfSettings
+
+# The ``study:`` section of a pipeline.
+
+FEWEST_REPEATS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings(Settings):
+    """Virtual rig, noise levels and repeats of a study; *virtual_rig*: contents of `rig`."""
+
+    rig: str = setting("file", "virtual rig file, relative to the pipeline file", file_kind="virtual-rig", into="virtual_rig")
+    noise: tuple[float, ...] = setting(
+        "values", "noise levels: of a rig given by its FRF the share of the largest |H|, of others relative to the rig's noise", unit="1"
+    )
+    runs: tuple[str, ...] = setting("names", "runs of the virtual rig that together give one FRF matrix", default=())
+    lines: tuple[float, ...] = setting("values", "numbers of lines (rigs given by their FRF); default: the rig's", unit="1", default=())
+    repeats: int = setting("integer", "repeats of each case", default=200)
+    seed: int = setting("integer", "seed of the noise", default=1)
+    success: tuple[float, ...] = setting("values", "relative deviations that count as success", unit="1", default=(0.1,))
+    share: float = setting("value", "success rate asked for", unit="1", default=0.95)
+    printed: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series", "mean errors printed elsewhere, by fit, one for each noise level, to stand beside", unit="1", default=()
+    )
+    thresholds: bool = setting("flag", "search the noise level where the success rate falls under the share", default=False)
+    virtual_rig: VirtualRig | None = None
+
+    def __post_init__(self) -> None:
+        if self.repeats < FEWEST_REPEATS:
+            raise ConfigError(f"'repeats' must be at least {FEWEST_REPEATS}", hint="500 give the coverage to 1 %")
+        if not self.noise or min(self.noise) <= 0:
+            raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
+        if any(count != round(count) or count < 2 for count in self.lines):
+            raise ConfigError("'lines' needs whole numbers of at least 2")
+        if any(len(values) != len(self.noise) for _, values in self.printed):
+            raise ConfigError("'printed' needs one value for each noise level")
+        if any(limit <= 0 for limit in self.success) or not 0 < self.share < 1:
+            raise ConfigError("'success' must be above zero, 'share' between 0 and 100 %")
+
+
+# Responses of a study from a virtual rig, noise level and seed, and their true parameters.
+
+
+@dataclass(frozen=True)
+class Source:
+    """Responses of a virtual *rig* from its *runs*, with the same true parameters; *frf*: how recordings are measured."""
+
+    rig: VirtualRig
+    runs: tuple[str, ...]
+    frf: FrfSettings | None
+
+    @cached_property
+    def truth(self) -> RigTruth:
+        """True parameters by name [SI units]."""
+        return kind_of(self.rig).parameters(self.rig, self.runs)
+
+    @cached_property
+    def n_line(self) -> int:
+        """Number of frequency lines of a response."""
+        return int(self.response((0, 0)).frequency.size)
+
+    def response(self, seed: tuple[int, ...]) -> FrequencyResponse | ChannelSpectra:
+        """The response, or the spectra, with the noise of a *seed*."""
+        return simulated_response(self.rig, seed, self.runs or None, self.frf)
+
+    def bounds(self, settings: FitSettings) -> RigTruth:
+        """Cramer-Rao standard deviations of a fit's parameters by name, as far as the rig provides them."""
+        kind = kind_of(self.rig)
+        if kind.response is not None:
+            return _bounds_of_response(kind.response(self.rig, None), self.truth, settings)
+        if kind.std_errors is None or not settings.kind.one_frf or isinstance(settings.mass, str):
+            return {}
+        whole = self.frf.band if self.frf is not None else None
+        return kind.std_errors(self.rig, self.runs, settings.band or whole or (0.0, np.inf))
+
+
+def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: FitSettings) -> RigTruth:
+    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth; empty where the fit's parameters differ from the rig's."""
+    rows, columns = select_ports(exact, settings.input, settings.output)
+    setup = Setup(tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings)
+    model = constrained(settings.kind.model(setup), settings)
+    if any(name not in truth for name in model.names):
+        return {}
+    measured = measured_part(exact, rows, columns, _lines(exact.frequency, settings))
+    problem = OutputError(measured, model, whitener(measured))
+    jacobian = problem.jacobian(np.array([truth[name] for name in model.names]))
+    deviations = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    return {name: float(deviation) for name, deviation in zip(model.names, deviations, strict=True)}
+
+
+def _lines(frequency: FloatArray, settings: FitSettings) -> BoolArray:
+    return np.ones(frequency.shape, bool) if settings.band is None else lines_in(frequency, settings.band)
+
+
+def source_of(rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None) -> Source:
+    """The source of a virtual rig at a noise level; ConfigError for lines or runs that the rig does not have."""
+    kind = kind_of(rig)
+    if kind.response is None and kind.recordings is None:
+        raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")
+    if lines is not None and kind.with_lines is None:
+        raise ConfigError("'lines': the lines of this rig follow from its excitation", hint="leave it out")
+    available = kind.runs(rig)
+    if runs and not available:
+        raise ConfigError("'runs': this rig has none", hint="leave it out")
+    if available and not runs:
+        raise ConfigError("'runs': is missing", hint=f"known: {', '.join(available)}")
+    if available:
+        chosen_runs(rig, runs)
+    if kind.response is None and frf is None:
+        raise ConfigError("the study needs the frf: section to measure this rig's recordings")
+    noisy: VirtualRig = kind.noisy(rig, noise)
+    if lines is not None and kind.with_lines is not None:
+        noisy = kind.with_lines(noisy, lines)
+    return Source(noisy, runs, frf)
+
+
+# Repeats of all fits with different noise, on several processors; outcomes depend on the seeds only.
+
+# Least number of repeats for separate processes.
+WORTH_SHARING = 100
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One fit of one repeat: converged or not, and its parameters (of the last step where not converged)."""
+
+    converged: bool
+    parameters: tuple[Parameter, ...]
+
+
+class Workers:
+    """Runs repeats, in this process or in several."""
+
+    def __init__(self, pool: ProcessPoolExecutor | None, count: int) -> None:
+        self._pool = pool
+        self._count = count
+
+    def outcomes(self, source: Source, fits: Sequence[FitSettings], repeats: int, seed: tuple[int, ...]) -> list[list[Outcome]]:
+        """(fit, repeat) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
+        numbers = list(range(repeats))
+        if self._pool is None or repeats < WORTH_SHARING:
+            numbered = _repeated(source, fits, numbers, seed)
+        else:
+            shares = [numbers[start :: self._count] for start in range(self._count)]
+            futures = [self._pool.submit(_repeated, source, fits, share, seed) for share in shares]
+            numbered = sorted((pair for future in futures for pair in future.result()), key=lambda pair: pair[0])
+        return [[outcomes[number] for _, outcomes in numbered] for number in range(len(fits))]
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[Workers]:
+    """*jobs* processes; 0: as many as there are processors."""
+    count = jobs or os.cpu_count() or 1
+    if count == 1:
+        yield Workers(None, 1)
+        return
+    # Fresh interpreters: forking a process that has threads is not safe.
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+        yield Workers(pool, count)
+
+
+def _repeated(
+    source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
+) -> list[tuple[int, list[Outcome]]]:
+    numbered = []
+    for number in numbers:
+        response = source.response((*seed, number))
+        numbered.append((number, [_outcome(response, settings) for settings in fits]))
+    return numbered
+
+
+def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
+    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
+    try:
+        (fit,) = identify(response, settings, judging=False)
+    except FitError:
+        return Outcome(False, ())
+    return Outcome(fit.converged, fit.parameters)
+
+
+# From the outcomes of many repeats to bias, scatter against the bound, coverage and success.
+
+Truth = dict[str, float]
+
+
+def summarised(
+    outcomes: Sequence[Outcome],
+    settings: FitSettings,
+    truth: Truth,
+    bounds: dict[str, float],
+    limits: tuple[float, ...],
+    noise: float,
+    lines: int,
+) -> StudyCase:
+    """One fit over all repeats. Equation (comp-study)."""
+    ended = [outcome for outcome in outcomes if outcome.parameters]
+    results = [outcome for outcome in ended if outcome.converged]
+    names = _names(ended[0].parameters, truth) if ended else []
+    errors = np.array([squared_error(outcome, names, truth, settings) for outcome in ended])
+    parameters = tuple(_parameter(name, results, truth[name], bounds.get(name)) for name in names if results)
+    ratios = [p.rmse / p.bound for p in parameters if p.bound is not None]
+    coverages = [p.coverage for p in parameters if p.coverage is not None]
+    return StudyCase(
+        fit=settings.name,
+        estimator=settings.estimator,
+        noise=noise,
+        lines=lines,
+        repeats=len(outcomes),
+        failed=len(outcomes) - len(results),
+        mean_error=float(errors.mean()) if errors.size else float("nan"),
+        median_error=float(np.median(errors)) if errors.size else float("nan"),
+        error_variance=float(np.var(errors, ddof=1)) if errors.size > 1 else float("nan"),
+        success=tuple(success_rate(outcomes, settings, truth, limit) for limit in limits),
+        rmse_over_bound=float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None,
+        coverage=float(np.mean(coverages)) if coverages else None,
+        parameters=parameters,
+    )
+
+
+def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
+    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true| of all together.
+
+    Equation (comp-success).
+    """
+    return float(np.mean([_succeeded(outcome, settings, truth, limit) for outcome in outcomes]))
+
+
+def _succeeded(outcome: Outcome, settings: FitSettings, truth: Truth, limit: float) -> bool:
+    if not outcome.converged:
+        return False
+    names = _names(outcome.parameters, truth)
+    size = sum(count * truth[name] ** 2 for name, count in zip(names, _places(names, settings), strict=True))
+    return squared_error(outcome, names, truth, settings) < limit**2 * size
+
+
+def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings: FitSettings) -> float:
+    """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its places.
+
+    Equation (comp-squared-error).
+    """
+    values = {parameter.name: parameter.value for parameter in outcome.parameters}
+    deviations = np.array([values.get(name, 0.0) - truth[name] for name in names])
+    return float(_places(names, settings) @ deviations**2)
+
+
+def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
+    if not settings.symmetric:
+        return np.ones(len(names))
+    return np.array([1.0 if len(parts := name.split("_")) != 3 or parts[1] == parts[2] else 2.0 for name in names])
+
+
+def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
+    """The coefficients that were estimated and whose truth is known."""
+    return [p.name for p in parameters if not p.derived and p.name in truth]
+
+
+def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float | None) -> StudiedParameter:
+    estimates = [parameter for outcome in results for parameter in outcome.parameters if parameter.name == name]
+    values = np.array([parameter.value for parameter in estimates])
+    stated = [parameter.std_error for parameter in estimates if parameter.std_error is not None]
+    intervals = [parameter.ci95 for parameter in estimates if parameter.ci95 is not None]
+    return StudiedParameter(
+        name=name,
+        unit=estimates[0].unit,
+        truth=truth,
+        mean=float(values.mean()),
+        rmse=float(np.sqrt(np.mean((values - truth) ** 2))),
+        bound=bound,
+        std_error=float(np.mean(stated)) if stated else None,
+        coverage=float(np.mean([low <= truth <= high for low, high in intervals])) if intervals else None,
+    )
+
+
+# study: all fits of a pipeline on a virtual rig, over noise levels and numbers of lines.
+
+Tell = Callable[[str], None]
+
+# Range of the search for a threshold, in multiples of the lowest and highest noise level, and its precision.
+SEARCHED_BELOW, SEARCHED_ABOVE = 0.05, 20.0
+SEARCH_RATIO = 1.05
+# Repeats of one step of the search; the standard error of a success rate of 95 % is 1.5 %.
+SEARCH_REPEATS = 200
+
+
+def run_study(rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, tell: Tell, jobs: int = 1) -> Study:
+    """Every fit at every noise level and number of lines; *rig* is a virtual rig's settings.
+
+    The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the same draws.
+    *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if __name__ == "__main__"`.
+    ConfigError for lines or runs that the rig does not have.
+    """
+    plain = [replace(fit, compare=False, sliding=None) for fit in fits]
+    with workers(jobs) as crew:
+        cases = [case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases]
+        thresholds = [_threshold(rig, settings, fit, limit, frf, crew, tell) for fit, limit in _searches(settings, plain)]
+    return Study(rig.name, settings.seed, settings.success, settings.share, tuple(cases), tuple(thresholds), settings.printed)
+
+
+def _cases(
+    rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, crew: Workers, tell: Tell
+) -> Iterator[list[StudyCase]]:
+    counts: list[int | None] = [int(count) for count in settings.lines] or [None]
+    for noise, count in product(settings.noise, counts):
+        source = source_of(rig, noise, count, settings.runs, frf)
+        tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
+        outcomes = crew.outcomes(source, fits, settings.repeats, (settings.seed,))
+        yield [
+            summarised(fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line)
+            for fit, fit_outcomes in zip(fits, outcomes, strict=True)
+        ]
+
+
+def _searches(settings: StudySettings, fits: Sequence[FitSettings]) -> list[tuple[FitSettings, float]]:
+    return [(fit, limit) for limit in settings.success for fit in fits] if settings.thresholds else []
+
+
+def _threshold(
+    rig: Any, settings: StudySettings, fit: FitSettings, limit: float, frf: FrfSettings | None, crew: Workers, tell: Tell
+) -> StudyThreshold:
+    """Bisection over the logarithm of the noise; the same draws at every level keep the success rate from jittering."""
+    count = int(settings.lines[0]) if settings.lines else None
+    repeats = min(settings.repeats, SEARCH_REPEATS)
+
+    def rate(noise: float) -> float:
+        source: Source = source_of(rig, noise, count, settings.runs, frf)
+        (outcomes,) = crew.outcomes(source, [fit], repeats, (settings.seed,))
+        return success_rate(outcomes, fit, source.truth, limit)
+
+    tell(f"study     threshold of {fit.name} at {100 * limit:g} %")
+    low, high = SEARCHED_BELOW * min(settings.noise), SEARCHED_ABOVE * max(settings.noise)
+    if rate(low) < settings.share or rate(high) >= settings.share:
+        return StudyThreshold(fit.name, limit, None, repeats)
+    while high / low > SEARCH_RATIO:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if rate(middle) >= settings.share else (low, middle)
+    return StudyThreshold(fit.name, limit, float(np.sqrt(low * high)), repeats)

@@ -1,0 +1,295 @@
+"""Weighted means and lines of few values, scatter within and between settings, control limits and outliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from labpipe.arrays import FloatArray
+from labpipe.distributions import (
+    chi2_quantile,
+    chi2_tail,
+    coverage_factor,
+    f_quantile,
+    f_tail,
+    normal_quantile,
+    normal_tail,
+    student_quantile,
+    student_tail,
+)
+from labpipe.errors import FitError
+from labpipe.records.comparison import Comparison
+from labpipe.records.finding import Parameter
+from labpipe.uncertainty.amounts import chance, with_error
+from labpipe.uncertainty.observations import Campaign
+
+# Weighted means and lines of a few values with standard errors, and a test of their scatter.
+
+# p-value below which the scatter is larger than the standard errors explain.
+SCATTER_LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class WeightedFit:
+    """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit], covariance (n_parameter, n_parameter).
+
+    chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL), *covariance* is enlarged by the square
+    of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution. Equation (comp-birge).
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    chi2: float
+    dof: int
+    p_value: float | None
+    inflated: bool
+
+    @property
+    def quantile(self) -> float:
+        """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
+        return student_quantile(0.975, self.dof) if self.inflated else normal_quantile(0.975)
+
+    def std_error(self, number: int) -> float:
+        return float(np.sqrt(self.covariance[number, number]))
+
+    def p_of(self, number: int, value: float = 0.0) -> float:
+        """Two-sided p-value of the hypothesis that the parameter equals *value*."""
+        ratio = abs(self.values[number] - value) / self.std_error(number)
+        return 2 * (student_tail(ratio, self.dof) if self.inflated else normal_tail(ratio))
+
+
+def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
+
+    *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not determined.
+    Equation (comp-weighted).
+    """
+    if values.size < columns.shape[1]:
+        raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
+    if not np.all((errors if errors.ndim == 1 else np.diag(errors)) > 0):
+        raise FitError("a value has no standard error, so tests cannot be weighted", hint="a response without noise gives none")
+    design, whitened = _whitened(columns, errors), _whitened(values[:, None], errors)[:, 0]
+    if np.linalg.matrix_rank(design) < columns.shape[1]:
+        raise FitError("the tests do not differ in the condition", hint="a trend needs at least two different values")
+    covariance = np.linalg.inv(design.T @ design)
+    solved = covariance @ design.T @ whitened
+    chi2 = float(np.sum((whitened - design @ solved) ** 2))
+    dof = values.size - columns.shape[1]
+    p_value = chi2_tail(chi2, dof) if dof else None
+    inflated = p_value is not None and p_value < SCATTER_LEVEL
+    return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
+
+
+def _whitened(columns: FloatArray, errors: FloatArray) -> FloatArray:
+    """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
+    if errors.ndim == 1:
+        return columns / errors[:, None]
+    whitened: FloatArray = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
+    return whitened
+
+
+def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """The weighted mean of values (n,) [any unit] with standard errors (n,) or covariance (n, n)."""
+    return weighted_fit(np.ones((values.size, 1)), values, errors)
+
+
+# Repeatability: scatter within and between settings (one-way random effects).
+
+TAIL = 0.025
+
+
+@dataclass(frozen=True, kw_only=True)
+class Components:
+    """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 % intervals.
+
+    *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or larger scatter of settings
+    without an effect of the setting (F test). mean_error: of the settings' scatter alone, with *settings* - 1 degrees of freedom.
+    """
+
+    mean: float
+    mean_error: float
+    within: float
+    within_ci: tuple[float, float]
+    between: float
+    between_ci: tuple[float, float]
+    p_value: float
+    settings: int
+    repeats: int
+
+
+def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
+    """Variance components of values (n,) [any unit] in groups (n,), by the analysis of variance.
+
+    within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of
+    between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at both ends, exact to first order for equal n_i.
+    Searle, Casella and McCulloch, Variance Components (1992), sec. 3.5-3.6. FitError for fewer than two settings or no repeats.
+    Equation (comp-components).
+    """
+    names = np.unique(groups)
+    counts = np.array([np.sum(groups == name) for name in names])
+    a, n = names.size, values.size
+    if a < 2 or n <= a:
+        raise FitError(f"{n} test(s) in {a} setting(s) show no scatter within and between", hint="repeat tests in two settings or more")
+    means = np.array([np.mean(values[groups == name]) for name in names])
+    within_sum = float(sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True)))
+    between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
+    within, between = within_sum / (n - a), between_sum / (a - 1)
+    if not within > 0:
+        raise FitError("the repeats do not scatter at all", hint="are they the same recording?")
+    n_0 = (n - np.sum(counts**2) / n) / (a - 1)
+    f = between / within
+    # SSB (1 - F_q / F), which has no F to divide by where the means are alike.
+    ends = [(between_sum - (a - 1) * within * f_quantile(q, a - 1, n - a)) / (n_0 * chi2_quantile(q, a - 1)) for q in (1 - TAIL, TAIL)]
+    low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
+    spread = (float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))), float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))))
+    part = float(np.sqrt(max((between - within) / n_0, 0.0)))
+    error = float(np.sqrt(between / n))
+    return Components(
+        mean=float(np.mean(values)),
+        mean_error=error,
+        within=float(np.sqrt(within)),
+        within_ci=spread,
+        between=part,
+        between_ci=(low, high),
+        p_value=_tail(f, a, n),
+        settings=a,
+        repeats=n,
+    )
+
+
+def _mean(campaign: Campaign, scatter: Components) -> Parameter:
+    """The mean of all tests [unit of the values]: scatter of the settings, and errors that no repetition shows.
+
+    u^2 = MSB / n + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / (MSB / n)^2 degrees of freedom (JCGM 100:2008, G.4.1).
+    """
+    common = float(np.sum(np.mean(campaign.common, axis=1) ** 2))
+    error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
+    # Settings whose means are alike to the last digit leave nothing that was estimated from them.
+    dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
+    return with_error("mean", campaign.unit, scatter.mean, error, coverage_factor(1 - 2 * TAIL, dof))
+
+
+def _tail(f: float, a: int, n: int) -> float:
+    return f_tail(f, a - 1, n - a)
+
+
+def repeatability(campaign: Campaign) -> Comparison:
+    """Variance components of the parameter, and a test of the scatter within settings against the fits' standard errors.
+
+    Equation (comp-repeatability).
+    """
+    values, settings = campaign.value, campaign.settings
+    scatter = components(values, np.array([observation.group for observation in campaign.observations]))
+    mean = _mean(campaign, scatter)
+    noise = float(np.sqrt(np.mean(campaign.std_error**2)))
+    ratio = (scatter.within / noise) ** 2
+    dof = scatter.repeats - scatter.settings
+    noise_p = chi2_tail(ratio * dof, dof)
+    verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
+    unit = campaign.unit
+    percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
+    result = (
+        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings {percent[1]:.3g} % (p = {scatter.p_value:.2g})"
+    )
+    explained = "agrees with the fits' standard errors" if noise_p >= settings.level else "exceeds the fits' standard errors"
+    return Comparison(
+        name=settings.name,
+        kind="repeatability",
+        subject=campaign.subject,
+        unit=unit,
+        points=campaign.points(),
+        amounts=(
+            mean,
+            Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
+            Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
+            Parameter("noise", noise, unit, derived=True),
+            chance("p_value", scatter.p_value),
+            chance("noise_p", noise_p),
+        ),
+        verdict=verdict,
+        statement=f"{result}: {verdict}; the scatter within {explained} (p = {noise_p:.2g}).",
+        condition=settings.group,
+    )
+
+
+# Many results of one coefficient: control limits, straight trends over conditions, and outliers against the
+# other results.
+
+# Mean of the range of two normal values in standard deviations, 2 / sqrt(pi).
+D2 = 2 / np.sqrt(np.pi)
+REACH = 3.0
+# Number of values above which the limits themselves are accurate.
+SETTLED = 12
+
+
+@dataclass(frozen=True)
+class ControlLimits:
+    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*: indices of values beyond."""
+
+    centre: float
+    sigma: float
+    low: float
+    high: float
+    outside: tuple[int, ...]
+
+    @property
+    def formula(self) -> str:
+        return "individuals (Shewhart) chart: mean ∓ 3 × mean moving range / 1.128"
+
+
+def control_limits(values: FloatArray) -> ControlLimits:
+    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does not widen them.
+
+    sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality Control, sec. 6.4.
+    FitError for fewer than three values. Equation (comp-control).
+    """
+    if values.size < 3:
+        raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
+    sigma = float(np.mean(np.abs(np.diff(values))) / D2)
+    centre = float(np.mean(values))
+    low, high = centre - REACH * sigma, centre + REACH * sigma
+    outside = tuple(int(n) for n in np.flatnonzero((values < low) | (values > high)))
+    return ControlLimits(centre, sigma, low, high, outside)
+
+
+def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
+    """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values]; parameters (level, slope).
+
+    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three values. Equation (comp-straight).
+    """
+    if values.size < 3:
+        raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
+    return weighted_fit(np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors)
+
+
+def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values (n,) by the standard errors.
+
+    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are enlarged (Birge). Two values give
+    one test with one result for both. *errors* (n,), or the covariance (n, n) of values with errors in common, which cancel here as far
+    as they are alike. FitError for fewer than two. Equation (comp-outlier).
+    """
+    if values.size < 2:
+        raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
+    differences, chances = np.empty(values.size), np.empty(values.size)
+    for n in range(values.size):
+        others = np.arange(values.size) != n
+        if errors.ndim == 1:
+            rest = weighted_mean(values[others], errors[others])
+            variance = errors[n] ** 2 + rest.std_error(0) ** 2
+        else:
+            rest = weighted_mean(values[others], errors[np.ix_(others, others)])
+            weights = _mean_weights(errors[np.ix_(others, others)])
+            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * float(weights @ errors[others, n])
+        differences[n] = values[n] - rest.values[0]
+        chances[n] = 2 * normal_tail(abs(differences[n]) / np.sqrt(variance))
+    return differences, chances
+
+
+def _mean_weights(covariance: FloatArray) -> FloatArray:
+    """Weights (n,) [1] of values in their generalised least-squares mean."""
+    inverse = np.linalg.solve(covariance, np.ones(covariance.shape[0]))
+    return np.asarray(inverse / inverse.sum())

@@ -1,1 +1,0 @@
-"""Wear of a journal bearing from the response of its rotor: settings, problem, search, result."""

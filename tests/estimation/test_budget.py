@@ -1,0 +1,249 @@
+"""Uncertainty budgets of fits: sensitivities against refits with the number changed, combination, shares, intervals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from labpipe.estimation.draws import drawn_error
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.project.judging import judge
+from labpipe.project.rules import Rule
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.spectra import FreeDecay, FreeDecays
+from labpipe.records.uncertain import Budget, ChannelDoubt, Doubt, Uncertain
+from labpipe.report.budget import budget_blocks
+from labpipe.report.document import Table
+
+K, C, M = 1.35e5, 3.7, 0.79
+BAND = np.arange(60.0, 72.0, 0.1)
+GAIN_F = ChannelDoubt("gain", Doubt("f.sensitivity", 0.005, "1", dof=20.0))
+GAIN_X = ChannelDoubt("gain", Doubt("x.sensitivity", 0.01, "1"))
+DELAY_X = ChannelDoubt("delay", Doubt("x.delay", 2e-6, "s"))
+
+
+def a_response(rng, noise: float = 1e-3, output=(GAIN_X, DELAY_X), force=(GAIN_F,)) -> FrequencyResponse:
+    """One mass on spring and damper, 0.1 % noise of the largest receptance on every line."""
+    w = 2 * np.pi * BAND
+    h = 1 / (K - M * w**2 + 1j * w * C)
+    std = noise * np.max(np.abs(h))
+    error = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
+    matrix = (h + error)[:, None, None]
+    ports = (Port("x", "x", "x", 0.0, tuple(output)),), (Port("f", "f", "x", 0.0, tuple(force)),)
+    return FrequencyResponse(BAND, matrix, *ports, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+
+
+def changed(response: FrequencyResponse, effect: str, error: float) -> FrequencyResponse:
+    """The response as it were without the error: X (1 - d) or X e^{jwd}."""
+    factor = 1 - error if effect == "gain" else np.exp(2j * np.pi * response.frequency * error)[:, None, None]
+    return dataclasses.replace(response, matrix=response.matrix * factor)
+
+
+def settings(estimator: str, **more) -> FitSettings:
+    return FitSettings("sdof", estimator=estimator, name="peak", **more)
+
+
+@pytest.mark.parametrize("estimator", ["ml", "ls", "iv", "amplitude"])
+@pytest.mark.parametrize("mass", ["estimate", "0.79 kg +- 1 %"])
+def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
+    """Each source against central differences of whole refits, to 1 % of the combined uncertainty (Gauss-Newton's form)."""
+    response = a_response(rng)
+    (fit,) = identify(response, settings(estimator, mass=mass))
+    assert fit.budget is not None
+    refits = {"x.sensitivity": ("gain", 0.01), "x.delay": ("delay", 2e-6)}
+    for source, (effect, error) in refits.items():
+        if source not in [one.source for one in fit.budget.sources]:
+            assert estimator == "amplitude" and source == "x.delay"
+            continue
+        ends = [identify(changed(response, effect, sign * error), settings(estimator, mass=mass))[0] for sign in (1, -1)]
+        for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+            expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+            assert fit.budget.change_by(source, name) == pytest.approx(expected, abs=0.01 * combined)
+    if mass != "estimate":
+        ends = [identify(response, settings(estimator, mass=0.79 * (1 + 0.01 * sign)))[0] for sign in (1, -1)]
+        for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+            expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
+            assert fit.budget.change_by("mass 0.79 kg", name) == pytest.approx(expected, abs=0.01 * combined)
+
+
+def test_near_resonance_the_mass_is_the_stiffness_s_doubt(rng) -> None:
+    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative doubt and hardly any gain; c takes gains -1 and 1."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %"))
+    budget = fit.budget
+    assert budget is not None
+    k, c = fit.parameter("k"), fit.parameter("c")
+    assert budget.change_by("mass 0.79 kg", "k") / k.value == pytest.approx(0.005, rel=1e-3)
+    assert abs(budget.change_by("x.sensitivity", "k")) / k.value < 0.01 * 2e-3
+    assert budget.change_by("x.sensitivity", "c") / c.value == pytest.approx(0.01, rel=0.02)
+    assert budget.change_by("f.sensitivity", "c") / c.value == pytest.approx(-0.005, rel=0.02)
+    assert next(iter(budget.shares("k"))) == "mass 0.79 kg"
+    assert sum(budget.shares("c").values()) == pytest.approx(1.0)
+
+
+def test_parameters_hold_the_combined_doubt(rng) -> None:
+    (fit,) = identify(a_response(rng), settings("ml"))
+    budget = fit.budget
+    assert budget is not None
+    k = fit.parameter("k")
+    place = budget.names.index("k")
+    assert k.systematic == pytest.approx(budget.systematic[place])
+    assert k.full_error == pytest.approx(np.hypot(k.std_error, k.systematic))
+    assert k.ci95[1] - k.value == pytest.approx(1.96 * k.full_error, rel=0.1)
+    # Without a known mass all coefficients go as force over displacement.
+    assert k.systematic / k.value == pytest.approx(np.hypot(0.01, 0.005), rel=1e-2)
+
+
+def test_common_sources_cancel_or_add(rng) -> None:
+    """One calibrator of both sensors: force over displacement does not change with it."""
+    both = ChannelDoubt("gain", Doubt("calibrator", 0.01, "1"))
+    (fit,) = identify(a_response(rng, output=(both,), force=(both,)), settings("ml"))
+    assert fit.budget is None or np.max(np.abs(fit.budget.changes / [p.value for p in fit.parameters])) < 1e-9
+
+
+def test_no_doubts_no_budget(rng) -> None:
+    (fit,) = identify(a_response(rng, output=(), force=()), settings("ml", mass="0.79 kg"))
+    assert fit.budget is None
+    assert fit.parameter("k").systematic is None
+
+
+def test_effective_degrees_of_freedom_are_welch_and_satterthwaite_s() -> None:
+    """GUM G.4.1 with u = 3 (nu 9), 4 (nu 16): u_c = 5, nu_eff = 625 / (81 / 9 + 256 / 16) = 25."""
+    budget = Budget(("k",), np.array([3.0]), 9.0, (Doubt("s", 0.1, "1", dof=16.0),), np.array([[4.0]]))
+    assert budget.combined == pytest.approx(5.0)
+    assert budget.dof == pytest.approx(25.0)
+    known = Budget(("k",), np.array([3.0]), None, (Doubt("s", 0.1, "1"),), np.array([[4.0]]))
+    assert np.isinf(known.dof[0])
+
+
+def test_directions_of_forces_make_cross_terms_doubtful(rng) -> None:
+    """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction changed."""
+    w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
+    stiffness, damping = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]])
+    z = stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping
+    h = np.linalg.inv(z)
+    std = 1e-4 * np.max(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    turned = ChannelDoubt("direction", Doubt("fx.dof", np.radians(0.5), "rad"))
+
+    def fitted(angle: float):
+        outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
+        inputs = (Port("fx", "fx", "x", angle, (turned,)), Port("fy", "fy", "y", np.pi / 2))
+        response = FrequencyResponse(w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
+
+    fit, (up, down) = fitted(0.0), [fitted(sign * np.radians(0.5)) for sign in (1, -1)]
+    assert fit.budget is not None
+    for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+        expected = (up.parameter(name).value - down.parameter(name).value) / 2
+        assert fit.budget.change_by("fx.dof", name) == pytest.approx(expected, abs=0.02 * combined)
+    assert next(iter(fit.budget.shares("k_xy"))) == "fx.dof"
+
+
+def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
+    """x at the angle d reads cos d x + sin d y; refits of such data. Isotropic rotors would not tell this from a turned force."""
+    w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
+    stiffness, damping, size = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]]), np.radians(0.5)
+    h = np.linalg.inv(stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping)
+    std = 1e-4 * np.max(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    turned = ChannelDoubt("direction", Doubt("x.dof", size, "rad"))
+
+    def fitted(angle: float):
+        outputs = (Port("x", "x", "x", 0.0, (turned,)), Port("y", "y", "y", np.pi / 2))
+        inputs = (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2))
+        matrix = noisy.copy()
+        matrix[:, 0] = np.cos(angle) * noisy[:, 0] + np.sin(angle) * noisy[:, 1]
+        response = FrequencyResponse(w / (2 * np.pi), matrix, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
+
+    # An angle that is written too large is a sensor that is turned back.
+    fit, (up, down) = fitted(0.0), [fitted(-sign * size) for sign in (1, -1)]
+    assert fit.budget is not None
+    for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
+        expected = (up.parameter(name).value - down.parameter(name).value) / 2
+        assert fit.budget.change_by("x.dof", name) == pytest.approx(expected, abs=0.02 * combined)
+
+
+def test_a_mass_in_the_settings_keeps_its_doubt() -> None:
+    given = settings("ml", mass="0.79 kg +- 1 % (k=2)")
+    assert given.mass == 0.79
+    assert dict(given.doubts)["mass"] == Uncertain(0.79, pytest.approx(0.00395))
+    assert dataclasses.replace(given, estimator="ls").doubts == given.doubts
+
+
+def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
+    """200 draws of noise, gains, delay and mass: scatter over the combined uncertainty within 4 standard deviations of a scatter."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", monte_carlo=200))
+    assert fit.budget is not None and fit.budget.drawn is not None
+    np.testing.assert_allclose(fit.budget.drawn[:, 0] / fit.budget.combined, 1.0, atol=4 / np.sqrt(400))
+    low, high = fit.parameter("k").ci95
+    assert (low, high) == tuple(fit.budget.drawn[0, 1:])
+    assert any("200 draws" in note for note in fit.notes)
+    assert not [finding for finding in fit.findings if finding.code == "first-order"]
+
+
+@pytest.mark.long
+def test_a_large_doubt_is_beyond_first_order(rng) -> None:
+    """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
+    large = ChannelDoubt("gain", Doubt("f.sensitivity", 0.3, "1"))
+    (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=200))
+    (finding,) = [finding for finding in fit.findings if finding.code == "first-order"]
+    assert "c (" in finding.message and fit.budget is not None
+
+
+@pytest.mark.parametrize("shape", ["normal", "rectangular", "triangular"])
+def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
+    """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000 draws."""
+    draws = np.array([drawn_error(Doubt("s", 1.0, "1", None, shape), rng) for _ in range(20000)])
+    assert np.std(draws) == pytest.approx(1.0, abs=0.03)
+    expected = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4}[shape]
+    assert np.mean(draws**4) / np.mean(draws**2) ** 2 == pytest.approx(expected, abs=0.2)
+    if shape != "normal":
+        assert np.max(np.abs(draws)) <= {"rectangular": 3**0.5, "triangular": 6**0.5}[shape]
+
+
+def test_a_ring_down_s_stiffness_takes_the_doubt_of_its_mass() -> None:
+    """k = m w_n^2: relative doubts of k and c are that of the mass and of the pole; f_n and zeta have none of it."""
+    # One record in a hundred is called coloured by chance, and has no intervals then; this one is not.
+    rng = np.random.default_rng(1)
+    time = np.arange(4096) / 1024
+    w, zeta = 2 * np.pi * 40, 0.01
+    decay = np.exp(-zeta * w * time) * np.cos(w * np.sqrt(1 - zeta**2) * time) + 1e-3 * rng.standard_normal(time.size)
+    decays = FreeDecays(1024.0, (Port("x", "x", "x"),), ("m",), (FreeDecay("r", 0.0, decay[:, None]),))
+    (fit,) = identify(decays, FitSettings("decay", mass="2 kg +- 1 %", name="d"))
+    assert fit.budget is not None
+    k, f_n = fit.parameter("k"), fit.parameter("f_n_1")
+    assert k.systematic == pytest.approx(0.01 * k.value)
+    assert k.full_error == pytest.approx(np.hypot(0.01 * k.value, k.std_error))
+    assert f_n.systematic is None and f_n.std_error_inflated is None
+
+
+def test_parameters_state_their_parts(rng) -> None:
+    """combined, expanded = coverage factor times combined, and every source with contribution and share; std_error stays that of noise."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
+    k = fit.parameter("k")
+    assert k.combined == pytest.approx(np.hypot(k.std_error, k.systematic))
+    assert k.coverage_factor == pytest.approx(2.576, abs=0.02)
+    assert k.expanded == pytest.approx(k.coverage_factor * k.combined)
+    assert sum(part.share for part in k.budget) == pytest.approx(1.0)
+    assert np.hypot.reduce([part.contribution for part in k.budget]) == pytest.approx(k.combined)
+    assert k.budget[0].source == "mass 0.79 kg"
+
+
+def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
+    """99 %: k = 2.58 and the expanded uncertainty in the table are those of the parameter; a rule in per cent is held against it."""
+    (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
+    table = next(block for block in budget_blocks(fit) if isinstance(block, Table))
+    row = dict(zip(table.header, table.rows[0], strict=True))
+    k = fit.parameter("k")
+    assert (row["parameter"], row["k"]) == ("k", f"{k.coverage_factor:.2f}")
+    relative = 100 * k.expanded / k.value
+    assert float(row["relative"].split()[0]) == pytest.approx(relative, rel=0.02)
+    for bound, holds in ((1.05 * relative, True), (0.95 * relative, False)):
+        address = {"section": "accept", "address": "peak.k.expanded", "fit": "peak", "which": "", "item": "k.expanded"}
+        rule = Rule(**address, kind="<=", bound=f"{bound} %", place="")
+        (outcome,) = judge([rule], [fit], {})
+        assert outcome.passed is holds

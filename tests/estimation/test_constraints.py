@@ -1,0 +1,144 @@
+"""Given, tied and proportional coefficients: truth from the matrices, tests of structure from their own distribution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.model import ProportionalModel, Setup, constrained, proportional
+from labpipe.estimation.settings import MODELS, FitSettings
+from tests.estimation.conftest import DAMPING, MASS
+
+KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
+RAYLEIGH = replace(KNOWN, damping="proportional")
+OMEGA = np.array([0.3, 1.1, 2.2])
+
+
+def test_a_given_coefficient_is_kept_and_the_rest_gains(three_dof_response) -> None:
+    response = three_dof_response(0.05, np.random.default_rng(1))
+    (free,), (given,) = (identify(response, settings) for settings in (KNOWN, replace(KNOWN, fixed=(("k_1_3", 0.0), ("c_1_3", 0.0)))))
+    assert given.parameter("k_1_3").value == 0.0 and given.parameter("k_1_3").std_error is None
+    assert given.dof == free.dof + 2
+    assert given.parameter("k_1_1").std_error <= free.parameter("k_1_1").std_error
+    assert abs(given.parameter("k_1_1").value - 2.0) < 4 * given.parameter("k_1_1").std_error
+
+
+@pytest.mark.parametrize("estimator", ["ls", "iv", "ml"])
+def test_tied_coefficients_have_one_value(three_dof_response, estimator: str) -> None:
+    settings = replace(KNOWN, estimator=estimator, tied=(("k_1_1", "k_2_2", "k_3_3"), ("k_1_2", "k_2_3")))
+    (fit,) = identify(three_dof_response(), settings)
+    assert [fit.parameter(f"k_{n}_{n}").value for n in (1, 2, 3)] == [pytest.approx(2.0, rel=1e-9)] * 3
+    assert fit.parameter("k_2_3").value == pytest.approx(-1.0, rel=1e-9)
+    assert fit.parameter("k_2_2").derived and not fit.parameter("k_1_1").derived
+    assert len([p for p in fit.parameters if not p.derived]) == 9
+
+
+def test_ties_work_for_the_rotor_as_well(coupled_response) -> None:
+    response = coupled_response(1e-8, np.random.default_rng(2))
+    (fit,) = identify(response, FitSettings("rotor-2dof", mass=0.92, tied=(("c_xy", "c_yx"),)))
+    assert fit.parameter("c_xy").value == fit.parameter("c_yx").value
+
+
+def test_proportional_damping_without_noise(three_dof_response) -> None:
+    # C = 0.05 M + 0.1 K, with the mass known and with it estimated.
+    response = three_dof_response(damping=0.05 * MASS + DAMPING)
+    for mass in ((1.0, 2.0, 3.0), "estimate"):
+        (fit,) = identify(response, replace(RAYLEIGH, mass=mass))
+        assert fit.parameter("alpha").value == pytest.approx(0.05, rel=1e-7)
+        assert fit.parameter("beta").value == pytest.approx(0.1, rel=1e-7)
+        assert fit.parameter("c_2_3").value == pytest.approx(-0.1, rel=1e-6)
+
+
+def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> None:
+    fits = [identify(three_dof_response(0.05, np.random.default_rng(seed)), RAYLEIGH)[0] for seed in range(60)]
+    for name in ("alpha", "beta", "c_1_1"):
+        values = [fit.parameter(name).value for fit in fits]
+        assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(np.std(values, ddof=1), rel=0.27)
+    assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("mass", [(1.0, 2.0, 3.0), "estimate"])
+def test_slopes_of_proportional_models_are_central_differences(three_dof_response, mass) -> None:  # type: ignore[no-untyped-def]
+    response = three_dof_response()
+    setup = Setup(response.outputs, response.inputs, replace(RAYLEIGH, mass=mass, fixed=(("k_1_3", 0.1),)))
+    model = constrained(MODELS["mdof"].model(setup), setup.settings)
+    assert isinstance(model, ProportionalModel)
+    start = 1 + 0.1 * np.arange(len(model.names))
+    own = dict(zip(model.names, start, strict=True))
+    whole = model.whole(start)
+    np.testing.assert_allclose(whole.damping, own["alpha"] * whole.mass + own["beta"] * whole.stiffness, rtol=1e-12)
+    entries = {"k": whole.stiffness, "c": whole.damping, "m": whole.mass}
+    linear = np.array([entries[name[0]][int(name[2]) - 1, int(name[4]) - 1] for name in model.linear.names])
+    np.testing.assert_allclose(model.from_linear(linear), start, rtol=1e-10)
+    jacobian = model.jacobian(start, OMEGA)
+    for number in range(start.size):
+        step = 1e-6 * np.eye(start.size)[number]
+        difference = (model.receptance(start + step, OMEGA) - model.receptance(start - step, OMEGA)) / 2e-6
+        np.testing.assert_allclose(jacobian[number], difference, rtol=1e-5, atol=1e-8)
+
+
+def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -> None:
+    with pytest.raises(ConfigError, match=r"'damping' is not for model sdof; leave it out; models that take it: rotor-2dof, mdof$"):
+        FitSettings("sdof", mass=0.79, damping="proportional")
+    setup = Setup((), (), FitSettings("sdof"))
+    with pytest.raises(ConfigError, match="several damping coefficients"):
+        proportional(MODELS["sdof"].model(replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"estimator": "ls", "damping": "proportional"}, "'damping' is not for estimator ls; leave it out, or estimator: ml$"),
+        ({"eliminate": True, "damping": "proportional"}, "eliminate"),
+        ({"weight": "noise"}, "not for estimator ml; leave it out, or estimator: ls or iv$"),
+        ({"estimator": "amplitude"}, "amplitude does not estimate model mdof"),
+        ({"mass": "estimate", "scale_mass": True}, "needs the mass"),
+    ],
+)
+def test_settings_that_contradict_each_other(change: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(KNOWN, **change)
+    with pytest.raises(ConfigError, match=r"not for model sdof; leave it out; models that take it: mdof$"):
+        FitSettings("sdof", symmetric=True)
+
+
+def codes(fit) -> list[str]:  # type: ignore[no-untyped-def]
+    return [finding.code for finding in fit.findings]
+
+
+def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -> None:
+    odd = np.diag([0.5, 0.05, 0.05])
+    settings = replace(RAYLEIGH, compare=True)
+    (wrong,) = identify(three_dof_response(0.02, np.random.default_rng(4), damping=odd), settings)
+    (right,) = identify(three_dof_response(0.02, np.random.default_rng(4)), settings)
+    assert "other-model" in codes(wrong) and "other-model" not in codes(right)
+    own = next(c for c in wrong.candidates if c.name.startswith("this model"))
+    assert own.p_value < 1e-6 and wrong.candidates[0].aic < own.aic
+    names = {candidate.name for candidate in right.candidates}
+    assert {"mdof, symmetric", "mdof, general, proportional damping"} <= names
+
+
+def test_likelihood_ratio_of_a_true_restriction_is_uniform(three_dof_response) -> None:
+    """Proportional damping is held against free damping coefficients without being asked to."""
+    found = [identify(three_dof_response(0.03, np.random.default_rng(seed)), RAYLEIGH)[0].candidates for seed in range(100, 160)]
+    levels = [next(c for c in candidates if c.name.startswith("this model")).p_value for candidates in found]
+    # 60 values of a uniform variable: mean 0.5 +- 0.037, share below 0.1 is 0.1 +- 0.039; three sigma each.
+    assert np.mean(levels) == pytest.approx(0.5, abs=0.12)
+    assert np.mean(np.array(levels) < 0.1) < 0.22
+
+
+def test_comparison_shows_whether_cross_terms_are_needed(coupled_response) -> None:
+    response = coupled_response(1e-8, np.random.default_rng(5))
+    (fit,) = identify(response, FitSettings("rotor-2dof-direct", mass=0.92, compare=True))
+    assert fit.candidates[0].name == "rotor-2dof" and "other-model" in codes(fit)
+    (full,) = identify(response, FitSettings("rotor-2dof", mass=0.92, compare=True))
+    assert full.candidates[0].name == "this model: rotor-2dof" and "other-model" not in codes(full)
+
+
+def test_without_noise_nothing_is_compared(coupled_response) -> None:
+    (fit,) = identify(coupled_response(), FitSettings("rotor-2dof", mass=0.92, compare=True))
+    assert fit.candidates == ()

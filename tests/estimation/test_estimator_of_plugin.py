@@ -1,0 +1,90 @@
+"""An estimator of another package: a wrapper of ml, installed as documented, is ml in all its numbers and all that is said of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+ENTRIES = "[labpipe.estimator]\nplain = wrapped:plain\nstated = wrapped:STATED\nequations = wrapped:EQUATIONS\n"
+WRAPPED = """
+from dataclasses import replace
+from labpipe.estimation.estimators import LS, ML
+from labpipe.estimation.likelihood import maximum_likelihood
+from labpipe.estimation.regression import least_squares
+
+def plain(measured, model, weight="none"):
+    return maximum_likelihood(measured, model, weight)
+
+STATED = replace(ML, fit=plain)
+EQUATIONS = replace(LS, fit=least_squares)
+"""
+# Short blocks of random data; a model that lacks a mode; a mode seen from another point, with a mass that is not known; a given mass and
+# a sensor in doubt.
+FITTED = """
+import json, sys
+from dataclasses import replace
+import numpy as np
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.records.response import Port
+from tests.estimation.conftest import FX, X, with_noise
+from tests.estimation.test_leakage import response
+
+w = 2 * np.pi * np.arange(50.0, 70.0, 0.25)
+one, other = (1 / (k - w**2 + 20j * w) for k in (380.0**2, 420.0**2))
+rng = np.random.default_rng(3)
+def measured(values, output=X):
+    return with_noise(w / (2 * np.pi), values[:, None, None], (output,), (FX,), 1e-7, np.random.default_rng(3))
+short = response(2.0)
+noise = 1e-3 * np.abs(short.matrix).max() * (rng.normal(size=short.matrix.shape) + 1j * rng.normal(size=short.matrix.shape))
+cases = {
+    "leakage": (replace(short, matrix=short.matrix + noise), {"mass": 1.0}),
+    "blocks far too short": (response(1.0), {"mass": 1.0}),
+    "missing mode": (measured(one + 0.5 * other), {"mass": "1 kg +- 1 %"}),
+    "wrong mass": (measured(one), {"mass": "1.2 kg +- 1 %"}),
+    "transfer": (replace(measured(0.4j * one, Port("q", "q", "7")), inputs=(Port("f", "f", "3"),)), {}),
+    "compared": (measured(one), {"mass": "1 kg +- 1 %", "compare": True}),
+}
+def said(estimator, data, keys):
+    (fit,) = identify(data, FitSettings("sdof", estimator=estimator, name="one", **keys))
+    return {
+        "numbers": [(p.name, p.value, p.std_error, p.full_error, p.expanded) for p in fit.parameters],
+        "chi2": fit.gof.chi2_reduced, "notes": fit.notes, "candidates": [(c.name, c.chi2) for c in fit.candidates],
+        "findings": [(f.code, f.message) for f in fit.findings], "curve": np.abs(fit.curve.fitted).ravel().tolist(),
+    }
+print(json.dumps({name: {estimator: said(estimator, *case) for estimator in sys.argv[1:]} for name, case in cases.items()}))
+"""
+
+
+def fitted(folder: Path, *estimators: str) -> dict[str, dict[str, dict[str, list]]]:
+    """What fits by each estimator say, in a process that begins with the plug-in installed: choices are looked up once."""
+    (folder / "plugin-1.dist-info").mkdir()
+    (folder / "plugin-1.dist-info/entry_points.txt").write_text(ENTRIES)
+    (folder / "plugin-1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: plugin\nVersion: 1\n")
+    (folder / "wrapped.py").write_text(WRAPPED)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
+    ended = subprocess.run([sys.executable, "-c", FITTED, *estimators], env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout)  # type: ignore[no-any-return]
+
+
+def test_a_wrapper_of_ml_is_ml(tmp_path: Path) -> None:
+    found = fitted(tmp_path, "ml", "plain", "stated")
+    codes = {name: {code for code, _ in case["ml"]["findings"]} for name, case in found.items()}
+    assert "leakage" not in codes["leakage"] and "leakage" in codes["blocks far too short"]
+    assert "model-mismatch" in codes["missing mode"] and "mass" in codes["wrong mass"] and found["compared"]["ml"]["candidates"]
+    assert [name for name, *_ in found["transfer"]["ml"]["numbers"]][2] == "modal_constant"
+    for name, case in found.items():
+        assert case["stated"] == case["plain"] == case["ml"], name
+
+
+def test_one_that_states_the_properties_of_ls_is_ls(tmp_path: Path) -> None:
+    found = fitted(tmp_path, "ls", "equations")
+    assert "leakage" in {code for code, _ in found["leakage"]["ls"]["findings"]}
+    for case in found.values():
+        text = json.dumps(case["equations"]).replace("equations is biased", "ls is biased").replace("equations:", "ls:")
+        assert json.loads(text) == case["ls"]

@@ -1,0 +1,175 @@
+"""Leakage of random data in the model and in its scatter, against the lag domain, drawn white noise and sums written out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.estimation.diagnostics import leakage_findings
+from labpipe.estimation.estimators import LS
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.leakage import SmearedModel, leaking_noise
+from labpipe.estimation.linear_models import sdof
+from labpipe.estimation.measured import Measured, measured_part
+from labpipe.estimation.model import Setup
+from labpipe.estimation.settings import FitSettings
+from labpipe.records.finding import Finding
+from labpipe.records.response import Blocks, FrequencyResponse, Port, uncorrelated
+from labpipe.spectra.windows import kernel_of, window_values
+
+# 1 kg at 60 Hz, half-power width 1.2 Hz.
+W_N, WIDTH = 2 * np.pi * 60.0, 1.2
+STIFFNESS, DAMPING = W_N**2, 2 * np.pi * WIDTH
+PORTS = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0),)
+SETTINGS = FitSettings("sdof", mass=1.0)
+
+
+def receptance(frequency: np.ndarray) -> np.ndarray:
+    w = 2 * np.pi * frequency
+    return (1 / (STIFFNESS - w**2 + 1j * w * DAMPING))[:, None, None]
+
+
+def in_lag_domain(frequency: np.ndarray, length: float, window: str) -> np.ndarray:
+    """Fourier integral of h(t) r(t), h = exp(-c t / 2) sin(w_d t) / w_d and r the window's autocorrelation over its energy."""
+    n = 4096
+    values = window_values(window, n)
+    r = np.correlate(values, values, "full")[n - 1 :] / np.dot(values, values)
+    t = np.arange(n) * length / n
+    w_d = np.sqrt(STIFFNESS - DAMPING**2 / 4)
+    h = np.exp(-DAMPING / 2 * t) * np.sin(w_d * t) / w_d
+    return np.array([np.trapezoid(h * r * np.exp(-2j * np.pi * f * t), t) for f in frequency])[:, None, None]
+
+
+def response(length: float, window: str = "hann", estimator: str = "H1") -> FrequencyResponse:
+    """The expected H1 of 60 blocks on the lines of 40-80 Hz, with a covariance of 1 % of the peak."""
+    frequency = np.arange(int(40 * length), int(80 * length) + 1) / length
+    matrix = in_lag_domain(frequency, length, window)
+    covariance = uncorrelated(np.full(matrix.shape, (0.01 * np.abs(matrix).max()) ** 2))
+    blocks = Blocks(length, window, 0.5, 60, estimator)
+    more = {"covariance": covariance, "averages": 57.0, "covariance_dof": 56.0, "line_correlation": (0.45, 0.03), "blocks": blocks}
+    return FrequencyResponse(frequency, matrix, *PORTS, **more)
+
+
+def part(whole: FrequencyResponse, every: int = 1) -> Measured:
+    return measured_part(whole, [0], [0], np.arange(whole.n_frequency) % every == 0)
+
+
+def model() -> object:
+    return sdof(Setup(*PORTS, SETTINGS))
+
+
+@pytest.mark.parametrize("window", ["hann", "hamming", "blackman"])
+@pytest.mark.parametrize("lines", [1.0, 2.0, 6.0])
+def test_the_expected_response_is_that_of_the_lag_domain(window: str, lines: float) -> None:
+    whole = response(lines / WIDTH, window)
+    measured = part(whole)
+    smeared = SmearedModel(model(), measured.leakage).receptance(np.array([STIFFNESS, DAMPING]), measured.omega)
+    size = np.abs(whole.matrix).max()
+    np.testing.assert_allclose(smeared, whole.matrix, atol=0.005 * size)
+    assert np.abs(receptance(whole.frequency) - whole.matrix).max() > 2 * 0.005 * size
+
+
+def test_its_derivatives_are_those_of_differences() -> None:
+    measured = part(response(2.0), every=3)
+    smeared, values = SmearedModel(model(), measured.leakage), np.array([STIFFNESS, DAMPING])
+    for number, step in enumerate(values * 1e-5):
+        moved = np.eye(2)[number] * step
+        difference = smeared.receptance(values + moved, measured.omega) - smeared.receptance(values - moved, measured.omega)
+        exact = smeared.jacobian(values, measured.omega)[number]
+        np.testing.assert_allclose(difference / (2 * step), exact, atol=1e-5 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("form", ["receptance", "accelerance"])
+def test_damping_is_the_true_one_though_blocks_are_short(form: str) -> None:
+    whole = response(2.0 / WIDTH)
+    if form == "accelerance":
+        # Leakage of what was measured, not of the receptance: the window multiplies the impulse response of the acceleration.
+        fine = np.arange(-96, 97) / 4
+        kernel = kernel_of(whole.blocks)
+        points = whole.frequency[:, None] + kernel.offsets / (4 * whole.blocks.length)
+        assert kernel.offsets.size <= fine.size
+        accelerance = receptance(points.reshape(-1))[:, 0, 0].reshape(points.shape) * (2j * np.pi * points) ** 2
+        whole = replace(whole, matrix=(accelerance @ kernel.weights)[:, None, None], form=form, covariance=None)
+    (fit,) = identify(whole, SETTINGS)
+    assert fit.parameter("c").value == pytest.approx(DAMPING, rel=2e-3)
+    (plain,) = identify(replace(whole, blocks=None), SETTINGS)
+    assert plain.parameter("c").value > 1.015 * DAMPING
+
+
+def blocks_of_white_noise(rng: np.random.Generator, n: int, n_block: int) -> np.ndarray:
+    """H1 of *n_block* half overlapping Hann blocks of n samples, no noise, mode as in `receptance` at 512 Hz by its sampled response."""
+    from scipy import signal
+
+    rate = 512.0
+    pole = np.exp((-DAMPING / 2 + 1j * np.sqrt(STIFFNESS - DAMPING**2 / 4)) / rate)
+    force = rng.normal(size=4096 + n // 2 * (n_block + 1))
+    output = signal.lfilter([0.0, pole.imag], [1.0, -2 * pole.real, abs(pole) ** 2], force)
+    window = window_values("hann", n)
+    cut = [np.fft.rfft(np.lib.stride_tricks.sliding_window_view(x[4096:], n)[:: n // 2] * window, axis=1) for x in (force, output)]
+    return np.sum(cut[1] * cut[0].conj(), axis=0) / np.sum(np.abs(cut[0]) ** 2, axis=0)
+
+
+def test_leakage_scatters_as_predicted(rng: np.random.Generator) -> None:
+    # 400 records of 40 blocks of 853 samples (two lines in the half-power width).
+    n, n_block = 853, 40
+    draws = np.array([blocks_of_white_noise(rng, n, n_block) for _ in range(400)])
+    length = n / 512.0
+    lines = np.arange(int(60 * length) - 4, int(60 * length) + 6)
+    drawn = draws[:, lines] / (np.abs(draws[:, lines].mean(axis=0)).max() / np.abs(in_lag_domain(lines / length, length, "hann")).max())
+    drawn = drawn - drawn.mean(axis=0)
+    # Noise far below the leakage; covariances as a long record would give them, so that those of the model can be read off.
+    matrix = receptance(lines / length)
+    whole = FrequencyResponse(
+        lines / length, matrix, *PORTS, covariance=uncorrelated(np.full(matrix.shape, 1e-18)), covariance_dof=37.0, averages=38.0,
+        line_correlation=(0.45, 0.03), blocks=Blocks(length, "hann", 0.5, n_block, "H1"),
+    )  # fmt: skip
+    measured = part(whole)
+    values = np.array([STIFFNESS, DAMPING])
+    points = measured.leakage.points_of(model(), values)
+    deviation = points - np.einsum("m,lmoi->loi", measured.leakage.kernel.weights, points)[:, None]
+    apparent = np.einsum("m,lmoi->l", measured.leakage.kernel.weights, np.abs(deviation) ** 2) / 37.0
+    noise = leaking_noise(measured, model(), values)
+    weights = rng.normal(size=(lines.size, 1, 6)) + 1j * rng.normal(size=(lines.size, 1, 6))
+    predicted = np.einsum("kap,kap->p", weights.conj(), noise.times(weights)).real
+    sums = (np.einsum("kp,rk->rp", weights[:, 0].conj(), drawn / np.sqrt(apparent))).real
+    # 400 records: 7 % on a variance.
+    np.testing.assert_allclose(2 * sums.var(axis=0), predicted, rtol=0.3)
+    # The residual's power alone, line by line, would tell more scatter.
+    assert noise.trace < 0.9 * lines.size
+
+
+FINDING_CASES = [("ml", "H1", 1.0, 1.5), ("ml", "H1", 2.0, 0), ("ls", "H1", 3.0, 10), ("ml", "H2", 3.0, 10), ("ls", "H1", 12.0, 0)]
+
+
+@pytest.mark.parametrize(("estimator", "frf", "lines", "needed"), FINDING_CASES)
+def test_short_blocks_are_said_with_the_length_that_would_do(estimator: str, frf: str, lines: float, needed: float) -> None:
+    (fit,) = identify(response(lines / WIDTH, estimator=frf), replace(SETTINGS, estimator=estimator))
+    messages = [finding.message for finding in fit.findings if finding.code == "leakage"]
+    assert len(messages) == bool(needed)
+    for message in messages:
+        assert "use blocks of at least" in message and "narrow" not in message
+        # That many lines in the fitted half-power width c / (2 pi m), rounded up to two digits.
+        length = needed / (fit.parameter("c").value / (2 * np.pi))
+        assert length <= float(message.split("at least ")[1].split(" s")[0]) <= 1.1 * length
+
+
+def test_a_mismatch_beside_short_blocks_advises_longer_ones() -> None:
+    whole = response(1.0 / WIDTH, estimator="H2")
+    whole = replace(whole, covariance=whole.covariance / 1e4)
+    (fit,) = identify(whole, SETTINGS)
+    (message,) = [finding.message for finding in fit.findings if finding.code == "model-mismatch"]
+    assert "leakage of the short blocks" in message and "longer blocks" in message and "or narrow" not in message
+    (other,) = identify(replace(whole, blocks=None), SETTINGS)
+    assert "or narrow the band" in next(f.message for f in other.findings if f.code == "model-mismatch")
+
+
+def test_nothing_is_said_without_a_mode_in_the_band() -> None:
+    measured = part(response(1.0))
+    matrices = model().whole(np.array([STIFFNESS, DAMPING]))
+    assert [type(finding) for finding in leakage_findings(measured, matrices, LS)] == [Finding]
+    assert not leakage_findings(measured, replace(matrices, stiffness=100 * matrices.stiffness), LS)
+    assert not leakage_findings(measured, replace(matrices, damping=-matrices.damping), LS)
+    assert not leakage_findings(measured, replace(matrices, mass=0 * matrices.mass), LS)
+    assert not leakage_findings(replace(measured, blocks=None), matrices, LS)

@@ -1,0 +1,144 @@
+"""Straight lines through tables: slopes and units by hand, groups, ranges, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.methods.calibration.section import CalibrationSettings, calibrate, si_name
+from labpipe.quantities import parse_unit
+from labpipe.records.identification import Fit
+
+PROBE = CalibrationSettings("probe.csv", "x [um]", "u [V]", name="probe")
+
+
+def table(folder: Path, x: np.ndarray, y: np.ndarray, names: str = "x [um],u [V]", group: np.ndarray | None = None) -> Path:
+    columns = [x, y] if group is None else [x, y, group]
+    rows = "".join(",".join(f"{number!r}" for number in row) + "\n" for row in np.column_stack(columns).tolist())
+    (folder / "probe.csv").write_text(f"{names}\n{rows}")
+    return folder / "probe.csv"
+
+
+def fitted(path: Path, **changes: object) -> list[Fit]:
+    return calibrate([replace(PROBE, path=path, **changes)])  # type: ignore[arg-type]
+
+
+X = np.arange(0.0, 200.0, 10.0)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.floats(1e-3, 1e3), st.floats(-100, 100))
+def test_a_straight_line_is_found_in_si_units(tmp_path: Path, slope: float, intercept: float) -> None:
+    """V per um is 1e6 V/m."""
+    (fit,) = fitted(table(tmp_path, X, slope * X + intercept))
+    assert fit.parameter("slope").value == pytest.approx(1e6 * slope, rel=1e-8, abs=1e-5)
+    assert fit.parameter("intercept").value == pytest.approx(intercept, rel=1e-8, abs=1e-8 * (1 + 200 * slope))
+    assert (fit.parameter("slope").unit, fit.parameter("intercept").unit) == ("V/m", "V")
+
+
+def test_doubt_is_that_of_linear_regression(tmp_path: Path) -> None:
+    """Against scipy's linregress: slope, its error, the 95 % interval of 18 degrees of freedom."""
+    y = 8.2e-3 * X + 0.1 + 0.01 * np.random.default_rng(4).normal(size=X.size)
+    (fit,) = fitted(table(tmp_path, X, y))
+    theirs = stats.linregress(X * 1e-6, y)
+    slope = fit.parameter("slope")
+    assert slope.value == pytest.approx(theirs.slope, rel=1e-9) and slope.std_error == pytest.approx(theirs.stderr, rel=1e-7)
+    reach = stats.t.ppf(0.975, X.size - 2) * theirs.stderr
+    assert slope.ci95 == pytest.approx((theirs.slope - reach, theirs.slope + reach), rel=1e-7)
+    assert fit.parameter("intercept").std_error == pytest.approx(theirs.intercept_stderr, rel=1e-7)
+    assert fit.gof.r2 == pytest.approx(theirs.rvalue**2, rel=1e-9) and fit.dof == X.size - 2
+
+
+def test_through_the_origin_the_slope_is_the_ratio_of_sums(tmp_path: Path) -> None:
+    y = 8.2e-3 * X + 0.1
+    (fit,) = fitted(table(tmp_path, X, y), through_origin=True)
+    assert fit.parameter("slope").value == pytest.approx(1e6 * (X @ y) / (X @ X), rel=1e-9)
+    assert [parameter.name for parameter in fit.parameters] == ["slope"] and fit.dof == X.size - 1
+
+
+@pytest.mark.parametrize(
+    ("names", "changes", "units", "factor"),
+    [
+        ("x [mm],u [mV]", {"x": "x [mm]", "y": "u [mV]"}, ("V/m", "V"), 1.0),
+        ("x [m],u [V]", {"x": "x [m]"}, ("V/m", "V"), 1.0),
+        ("i [A],f [N]", {"x": "i [A]", "y": "f [N]"}, ("N/A", "N"), 1.0),
+        ("x,u", {"x": "x", "y": "u"}, ("1", "1"), 1.0),
+        ("x,u", {"x": "x", "y": "u", "x_unit": "um", "y_unit": "N"}, ("N/m", "N"), 1e6),
+        ("v [m/s],u [V]", {"x": "v [m/s]"}, ("V/(m/s)", "V"), 1.0),
+        ("p [%],u [V]", {"x": "p [%]"}, ("V", "V"), 100.0),
+        ("x [um],u [V]", {"x_unit": "mm"}, ("V/m", "V"), 1e3),
+    ],
+)
+def test_units_of_slope_and_intercept(tmp_path: Path, names: str, changes: dict[str, str], units: tuple[str, str], factor: float) -> None:
+    (fit,) = fitted(table(tmp_path, X, 3 * X + 1, names), **changes)
+    assert (fit.parameter("slope").unit, fit.parameter("intercept").unit) == units
+    assert fit.parameter("slope").value == pytest.approx(3 * factor, rel=1e-9)
+
+
+def test_a_power_of_the_set_value(tmp_path: Path) -> None:
+    f = np.linspace(100, 400, 9)
+    (fit,) = fitted(table(tmp_path, f, 0.009189 * f**2, "f [Hz],p [N]"), x="f [Hz]", y="p [N]", x_power=2, through_origin=True)
+    assert fit.parameter("slope").value == pytest.approx(0.009189, rel=1e-9) and fit.parameter("slope").unit == "N/Hz^2"
+
+
+def test_one_line_for_each_value_of_a_group(tmp_path: Path) -> None:
+    x = np.tile(X, 3)
+    group = np.repeat([0.4, 0.5, 0.6], X.size)
+    path = table(tmp_path, x, x * 10 * group, "x [um],u [V],gap [mm]", group)
+    fits = fitted(path, group="gap [mm]")
+    assert [fit.parameter("slope").value for fit in fits] == pytest.approx([4e6, 5e6, 6e6])
+    assert [fit.test for fit in fits] == ["gap 0.0004 m", "gap 0.0005 m", "gap 0.0006 m"] and {fit.name for fit in fits} == {"probe"}
+
+
+def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
+    """Straight up to 100 um, twice as steep beyond: within 10 % the line holds up to 100 um, to one step."""
+    y = np.where(X <= 100, X, 2 * X - 100) * 1e-2
+    (fit,) = fitted(table(tmp_path, X, y), tolerance=0.1)
+    reach = fit.parameter("linear_range")
+    assert reach.unit == "m" and reach.value == pytest.approx(100e-6, abs=10.1e-6)
+    (whole,) = fitted(table(tmp_path, X, 1e-2 * X), tolerance=0.1)
+    assert whole.parameter("linear_range").value == pytest.approx(190e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "changes", "kind", "said"),
+    [
+        ("x [um],u [V]", {"x": "z [um]"}, DataError, "no column 'z [um]'"),
+        ("x [um],u [V]", {"x_power": 0}, ConfigError, "'x_power' must be at least 1"),
+        ("x [um],u [V]", {"x_unit": "umm"}, ConfigError, "unit of column 'x [um]': unknown unit 'umm'"),
+        ("x [um],u [V]", {"x_unit": "m^7"}, ConfigError, "a calibration column has an unusual unit"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said_with_the_table(
+    tmp_path: Path, names: str, changes: dict, kind: type[LabpipeError], said: str
+) -> None:
+    path = table(tmp_path, X, X, names)
+    with pytest.raises(kind) as caught:
+        fitted(path, **changes)
+    assert said in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_a_cell_that_is_no_number_is_named_by_its_row(tmp_path: Path) -> None:
+    y = 1.0 * X
+    y[4] = np.nan
+    with pytest.raises(DataError, match=r"column 'u \[V\]' has no number in row 5"):
+        fitted(table(tmp_path, X, y))
+
+
+@pytest.mark.parametrize("unit", ["m", "N", "V", "A", "kg", "s", "Hz", "rad", "K", "1", "Pa", "m/s", "m/s^2", "N/m", "N.s/m", "T"])
+def test_the_si_name_of_a_unit(unit: str) -> None:
+    assert si_name(parse_unit(unit)) == unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "name"), [("kN", "N"), ("um", "m"), ("rpm", "Hz"), ("%", "1"), ("degC", "K"), ("bar", "Pa"), ("gn", "m/s^2")]
+)
+def test_the_si_name_of_other_units(unit: str, name: str) -> None:
+    assert si_name(parse_unit(unit)) == name

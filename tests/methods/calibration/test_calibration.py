@@ -1,0 +1,65 @@
+"""Straight lines. Oracle: scipy.stats.linregress, and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from labpipe.errors import FitError
+from labpipe.methods.calibration.line import fit_line, line_fit, linear_range, linear_range_of_curve
+
+
+def test_equals_linregress(rng: np.random.Generator) -> None:
+    x = rng.uniform(0, 5, 30)
+    y = 2.5 * x - 1 + 0.1 * rng.normal(size=30)
+    line, oracle = fit_line(x, y), stats.linregress(x, y)
+    assert line.values == pytest.approx([oracle.slope, oracle.intercept])
+    assert np.sqrt(np.diag(line.covariance)) == pytest.approx([oracle.stderr, oracle.intercept_stderr])
+    assert line.r2 == pytest.approx(oracle.rvalue**2)
+
+
+def test_through_the_origin_closed_form(rng: np.random.Generator) -> None:
+    x, y = np.array([1.0, 2.0, 3.0]), np.array([2.1, 3.9, 6.0])
+    line = fit_line(x, y, through_origin=True)
+    slope = x @ y / (x @ x)
+    assert line.slope == pytest.approx(slope)
+    assert line.covariance[0, 0] == pytest.approx(np.sum((y - slope * x) ** 2) / 2 / (x @ x))
+    assert line.r2 == pytest.approx(1 - np.sum((y - slope * x) ** 2) / (y @ y))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e6])
+def test_units_do_not_matter(rng: np.random.Generator, scale: float) -> None:
+    x = rng.uniform(0, 5, 30)
+    y = 2.5 * x + rng.normal(size=30)
+    assert fit_line(x * scale, y).slope * scale == pytest.approx(fit_line(x, y).slope)
+
+
+def test_linear_range_over_positions() -> None:
+    # Gains of the virtual actuator, 1 / (1 + (e / 0.4)^4): within 20 % up to 20 % eccentricity.
+    e = np.array([0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
+    assert linear_range(e, 5.8 / (1 + (e / 0.4) ** 4), 0.20) == 0.2
+    assert linear_range(e, np.full(7, 5.8), 0.01) == 0.5
+
+
+def test_linear_range_of_a_curve_that_bends() -> None:
+    # Straight to 5, slope 2 beyond: the local slope over a third of the points leaves 20 % soon after 5.
+    x = np.linspace(0, 10, 101)
+    y = np.where(x < 5, x, 5 + 2 * (x - 5))
+    assert 5.0 < linear_range_of_curve(x, y, 0.2) < 7.0
+    assert linear_range_of_curve(x, x, 0.01) == pytest.approx(10.0)
+
+
+def test_a_bend_is_found_and_a_straight_line_is_not(rng: np.random.Generator) -> None:
+    x = np.linspace(0, 1, 40)
+    straight, bent = x + 0.01 * rng.normal(size=40), x + 0.2 * x**2 + 0.01 * rng.normal(size=40)
+    for y, codes in ((straight, []), (bent, ["model-mismatch"])):
+        fit = line_fit("gain", "", fit_line(x, y), ("N/V", "N"), x, y)
+        assert [finding.code for finding in fit.findings] == codes
+
+
+def test_what_makes_no_line() -> None:
+    with pytest.raises(FitError, match="2 points cannot determine"):
+        fit_line(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    with pytest.raises(FitError, match="same x"):
+        fit_line(np.ones(5), np.arange(5.0))

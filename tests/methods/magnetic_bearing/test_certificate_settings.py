@@ -1,0 +1,42 @@
+"""What the settings of a certificate refuse."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from labpipe.errors import ConfigError
+from labpipe.methods.magnetic_bearing.limits import CertificateSettings
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {},
+        {"before": ("a",), "after": ("b",)},
+        {"before": ("a", "b"), "after": ("c", "d")},
+        {"after": ("b",)},
+        {"confidence": 0.51},
+        {"rate": 1.0},
+    ],
+)
+def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]) -> None:
+    assert CertificateSettings(**entries).log_decrement == 0.1
+
+
+@pytest.mark.parametrize(
+    ("entries", "field"),
+    [
+        ({"before": ("a", "b"), "after": ("c",)}, "before"),
+        ({"before": ("a",)}, "before"),
+        ({"confidence": 0.5}, "confidence"),
+        ({"confidence": 1.0}, "confidence"),
+        ({"log_decrement": 0.0}, "log_decrement"),
+        ({"rate": 0.0}, "rate"),
+    ],
+)
+def test_what_is_refused_names_its_entry(entries: dict[str, Any], field: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        CertificateSettings(**entries)
+    assert caught.value.field == field

@@ -1,0 +1,165 @@
+"""labpipe plan for run-ups: files, words, refusals, and tables recorded as planned that end within the predicted errors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from labpipe.errors import DataError
+from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_plan
+from labpipe.methods.planning.records import RunPlan
+from labpipe.methods.planning.report import run_names
+from labpipe.methods.planning.run_ups import EXPONENTS, expected_run, plan_run_ups
+from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR
+from labpipe.methods.run_ups.joint import fit_jointly
+from labpipe.methods.run_ups.misfit import rank_of
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv
+from labpipe.records.uncertain import Uncertain
+from tests.conftest import Command
+
+ROTOR = Path(__file__).parents[3] / "configs/rotors/falah.yaml"
+PLAN = {
+    "model": "run-ups",
+    "rotor": str(ROTOR),
+    "loads": ["5.88 N", "10.3 N"],
+    "speeds": "600-3000 rpm",
+    "step": "200 rpm",
+    "stretches": 2,
+    "dwell": "10 s",
+    "duration": "5 min",
+    "trials": {"both": {"unbalance": {"disc 1": "50 g.mm", "disc 2": "30 g.mm at 60 deg"}}, "one": {"unbalance": {"disc 2": "50 g.mm"}}},
+    "noise": {"amplitude": "1 %", "displacement": "0.5 um", "phase": "1 deg", "threshold": "0.2 %"},
+    "to_threshold": True,
+    "known": ["clearance"],
+    "at_load": "8 N",
+    "at_speed": "1800 rpm",
+    "goal": {"k_xy": "10 %", "threshold": "1 %"},
+}
+
+
+def _write(folder: Path, **changes: object) -> Path:
+    path = folder / "plan.yaml"
+    entries = {name: value for name, value in {**PLAN, **changes}.items() if value is not None}
+    path.write_text(yaml.safe_dump({"title": "Film", "plan": entries}), encoding="utf-8")
+    return path
+
+
+def _read(run: RunUp, rng: np.random.Generator) -> RunUp:
+    """A run as its noise leaves it."""
+    shape = run.response.shape
+    size = 1 + run.amplitude_error / np.abs(run.response) * rng.standard_normal(shape)
+    noisy = run.response * size * np.exp(1j * run.phase_error * rng.standard_normal(shape))
+    threshold = None
+    if run.threshold is not None:
+        threshold = Uncertain(run.threshold.value + run.threshold.std_error * rng.standard_normal(), run.threshold.std_error)
+    return replace(run, response=noisy, threshold=threshold)
+
+
+def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
+    folder = tmp_path / "planned"
+    ended = labpipe("plan", _write(tmp_path), "-o", folder)
+    assert ended.code == 0, ended.err
+    assert "The goals are" in ended.out and "times better by the largest error" in ended.out
+    plan = read_any_plan(folder / "plan.json")
+    assert isinstance(plan, RunPlan) and plan.efficiency > 0.9 and plan.gain > 1 and plan.duration <= 300
+    with pytest.raises(DataError, match="plans runs, not an excitation"):
+        read_plan(folder / "plan.json")
+    assert "Runs to make" in (folder / "report.html").read_text("utf-8")
+    assert len((folder / "runs.csv").read_text("utf-8").splitlines()) == len(plan.runs) + 1
+    assert labpipe("verify", folder).code == 0
+
+
+@pytest.mark.long
+def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, tmp_path: Path) -> None:
+    folder = tmp_path / "planned"
+    assert labpipe("plan", _write(tmp_path), "-o", folder).code == 0
+    plan = read_any_plan(folder / "plan.json")
+    assert isinstance(plan, RunPlan)
+    rng = np.random.default_rng(5)
+    (folder / "recordings").mkdir()
+    for run in plan.runs:
+        expected = read_run_up_csv(folder / f"expected/{run.name}.csv")
+        for name in run_names(run):
+            write_run_up_csv(folder / f"recordings/{name}.csv", _read(expected, rng))
+    ended = labpipe("run", folder / "pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (method,) = [
+        m for m in json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["run_ups"]["methods"] if m["name"] == "joint"
+    ]
+    found = {p["name"]: p for p in method["parameters"]}
+    assert "clearance" not in found and method["unknowns"] == 11
+    for number in plan.numbers:
+        if number.name in found and number.error is not None:
+            assert abs(found[number.name]["value"] - number.expected) < 4 * number.error
+            factor = 1.0 if number.name in EXPONENTS else found[number.name]["value"]
+            assert found[number.name]["std_error"] == pytest.approx(number.error * factor, rel=0.35)
+    # What was found is what is expected of the next runs.
+    ended = labpipe("plan", _write(tmp_path, earlier="out/identification.json"), "-o", tmp_path / "second")
+    assert ended.code == 0, ended.err
+    again = {number.name: number.expected for number in read_any_plan(tmp_path / "second/plan.json").numbers}
+    assert again["viscosity"] == pytest.approx(found["viscosity"]["value"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        # Without a measured clearance no run-up separates it from viscosity and all factors: rank 11 of 12.
+        ({"known": [], "goal": {"clearance": "1 %"}}, "however many runs there are, they do not determine clearance"),
+        ({"known": [], "goal": {"clearance": "1 %"}}, "a measured clearance (known: clearance) would determine all"),
+        ({"goal": {"k_zz": "2 %"}}, "no k_zz is predicted"),
+        ({"goal": {"clearance": "2 %"}}, "clearance is known"),
+        ({"known": ["oil"]}, "the film has no parameter oil"),
+        ({"trials": {}}, "no way to excite the rotor"),
+        ({"trials": {"a": {}}}, "a trial has an unbalance or a shaker"),
+        ({"trials": {"a": {"unbalance": {"disc 3": "1 g.mm"}}}}, "no plane 'disc 3'"),
+        ({"displacement_limit": "1 nm"}, "no run keeps within the limits"),
+        ({"expected": {"viscosity": 50}}, "beyond what a joint fit looks for"),
+        ({"duration": "3 s"}, "no run fits into 3 s"),
+        ({"stretches": 20}, "make no 20 stretches"),
+        ({"model": "run-upss"}, "did you mean 'run-ups'"),
+        ({"dwel": "3 s"}, "did you mean 'dwell'"),
+    ],
+)
+def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    quick = {"to_threshold": False, "stretches": 1, "step": "400 rpm"}
+    ended = labpipe("plan", _write(tmp_path, **{**quick, **changes}), "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert message in ended.err and "plan.yaml" in ended.err and "Traceback" not in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_load_leaves_the_load_s_exponent_open(tmp_path: Path) -> None:
+    file = load_plan(_write(tmp_path, loads=["8 N"], goal={}, to_threshold=False, stretches=1))
+    planned = plan_run_ups(file.settings, "", {})
+    assert "viscosity_load +1.00" in planned.plan.undetermined
+    assert planned.plan.remedies == ("a second load",)
+
+
+@pytest.mark.long
+def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path) -> None:
+    """Where the plan names a measured clearance as the change, fits with it tell all, and scatter as predicted."""
+    file = load_plan(_write(tmp_path, known=[], goal={}, at_load=None, at_speed=None))
+    assert plan_run_ups(file.settings, "", {}).plan.remedies == ("a measured clearance (known: clearance)",)
+    file = load_plan(_write(tmp_path, goal={}, duration="20 min", to_threshold=False))
+    planned = plan_run_ups(file.settings, "", {})
+    assert planned.plan.undetermined == ()
+    runs = [expected_run(planned.expected, planned.candidates[run.name]) for run in planned.plan.runs for _ in range(run.count)]
+    free = np.array([name != "clearance" for name in PARAMETERS])
+    prior = np.diag(PRIOR[free] ** -2.0)
+    covariance = planned.answered.covariance[np.ix_(free, free)]
+    information = np.linalg.inv(covariance) - prior
+    assert rank_of(np.linalg.cholesky(information).T)[0] == 11
+    # At one truth the estimates scatter by C I C, less than C, which holds for truths drawn from the prior.
+    scatter = covariance @ information @ covariance
+    rng = np.random.default_rng(8)
+    draws = np.array([fit_jointly(planned.expected.rig, [_read(run, rng) for run in runs], known=("clearance",)).values for _ in range(80)])
+    away = draws[:, free] - draws[:, free].mean(axis=0)
+    square = np.einsum("di,ij,dj->d", away, np.linalg.inv(scatter), away).sum() / (79 * 11)
+    # The mean square of 79 x 11 normal numbers wanders by sqrt(2 / 869) = 4.8 %.
+    assert square == pytest.approx(1.0, abs=0.15)

@@ -1,0 +1,200 @@
+"""The model decay as a fit: parameters, derived values, warnings, notes, refusals, and its way through files and reports."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from labpipe.artefacts.header import Header
+from labpipe.artefacts.identification_file import fit_entry, read_fit
+from labpipe.artefacts.measured_files import read_decays, write_decays
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.ring_down.settings import DecaySettings
+from labpipe.records.fit_details import RingDown
+from labpipe.records.identification import Fit, Identification
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.spectra import FreeDecay, FreeDecays
+from labpipe.report.build import build
+from labpipe.report.document import Figure
+from tests.methods.ring_down.records_of_decay import motion, record, times
+from tests.methods.ring_down.test_amplitude import noisy, slipping
+
+ONE, TWO = ((40.0, 0.005, 1.0, 0.3),), ((40.0, 0.005, 1.0, 0.3), (41.6, 0.006, 0.7, 1.9))
+
+
+def fitted(decays: FreeDecays, **settings: object) -> Fit:
+    (fit,) = identify(decays, FitSettings("decay", **{"name": "ring", **settings}))
+    return fit
+
+
+def linear(seed: int = 1, modes=ONE) -> FreeDecays:
+    return record(noisy([motion(modes, times())], seed))
+
+
+def test_the_parameters_of_one_mode_and_its_support() -> None:
+    """k = m w_n^2, c = 2 zeta w_n m, log decrement = 2 pi zeta / sqrt(1 - zeta^2), from the fitted f_n and zeta."""
+    fit = fitted(linear(), mass=2.0)
+    assert [p.name for p in fit.parameters] == ["f_n_1", "zeta_1", "log_decrement_1", "k", "c"]
+    f_n, zeta, decrement, k, c = fit.parameters
+    omega = 2 * np.pi * f_n.value
+    assert (k.value, c.value) == pytest.approx((2 * omega**2, 4 * zeta.value * omega), rel=1e-12)
+    assert decrement.value == pytest.approx(2 * np.pi * zeta.value / np.sqrt(1 - zeta.value**2), rel=1e-12)
+    assert k.std_error == pytest.approx(2 * k.value * f_n.std_error / f_n.value, rel=1e-9)
+    assert decrement.std_error == pytest.approx(2 * np.pi * zeta.std_error, rel=1e-3)
+    assert [p.derived for p in fit.parameters] == [False, False, True, True, True] and fit.correlation.shape == (2, 2)
+    assert all(p.ci95[0] < truth < p.ci95[1] for p, truth in zip(fit.parameters, (40, 0.005, 0.0314163, 126330.9, 5.02655), strict=True))
+    assert fit.findings == () and fit.gof.r2 > 0.98 and fit.lines == fit.equations == 4096 and fit.dof == 4091
+
+
+def test_several_modes_ascend_and_number_their_supports() -> None:
+    names = [p.name for p in fitted(linear(modes=TWO), mass=2.0, model_settings=DecaySettings(2)).parameters]
+    assert names == [f"{name}_{n}" for n in (1, 2) for name in ("f_n", "zeta", "log_decrement", "k", "c")]
+
+
+def test_the_peaks_are_named_beside_the_fit() -> None:
+    (note,) = [note for note in fitted(linear()).notes if "peaks alone" in note]
+    read = float(note.split("decrement ")[1].split(" ")[0])
+    assert 0.029 < read < 0.0314
+
+
+def test_damping_over_amplitude_warns_and_takes_the_intervals() -> None:
+    fit = fitted(record(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1)))
+    assert [f.code for f in fit.findings] == ["amplitude-dependent"]
+    assert all(fit.parameter(name).std_error is None for name in ("f_n_1", "zeta_1", "log_decrement_1"))
+    slope = fit.parameter("zeta_slope_1")
+    assert slope.unit == "1/m" and slope.ci95[0] < 0.003 < slope.ci95[1] and fit.parameter("f_slope_1").unit == "Hz/m"
+    assert fit.detail(RingDown).modes[0].law is not None
+
+
+def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None:
+    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure has; two modes fit better."""
+    decays = record(noisy([motion(((40.0, 0.005, 1.0, 0.3), (40.2, 0.005, 0.5, 2.8)), times(2.0))], 1))
+    fit = fitted(decays)
+    (finding,) = [finding for finding in fit.findings if finding.code == "missing-mode"]
+    assert "`modes: 2`" in finding.message and "amplitude-dependent" not in [finding.code for finding in fit.findings]
+    named = [float(number) for number in re.findall(r"at (\d+\.?\d*) and (\d+\.?\d*) Hz", finding.message)[0]]
+    np.testing.assert_allclose(named, [40.0, 40.2], atol=0.05)
+    assert "zeta_rest_1" not in [parameter.name for parameter in fit.parameters]
+
+
+@pytest.mark.parametrize("apart", [0.2, 0.4])
+@pytest.mark.parametrize("ratio", [0.2, 0.5])
+@pytest.mark.parametrize("phase", [0.3, 2.8])
+def test_a_missing_mode_is_named_where_it_beats(apart: float, ratio: float, phase: float) -> None:
+    """Up to the half-power width of 0.4 Hz apart, 4 s: one mode alone would be said to depend on its amplitude."""
+    beating = motion(((40.0, 0.005, 1.0, 0.3), (40.0 + apart, 0.005, ratio, phase)), times())
+    assert "missing-mode" in [finding.code for finding in fitted(record(noisy([beating], 7))).findings]
+
+
+def test_under_a_mismatch_no_interval_is_given() -> None:
+    """As of FRFs: a second mode at 55 Hz that nothing fits."""
+    fit = fitted(record(noisy([motion((*ONE, (55.0, 0.01, 0.05, 1.0)), times())], 4)))
+    assert [finding.code for finding in fit.findings if finding.level == "warning"] == ["model-mismatch"]
+    assert all(parameter.ci95 is None and parameter.std_error is None for parameter in fit.parameters)
+
+
+def test_a_mode_too_few_warns() -> None:
+    fit = fitted(record(noisy([motion((*ONE, (55.0, 0.01, 0.05, 1.0)), times())], 4)))
+    assert "model-mismatch" in [f.code for f in fit.findings] and "55" in fit.findings[-1].message
+
+
+def test_an_oscillation_that_grows_is_unphysical() -> None:
+    fit = fitted(record(noisy([motion(((40.0, -0.001, 0.3, 0.3),), times())], 5)))
+    assert [f.code for f in fit.findings] == ["unphysical"] and fit.parameter("zeta_1").value < 0
+
+
+def test_a_band_is_fitted_alone() -> None:
+    fit = fitted(linear(modes=(*ONE, (95.0, 0.01, 3.0, 1.0))), band=(35.0, 45.0))
+    assert fit.band_hz == (35.0, 45.0) and abs(fit.parameter("f_n_1").value - 40) < 0.01 and fit.findings == ()
+
+
+def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
+    fit = fitted(record(noisy([motion(((40.0, 1e-7, 0.3, 0.3),), times())], 5)))
+    assert {f.code for f in fit.findings} & {"insignificant", "unphysical"} and fit.parameter("zeta_1").significant is False
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"input": "f"}, ConfigError, "'input' is not for model decay"),
+        ({"bands": [(30.0, 50.0)]}, ConfigError, "'bands' is not for model decay"),
+        ({"mass": [1.0, 2.0]}, ConfigError, "takes one mass"),
+        ({"output": "q"}, ConfigError, "no response 'q'"),
+        ({"band": (600.0, 700.0)}, FitError, "0 lines of a decay"),
+        ({"band": (200.0, 300.0)}, FitError, "is noise"),
+    ],
+)
+def test_what_does_not_fit_is_refused(settings: dict[str, object], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        fitted(linear(), **settings)
+
+
+def test_a_decay_of_few_samples_is_refused() -> None:
+    with pytest.raises(FitError, match=r"degrees of freedom|samples of its highest frequency"):
+        fitted(record([motion(ONE, times())[:30]]))
+
+
+@pytest.mark.parametrize("modes", [0, 9])
+def test_a_number_of_modes_beyond_reason_is_refused(modes: int) -> None:
+    with pytest.raises(ConfigError, match="'modes' is"):
+        DecaySettings(modes)
+
+
+def test_models_say_what_they_are_of() -> None:
+    port = (Port("y", "y", "y"),)
+    response = FrequencyResponse(np.arange(1.0, 4.0), np.ones((3, 1, 1), complex), port, (Port("f", "f", "y"),))
+    with pytest.raises(ConfigError, match="model decay needs free decays"):
+        identify(response, FitSettings("decay"))
+    with pytest.raises(ConfigError, match="model sdof needs an FRF"):
+        identify(linear(), FitSettings("sdof", mass=1.0))
+
+
+def test_outputs_of_one_hit_share_their_poles() -> None:
+    """The second output sees the mode a hundred times weaker in other units: the intervals are at least as narrow as those of the first."""
+    first, second = noisy([motion(ONE, times()), 0.01 * motion(ONE, times())], 6)
+    ports = (Port("a", "a", "x"), Port("b", "b", "y"))
+    both = FreeDecays(1024.0, ports, ("m", "m/s^2"), (FreeDecay("r", 0.0, np.stack([first, 0.1 * second], axis=1)),))
+    together, alone = fitted(both), fitted(both, output="a")
+    assert together.parameter("f_n_1").std_error <= alone.parameter("f_n_1").std_error
+    assert together.detail(RingDown).output == "a" and together.equations == 2 * alone.equations
+
+
+def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
+    decays = FreeDecays(1024.0, (Port("y", "y", "y"),), ("m",), linear().decays * 2, name="t", conditions={"preload": "1 N"})
+    write_decays(tmp_path / "t.decay.parquet", decays, Header("decay", {}, inputs=()))
+    back = read_decays(tmp_path / "t.decay.parquet")
+    assert (back.sample_rate, back.outputs, back.units, back.name, back.conditions) == (
+        1024.0,
+        decays.outputs,
+        ("m",),
+        "t",
+        {"preload": "1 N"},
+    )
+    assert len(back.decays) == 2
+    np.testing.assert_array_equal(back.decays[1].samples, decays.decays[1].samples)
+    fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
+    again = read_fit(json.loads(json.dumps(fit_entry(fit))))
+    assert again.parameters == fit.parameters and again.detail(RingDown).modes[0].law == fit.detail(RingDown).modes[0].law
+    np.testing.assert_array_equal(again.detail(RingDown).residual, fit.detail(RingDown).residual)
+
+
+def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
+    fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
+    (section,) = [s for s in build(Identification((fit,), "t")).sections if s.heading == "Result: ring"]
+    # The correlation of the two estimates is a sentence.
+    decay, over = [block for block in section.blocks if isinstance(block, Figure)]
+    assert decay.graphic.names == ("measured", "fitted", "residual") and over.graphic.names == ("stretches", "law")
+    law = over.graphic.panels[0].series[1]
+    assert law.y[-1] > law.y[0] > 0.3
+
+
+def test_no_decay_is_no_record() -> None:
+    with pytest.raises(DataError, match="holds no free decay"):
+        record([])
+    with pytest.raises(DataError, match="has 1 outputs, 2 are needed"):
+        FreeDecays(1.0, (Port("a", "a", "a"), Port("b", "b", "b")), ("m", "m"), (FreeDecay("r", 0.0, np.ones((3, 1))),))

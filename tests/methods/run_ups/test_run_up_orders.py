@@ -1,0 +1,167 @@
+"""Run-ups from tracked orders and the vector difference of two runs, against phasors that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.errors import DataError
+from labpipe.methods.run_ups.measured import at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.orders import cascade_spectra, track_order
+from labpipe.spectra.settings import ShaftLines
+
+RATE = 2000.0
+LINES = ShaftLines(tacho="tacho", harmonics=2)
+X, Y = 2e-5 * np.exp(0.3j), 1e-5 * np.exp(-1.2j)
+
+
+def sweep(seconds: float = 30.0, rng: np.random.Generator | None = None, turned: float = 0.0) -> Recording:
+    """A shaft from 10 to 40 Hz; x and y of one plane, read by probes at *turned* and a quarter turn further; phasors X, Y at all speeds."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    revolutions = 10 * time + 15 * time**2 / seconds
+    turn = np.exp(2j * np.pi * revolutions)
+    x, y = np.real(X * turn), np.real(Y * turn)
+    probes = np.cos(turned) * x + np.sin(turned) * y, -np.sin(turned) * x + np.cos(turned) * y
+    noise = np.zeros((2, time.size)) if rng is None else 1e-6 * rng.standard_normal((2, time.size))
+    tacho = np.where(revolutions % 1.0 < 0.5, 5.0, 0.0)
+    channels = (
+        Channel("a", "displacement", "output", "disc 1.x" if turned == 0 else "45 deg", 0.0 if turned == 0 else turned),
+        Channel("b", "displacement", "output", "disc 1.y" if turned == 0 else "135 deg", np.pi / 2 + turned),
+        Channel("tacho", "voltage", "reference", "tacho"),
+    )
+    if turned == 0:
+        channels = (replace(channels[0], angle=None), replace(channels[1], angle=None), channels[2])
+    return Recording(channels, np.column_stack([probes[0] + noise[0], probes[1] + noise[1], tacho]), RATE, "sweep")
+
+
+@pytest.mark.parametrize("turned", [0.0, np.pi / 4])
+def test_a_sweep_gives_its_phasors_in_x_and_y(turned: float) -> None:
+    run = run_up_of(track_order(sweep(turned=turned), LINES), "sweep", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1",))
+    assert run.planes == ("disc 1",) and run.n_speed > 20 and np.all(np.diff(run.speed) > 0)
+    # Pulses are known to a part of a sample, which is some degrees of a revolution.
+    np.testing.assert_allclose(np.abs(run.response[:, 0, 0]), abs(X), rtol=0.01)
+    np.testing.assert_allclose(np.abs(run.response[:, 0, 1]), abs(Y), rtol=0.01)
+    relative = run.response[:, 0, 1] / run.response[:, 0, 0]
+    np.testing.assert_allclose(np.angle(relative), np.angle(Y / X), atol=0.01)
+
+
+def test_stated_errors_are_those_of_the_noise(rng: np.random.Generator) -> None:
+    """4 s^2 / n samples is E|dX|^2; half of it falls on the amplitude, half across."""
+    run = run_up_of(track_order(sweep(rng=rng), LINES), "sweep", 5.0, {"disc 1": 1e-5 + 0j})
+    stretch = 20 * RATE / (run.speed / (2 * np.pi))
+    np.testing.assert_allclose(run.amplitude_error[:, 0, 0], 1e-6 * np.sqrt(2 / stretch), rtol=0.15)
+    np.testing.assert_allclose(run.phase_error, run.amplitude_error / np.abs(run.response))
+    scatter = np.abs(run.response[:, 0, 0]) - abs(X)
+    assert 0.5 < np.std(scatter / run.amplitude_error[:, 0, 0]) < 3.0
+
+
+def test_a_steady_recording_is_no_run_up() -> None:
+    time = np.arange(20_000) / RATE
+    turn = np.exp(2j * np.pi * 25 * time)
+    tacho = np.where((25 * time) % 1.0 < 0.5, 5.0, 0.0)
+    steady = Recording(sweep(1.0).channels, np.column_stack([np.real(X * turn), np.real(Y * turn), tacho]), RATE, "steady")
+    track = track_order(steady, ShaftLines(speed=25.0))
+    with pytest.raises(DataError, match="constant speed"):
+        run_up_of(track, "steady", 5.0, {"disc 1": 1e-5 + 0j})
+    with pytest.raises(DataError, match="no plane"):
+        run_up_of(replace(track, planes=()), "steady", 5.0, {"disc 1": 1e-5 + 0j})
+    with pytest.raises(DataError, match="1 planes, 2 are named"):
+        run_up_of(replace(track, speed=25 + track.time), "steady", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1", "disc 2"))
+
+
+def test_stretches_of_one_speed_are_one_point(rng: np.random.Generator) -> None:
+    """A run in steps: the weighted mean by hand, its variance the inverse of the summed inverses."""
+    track = track_order(sweep(rng=rng), LINES)
+    n = track.time.size
+    steps = np.repeat([30.0, 20.0], [n - 5, 5]) * (1 + 1e-5 * np.arange(n))
+    found = run_up_of(replace(track, speed=steps), "steps", 5.0, {"disc 1": 1e-5 + 0j})
+    weight = 2 / track.variance[-5:, 0]
+    np.testing.assert_allclose(found.speed, 2 * np.pi * np.array([steps[-5:].mean(), steps[:-5].mean()]))
+    assert found.response[0, 0, 0] == pytest.approx(np.sum(weight * track.amplitude[-5:, 0]) / weight.sum())
+    assert found.amplitude_error[0, 0, 0] == pytest.approx(weight.sum() ** -0.5)
+
+
+def run(speed: np.ndarray, response: np.ndarray, unbalance: dict[str, complex], error: float = 1e-7, phase: float = 0.01) -> RunUp:
+    return RunUp(
+        "run",
+        5.0,
+        speed,
+        ("disc 1",),
+        response,
+        amplitude_error=np.full(response.shape, error),
+        phase_error=np.full(response.shape, phase),
+        unbalance=unbalance,
+    )
+
+
+SPEED = np.array([100.0, 110.0, 120.0])
+
+
+def phasors(x: complex, y: complex) -> np.ndarray:
+    return np.tile(np.array([x, y]), (3, 1, 1))
+
+
+def test_the_difference_of_two_runs_is_the_response_to_what_was_added() -> None:
+    with_weight = run(SPEED, phasors(3e-5 + 1e-5j, 2e-5j), {"disc 1": 5e-5 + 0j})
+    residual = run(SPEED[1:], phasors(1e-5 + 0j, 0.5e-5j)[1:], {"disc 1": 1e-5j})
+    net = difference(with_weight, residual)
+    np.testing.assert_allclose(net.speed, SPEED[1:])
+    np.testing.assert_allclose(net.response, phasors(2e-5 + 1e-5j, 1.5e-5j)[1:])
+    assert net.unbalance == {"disc 1": 5e-5 - 1e-5j}
+
+
+def test_the_errors_of_a_difference_are_those_of_many_draws(rng: np.random.Generator) -> None:
+    """An independent calculation: both phasors drawn with their errors along and across, 40000 times."""
+    first, second, errors = 3e-5 * np.exp(0.4j), 2e-5 * np.exp(1.5j), (4e-7, 0.02)
+    one = run(SPEED, phasors(first, first), {"disc 1": 5e-5 + 0j}, *errors)
+    other = run(SPEED, phasors(second, second), {"disc 1": 0j}, *errors)
+    net = difference(one, other)
+    draws = rng.standard_normal((4, 40_000))
+    drawn = first * (1 + errors[0] / abs(first) * draws[0]) * np.exp(1j * errors[1] * draws[1])
+    drawn = drawn - second * (1 + errors[0] / abs(second) * draws[2]) * np.exp(1j * errors[1] * draws[3])
+    turned = drawn * np.exp(-1j * np.angle(first - second))
+    assert net.amplitude_error[0, 0, 0] == pytest.approx(np.std(turned.real), rel=0.02)
+    assert net.phase_error[0, 0, 0] * abs(first - second) == pytest.approx(np.std(turned.imag), rel=0.02)
+
+
+def test_a_residual_is_read_between_its_speeds() -> None:
+    grown = run(SPEED, phasors(1e-5, 2e-5) * np.array([1.0, 2.0, 3.0])[:, None, None], {"disc 1": 0j})
+    found = at_speeds(grown, np.array([90.0, 105.0, 115.0]))
+    np.testing.assert_allclose(found.speed, [105.0, 115.0])
+    np.testing.assert_allclose(found.response[:, 0, 0], [1.5e-5, 2.5e-5])
+    with pytest.raises(DataError, match="does not reach"):
+        at_speeds(grown, np.array([10.0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed": SPEED + 50}, "share no speed"),
+        ({"load": 7.0}, "loads of 5 and 7 N"),
+        ({"unbalance": {"disc 1": 5e-5 + 0j}}, "same known unbalance"),
+        ({"planes": ("disc 2",), "unbalance": {"disc 2": 0j}}, "other planes"),
+        ({"unbalance": {}, "shaker": Shaker("disc 1", 1.0, 0.0)}, "shaker is not subtracted"),
+        ({"response": phasors(3e-5, 1e-5)}, "do not differ"),
+    ],
+)
+def test_runs_that_cannot_be_subtracted_are_refused(change: dict[str, object], message: str) -> None:
+    one = run(SPEED, phasors(3e-5, 1e-5), {"disc 1": 5e-5 + 0j})
+    other = run(SPEED, phasors(1e-5, 2e-5), {"disc 1": 0j})
+    with pytest.raises(DataError, match=message):
+        difference(one, replace(other, **change))
+
+
+def test_a_cascade_has_its_peaks_on_the_shaft_line() -> None:
+    """A sine keeps its amplitude under the window (a Hann window's coherent gain), but for what the sweep smears: half a line at most."""
+    found = cascade_spectra(sweep(120.0), LINES, resolution=2.0)
+    assert found.amplitude.shape == (found.speed.size, found.frequency.size, 2) and found.labels == ("a", "b")
+    assert found.frequency[-1] <= 4 * found.speed.max()
+    peaks = found.frequency[np.argmax(found.amplitude[:, :, 0], axis=1)]
+    np.testing.assert_allclose(peaks, found.speed, atol=1.01)
+    np.testing.assert_allclose(found.amplitude[:, :, 0].max(axis=1), abs(X), rtol=0.16)
+    with pytest.raises(DataError, match="shorter than two blocks"):
+        cascade_spectra(sweep(1.0), LINES, resolution=1.0)

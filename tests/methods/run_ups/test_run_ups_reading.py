@@ -1,0 +1,48 @@
+"""Run-ups of a pipeline before anything is fitted: what was known to act on a recorded run, and on its residual."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from labpipe.artefacts.writing import OutputFolder
+from labpipe.methods.run_ups import section as run_ups_reading
+from labpipe.methods.run_ups.measured import excitation_text
+from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.rotor import RunUpRotor
+from labpipe.methods.run_ups.section import read_run
+from labpipe.methods.run_ups.settings import RunSettings
+from labpipe.records.rig import Rig
+
+
+class Anything:
+    def excited(self, run: RunUp) -> None:
+        pass
+
+
+def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run is tracked at 100 to 300 rad/s, the residual at 150 to 400: the difference is that of the weight, where both are known."""
+
+    def tracked(path: Path, _lines: object, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:
+        is_residual = path.name == "left.parquet"
+        speed = np.linspace(150.0, 400.0, 26) if is_residual else np.linspace(100.0, 300.0, 21)
+        response = np.broadcast_to(1e-5 if is_residual else 3e-5 + 1e-5j, (speed.size, 2, 2)).astype(complex)
+        error = np.full(response.shape, 1e-7)
+        planes = ("disc 1", "disc 2")
+        return RunUp(path.name, 8.0, speed, planes, response, amplitude_error=error, phase_error=error / 1e-5, unbalance=unbalance)
+
+    monkeypatch.setattr(run_ups_reading, "_opened", lambda path, *_: path)
+    monkeypatch.setattr(run_ups_reading, "_tracked", tracked)
+    monkeypatch.setattr(run_ups_reading, "_cascades", lambda *_: ())
+    settings = RunSettings(
+        recording="run.parquet", tacho="n", load=8.0, unbalance=(("disc 2", 2e-5 + 0j),), path=Path("run.parquet"),
+        subtract="left.parquet", subtracted=Path("left.parquet"), recorded_by=Rig("", ()),
+    )  # fmt: skip
+    run = read_run(settings, cast("RunUpRotor", Anything()), cast("OutputFolder", None), Path()).run
+    np.testing.assert_allclose(run.speed, np.arange(150.0, 301.0, 10.0))
+    np.testing.assert_allclose(run.response, 2e-5 + 1e-5j)
+    assert excitation_text(run) == "disc 2: 20 g mm at 0 deg"
+    assert all(np.all(values > 0) for values in (run.amplitude_error, run.phase_error))

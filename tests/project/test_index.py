@@ -1,0 +1,215 @@
+"""The index follows the files: what is new, changed, gone or damaged; and a deleted index is only slower."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.artefacts.identification_file import write_identification
+from labpipe.errors import DataError
+from labpipe.estimation.statistics import widened
+from labpipe.project.catalogue import INDEX, Filter, interval, open_index, results, values, verdict
+from labpipe.records.finding import Finding, Parameter, note
+from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
+
+K = Parameter("k", 1000.0, "N/m", std_error=10.0, t_ratio=100.0, ci95=(980.0, 1020.0), significant=True)
+FIT = Fit(
+    "direct",
+    "sdof",
+    "ml",
+    band_hz=(60.0, 70.0),
+    lines=20,
+    equations=40,
+    dof=38,
+    gof=Goodness(0.99, 0.99),
+    parameters=(K,),
+    condition_number=3.0,
+    correlation=np.eye(1),
+    test="a",
+)
+
+
+def store(folder: Path, stiffness: float = 1000.0, date: str = "2026-11-03", **changes: object) -> Path:
+    """A result of one test."""
+    folder.mkdir(parents=True, exist_ok=True)
+    settings = {"tests": [{"name": "a", "conditions": {"date": date, "preload": "400 N", "way": "up"}}]}
+    fit = replace(FIT, parameters=(replace(K, value=stiffness),))
+    whole = Identification((fit,), folder.name, rig={"name": "Small rig"}, settings=settings)
+    write_identification(folder / "identification.json", replace(whole, **changes))
+    return folder / "identification.json"
+
+
+def stiffnesses(folder: Path, **asked: object) -> list[float]:
+    with open_index(folder) as index:
+        return [row.value for row in values(index, Filter(**asked))]
+
+
+def later(path: Path) -> None:
+    """The time of a file moves on, as it does between two runs."""
+    status = path.stat()
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns + 1_000_000_000))
+
+
+def test_results_at_any_depth_are_in_it(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0), store(tmp_path / "b/c/d", 2.0), store(tmp_path, 3.0)
+    assert sorted(stiffnesses(tmp_path)) == [1.0, 2.0, 3.0]
+
+
+def test_a_new_result_is_found_and_a_deleted_one_forgotten(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0)
+    assert stiffnesses(tmp_path) == [1.0]
+    path = store(tmp_path / "b", 2.0)
+    assert sorted(stiffnesses(tmp_path)) == [1.0, 2.0]
+    path.unlink()
+    assert stiffnesses(tmp_path) == [1.0]
+
+
+def test_a_changed_result_is_read_again(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0)
+    assert stiffnesses(tmp_path) == [1.0]
+    later(store(tmp_path / "a", 2.0))
+    assert stiffnesses(tmp_path) == [2.0]
+
+
+def test_a_result_that_did_not_change_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store(tmp_path / "a", 1.0)
+    stiffnesses(tmp_path)
+    monkeypatch.setattr("labpipe.project.catalogue.read_identification", lambda path: pytest.fail(f"{path} was read"))
+    assert stiffnesses(tmp_path) == [1.0]
+
+
+def test_a_deleted_index_is_made_again_with_the_same_answers(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0), store(tmp_path / "b", 2.0)
+    before = stiffnesses(tmp_path)
+    (tmp_path / INDEX).unlink()
+    assert stiffnesses(tmp_path) == before
+
+
+@pytest.mark.parametrize("content", [b"", b"no database at all, but a text of some length", b"SQLite format 3\x00" + bytes(200)])
+def test_a_damaged_index_is_made_again(tmp_path: Path, content: bytes) -> None:
+    store(tmp_path / "a", 1.0)
+    (tmp_path / INDEX).write_bytes(content)
+    assert stiffnesses(tmp_path) == [1.0]
+
+
+def test_an_index_of_another_version_is_made_again(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0)
+    stiffnesses(tmp_path)
+    connection = sqlite3.connect(tmp_path / INDEX)
+    with connection:
+        connection.execute("UPDATE made_by SET version = '0.0.0'")
+        connection.execute("UPDATE value SET value = -1")
+    connection.close()
+    assert stiffnesses(tmp_path) == [1.0]
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"schema": "labpipe/identification/1"}'])
+def test_a_result_that_cannot_be_read_is_listed_as_such(tmp_path: Path, content: bytes) -> None:
+    store(tmp_path / "good")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad/identification.json").write_bytes(content)
+    with open_index(tmp_path) as index:
+        rows = {row.path.split("/")[0]: row for row in results(index, Filter())}
+    assert rows["bad"].verdict == "unreadable" and rows["bad"].fault and rows["good"].verdict == "no rules"
+
+
+def test_a_folder_without_results_and_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"holds no identification\.json"), open_index(tmp_path):
+        pass
+    with pytest.raises(DataError, match="no such folder"), open_index(tmp_path / "none"):
+        pass
+
+
+PASSED, FAILED = (RuleOutcome("accept", "direct.k > 0", 1.0, passed) for passed in (True, False))
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({}, "no rules"),
+        ({"outcomes": (PASSED,)}, "accepted"),
+        ({"outcomes": (PASSED, FAILED)}, "not accepted"),
+        ({"outcomes": (PASSED,), "failed": (Failed("b", "gap"),)}, "incomplete"),
+        ({"failed": (Failed("b", "gap"),)}, "incomplete"),
+    ],
+)
+def test_the_verdict_in_a_word(changes: dict, word: str) -> None:
+    assert verdict(Identification((FIT,), **changes)) == word
+
+
+def test_warnings_count_once_and_notes_not_at_all() -> None:
+    fit = replace(FIT, findings=(Finding("gap", "1"), note("masked", "2"), Finding("gap", "3"), Finding("clipped", "4")))
+    assert warning_codes(fit) == ["gap", "clipped"]
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3), st.floats(1.0, 10.0))
+def test_an_interval_is_widened_as_its_error_is(value: float, error: float, factor: float) -> None:
+    """ci95 of +- 2 s becomes +- 2 f s where the residual exceeds the noise by f."""
+    plain = Parameter("k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error))
+    assert interval(plain) == plain.ci95
+    low, high = interval(widened(plain, factor))
+    assert high - low == pytest.approx(4 * factor * error, rel=1e-6, abs=1e-6 * abs(value) * 1e-6)
+    assert (low + high) / 2 == pytest.approx(value, abs=1e-6 * (abs(value) + factor * error))
+    assert interval(replace(plain, ci95=None)) == (None, None)
+
+
+# the date of a result
+
+
+def test_a_stated_date_goes_before_that_of_the_file(tmp_path: Path) -> None:
+    store(tmp_path / "a", 1.0, date="2026-11-03")
+    store(tmp_path / "b", 2.0, date="2025-01-31")
+    assert stiffnesses(tmp_path) == [2.0, 1.0]
+    assert stiffnesses(tmp_path, since="2026-01-01") == [1.0]
+    assert stiffnesses(tmp_path, until="2025-12-31") == [2.0]
+
+
+def test_without_a_stated_date_the_file_s_day_counts(tmp_path: Path) -> None:
+    path = store(tmp_path / "a", 1.0, settings={})
+    # Noon of 2024-02-29 (UTC): the same day in every zone but the outermost.
+    os.utime(path, (1709208000, 1709208000))
+    assert stiffnesses(tmp_path, since="2024-02-28", until="2024-03-01") == [1.0]
+    assert stiffnesses(tmp_path, since="2024-03-02") == []
+
+
+# conditions
+
+
+@pytest.mark.parametrize(
+    ("where", "found"),
+    [
+        ("preload = 400 N", True),
+        ("preload = 0.4 kN", True),
+        ("preload = 400.001 N", False),
+        ("preload >= 400 N", True),
+        ("preload > 400 N", False),
+        ("preload <= 0.4 kN", True),
+        ("preload < 0.4 kN", False),
+        ("preload != 400 N", False),
+        ("preload != 401 N", True),
+        ("way = up", True),
+        ("way = down", False),
+        ("way != down", True),
+        ("date = 2026-11-03", True),
+    ],
+)
+def test_conditions_are_compared_as_amounts_or_as_words(tmp_path: Path, where: str, found: bool) -> None:
+    store(tmp_path / "a", 1.0)
+    assert stiffnesses(tmp_path, where=(where,)) == ([1.0] if found else [])
+
+
+def test_rows_carry_what_is_known_of_their_test(tmp_path: Path) -> None:
+    store(tmp_path / "a")
+    with open_index(tmp_path) as index:
+        (row,) = values(index, Filter())
+    assert row.conditions == {"date": "2026-11-03", "preload": "400 N", "way": "up"}
+    assert row.amounts["preload"] == (400.0, "N") and "way" not in row.amounts
+    assert (row.fit, row.test, row.parameter, row.unit, row.std_error, row.label) == ("direct", "a", "k", "N/m", 10.0, "a")
+    assert (row.ci_low, row.ci_high, row.low_hz, row.high_hz) == (980.0, 1020.0, 60.0, 70.0)

@@ -1,0 +1,252 @@
+"""A project from a recording's own metadata, or from a shipped example: to a report with no edit beyond the marked lines."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
+
+from labpipe.project.first_guess import guess_channels, time_columns
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.scaffold import MARK, examples
+from labpipe.project.settings_reader import DECIDE
+
+RATE, PERIOD, REPEATS = 1000.0, 1000, 6
+K, C, MASS = 80e3, 40.0, 2.0
+
+
+def signals() -> tuple[np.ndarray, np.ndarray]:
+    """Force [N] and displacement [m] of a mass on a spring, periodic with 1 s, lines 5-80 Hz; a little noise, seed pinned."""
+    rng = np.random.default_rng(7)
+    lines = np.arange(5, 81)
+    omega = 2 * np.pi * lines
+    phasors = np.exp(1j * (np.outer(np.arange(PERIOD * REPEATS) / RATE, omega) - np.pi * lines * (lines - 1) / lines.size))
+    y = (phasors / (K - MASS * omega**2 + 1j * omega * C)).real.sum(1)
+    force = phasors.real.sum(1)
+    return force + 1e-3 * np.std(force) * rng.normal(size=force.size), y + 1e-3 * np.std(y) * rng.normal(size=y.size)
+
+
+def tdms(path: Path) -> None:
+    force, y = signals()
+    common = {"wf_increment": 1 / RATE, "wf_samples": force.size, "wf_start_offset": 0.0}
+    channels = [
+        ChannelObject("run", "Hammer force", force, {**common, "unit_string": "N"}),
+        ChannelObject("run", "Probe Y", 1e6 * y, {**common, "unit_string": "um"}),
+    ]
+    with TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+
+
+def mat(path: Path) -> None:
+    force, y = signals()
+    savemat(path, {"fs": RATE, "force": force, "probe_y": 8000 * y})
+
+
+def uff(path: Path, labpipe) -> None:
+    """Written by labpipe itself: units in record 164, rate in the record's header."""
+    force, y = signals()
+    t = np.arange(force.size) / RATE
+    raw = path.parent / "raw.csv"
+    raw.write_text("t [s],f [N],y [m]\n" + "".join(f"{a:.4f},{b:.9g},{c:.9g}\n" for a, b, c in zip(t, force, y, strict=True)))
+    (path.parent / "raw.yaml").write_text(
+        'time: "t [s]"\nchannels:\n'
+        '  force_y: {column: "f [N]", quantity: force, unit: N, dof: y}\n'
+        '  y: {column: "y [m]", quantity: displacement, unit: m, dof: y}\n'
+    )
+    assert labpipe("ingest", raw, "-r", path.parent / "raw.yaml", "-o", path.parent / "raw").code == 0
+    assert labpipe("export", path.parent / "raw/raw.recording.parquet", "--to", "uff58b", "-o", path).code == 0
+
+
+def decide(folder: Path, answers: dict[str, str]) -> None:
+    """Edit the marked lines only: on the line of a channel, the first DECIDE for each answer."""
+    path = folder / "rig.yaml"
+    lines = path.read_text().splitlines()
+    for number, line in enumerate(lines):
+        if MARK in line and not line.lstrip().startswith("#"):
+            for key in ("quantity", "unit", "sensitivity", "sample_rate"):
+                name = line.split(":")[0].strip()
+                lines[number] = lines[number].replace(f"{key}: {DECIDE}", f"{key}: {answers.get(f'{name}.{key}', '')}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def assert_found(folder: Path, labpipe) -> None:
+    ended = labpipe("run", folder / "pipeline.yaml", "-o", folder / "out")
+    assert ended.code == 0, ended.err
+    assert (folder / "out/report.html").stat().st_size > 10_000
+    (fit,) = json.loads((folder / "out/identification.json").read_text())["fits"]
+    found = {parameter["name"]: parameter for parameter in fit["parameters"]}
+    for name, truth in (("k", K), ("c", C), ("m", MASS)):
+        assert found[name]["value"] == pytest.approx(truth, abs=4 * found[name]["std_error"])
+        assert found[name]["value"] == pytest.approx(truth, rel=0.01)
+
+
+def test_a_tdms_file_says_all_by_itself(tmp_path: Path, labpipe) -> None:
+    tdms(tmp_path / "run.tdms")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.tdms")
+    assert ended.code == 0 and "decided" not in ended.out
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert "excitation: periodic" in text and "period: 1 s" in text and "band: 5-80 Hz" in text
+    assert_found(tmp_path / "rig", labpipe)
+
+
+def test_a_mat_file_needs_its_units(tmp_path: Path, labpipe) -> None:
+    mat(tmp_path / "run.mat")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.mat")
+    assert ended.code == 0 and "to be decided" in ended.out
+    ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 2 and ended.err.count("is still to be decided") == 2
+    assert "rig.yaml:4" in ended.err and "rig.yaml:5" in ended.err
+    decide(tmp_path / "rig", {"force.unit": "N", "probe_y.unit": "V, sensitivity: 8 V/mm"})
+    assert_found(tmp_path / "rig", labpipe)
+
+
+def test_a_universal_file_says_all_by_itself(tmp_path: Path, labpipe) -> None:
+    uff(tmp_path / "run.uff", labpipe)
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.uff").code == 0
+    decide(tmp_path / "rig", {})
+    assert_found(tmp_path / "rig", labpipe)
+
+
+def test_several_recordings_become_several_tests(tmp_path: Path, labpipe) -> None:
+    for name in ("one", "two"):
+        tdms(tmp_path / f"{name}.tdms")
+    assert labpipe("init", tmp_path / "rig", tmp_path / "one.tdms", tmp_path / "two.tdms").code == 0
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    fits = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
+    assert [fit["test"] for fit in fits] == ["one", "two"]
+
+
+def test_frfs_need_no_rig_file(tmp_path: Path, labpipe) -> None:
+    frequency = np.arange(5.0, 80.0, 0.5)
+    omega = 2 * np.pi * frequency
+    h = 1 / (K - MASS * omega**2 + 1j * omega * C)
+    rows = "".join(f"{f},{v.real:.16g},{v.imag:.16g}\n" for f, v in zip(frequency, h, strict=True))
+    (tmp_path / "h.csv").write_text("# form: receptance\nfrequency_hz,y/f:re,y/f:im\n" + rows)
+    assert labpipe("init", tmp_path / "rig", tmp_path / "h.csv").code == 0
+    assert not (tmp_path / "rig/rig.yaml").exists()
+    ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (fit,) = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
+    assert fit["estimator"] == "ls" and fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-9)
+
+
+def frf_table(path: Path) -> None:
+    """An accelerance in g/N with a line at 0 Hz, as an analyser writes it."""
+    frequency = np.arange(0.0, 80.0, 0.5)
+    omega = 2 * np.pi * frequency
+    h = -(omega**2) / (K - MASS * omega**2 + 1j * omega * C) / 9.80665
+    rows = "".join(f"{f:g}\t{v.real:.12e}\t{v.imag:.12e}\n" for f, v in zip(frequency, h, strict=True))
+    path.write_text("Beam, 3 averages\nFrequency [Hz]\tReal [g/N]\tImaginary [g/N]\n" + rows)
+
+
+def test_a_table_of_an_frf_becomes_a_pipeline_of_frfs(tmp_path: Path, labpipe) -> None:
+    """Columns and unit from the header; the dofs are for a person, and the band begins above 0 Hz."""
+    frf_table(tmp_path / "h.txt")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "h.txt")
+    assert ended.code == 0 and "pipeline.yaml:7, pipeline.yaml:8" in ended.out and not (tmp_path / "rig/rig.yaml").exists()
+    pipeline = tmp_path / "rig/pipeline.yaml"
+    ended = labpipe("run", pipeline, "-o", tmp_path / "out")
+    assert ended.code == 2 and ended.err.count("is still to be decided") == 4
+    pipeline.write_text(pipeline.read_text().replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    (fit,) = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
+    assert fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+
+
+def test_tables_of_several_points_ask_where_the_dofs_stand(tmp_path: Path, labpipe) -> None:
+    for name in ("h_x_f.txt", "h_y_f.txt"):
+        frf_table(tmp_path / name)
+    assert labpipe("init", tmp_path / "rig", tmp_path / "h_x_f.txt", tmp_path / "h_y_f.txt").code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert 'each: ["../h_x_f.txt", "../h_y_f.txt"]' in text and f"pattern: {DECIDE}" in text
+    text = re.sub(rf"pattern: {DECIDE}.*", "pattern: 'h_{output}_{input}'", text)
+    (tmp_path / "rig/pipeline.yaml").write_text(text.replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+
+
+def test_what_an_analyser_stored_beside_the_channels_is_named_as_not_used(tmp_path: Path, labpipe) -> None:
+    force, y = signals()
+    windowed = y * np.exp(-np.arange(y.size) / 500)
+    savemat(tmp_path / "run.mat", {"fs": RATE, "force": force, "probe_y": y, "probe_y_window": windowed, "coherence": np.ones(99)})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.mat").code == 0
+    text = (tmp_path / "rig/rig.yaml").read_text()
+    assert "# not used: probe_y_window: a windowed copy of probe_y" in text
+    assert f"# not used: coherence: 99 values, the channels have {y.size}" in text and text.count("column:") == 2
+
+
+def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:
+    (tmp_path / "notes.txt").write_text("no numbers here\n")
+    for path, what in ((tmp_path / "notes.txt", "no row of numbers"), (tmp_path / "gone.csv", "no such file")):
+        ended = labpipe("init", tmp_path / "rig", path)
+        assert ended.code == 2 and what in ended.err and not (tmp_path / "rig").exists()
+
+
+NAMES = [
+    ("Force [N]", "N", ("force", "N", "input", "")),
+    ("y [V]", "V", ("displacement", "V", "output", DECIDE)),
+    ("acc_x", "", ("acceleration", DECIDE, "output", "")),
+    ("Voltage_0", "V", ("voltage", "V", "reference", "")),
+    ("tacho", "", ("tacho", "V", "reference", "")),
+    ("1+Z", "m/s^2", ("acceleration", "m/s^2", "output", "")),
+    ("channel 3", "", (DECIDE, DECIDE, "", "")),
+    ("T oil", "degC", ("temperature", "degC", "reference", "")),
+    ("x", "furlong", ("displacement", "furlong", "output", "")),
+]
+
+
+@pytest.mark.parametrize(("name", "unit", "expected"), NAMES)
+def test_what_a_name_and_a_unit_say(name: str, unit: str, expected: tuple[str, ...]) -> None:
+    (channel,) = guess_channels([name], {name: unit} if unit else {})
+    assert (channel.quantity, channel.unit, channel.role, channel.sensitivity) == expected
+
+
+def test_directions_and_keys_come_from_the_names() -> None:
+    names = ["Acc X", "Acc Y", "Hammer (modal) [N]", "3", "acc x"]
+    channels = guess_channels(names, {})
+    assert [channel.key for channel in channels] == ["acc_x", "acc_y", "hammer", "ch_3", "acc_x_2"]
+    assert [channel.dof for channel in channels] == ["x", "y", "hammer", "ch_3", "x"]
+    force, _ = guess_channels(["force", "probe z"], {"force": "N", "probe z": "um"})
+    assert force.dof == "z"
+
+
+def test_time_axes_are_columns_of_even_steps() -> None:
+    t = np.arange(50) / 20
+    rows = np.column_stack([t, np.sin(t), t**2, t[::-1]])
+    assert time_columns(["t", "sin", "square", "down"], rows) == ["t"]
+
+
+def test_the_samples_of_every_example_are_part_of_the_package(root: Path) -> None:
+    listed = (root / "pyproject.toml").read_text()
+    for folder in (path for path in (root / "sample_data").iterdir() if path.is_dir()):
+        assert f'"share/labpipe/sample_data/{folder.name}"' in listed
+
+
+def test_examples_are_listed_and_an_unknown_one_is_refused(tmp_path: Path, labpipe) -> None:
+    ended = labpipe("init", "--example", "list")
+    assert ended.code == 0 and re.search(r"^hmb: .*pedestal", ended.out, re.M)
+    assert labpipe("init").err == "error: Missing argument 'DIR'; see 'labpipe init --help'\n"
+    ended = labpipe("init", tmp_path / "x", "--example", "hnb")
+    assert ended.code == 2 and "did you mean 'hmb'?" in ended.err and not (tmp_path / "x").exists()
+    ended = labpipe("init", tmp_path / "x", "a.csv", "--example", "hmb")
+    assert ended.code == 2 and "has its own recordings" in ended.err
+
+
+@pytest.mark.parametrize("name", sorted(examples()))
+def test_every_example_is_whole_where_it_is_copied(tmp_path: Path, labpipe, name: str) -> None:
+    assert labpipe("init", tmp_path / "x", "--example", name).code == 0
+    copied = sorted((tmp_path / "x/pipelines").glob("*.yaml"))
+    assert [path.name for path in copied] == sorted(path.name for path in examples()[name])
+    for path in copied:
+        load_pipeline(path)
+    ended = labpipe("init", tmp_path / "x", "--example", name)
+    assert ended.code == 2 and "already holds pipelines" in ended.err
+
+
+def test_an_example_runs_as_it_is(tmp_path: Path, labpipe) -> None:
+    labpipe("init", tmp_path / "x", "--example", "hmb")
+    assert labpipe("check", tmp_path / "x/pipelines/pedestal.yaml").code == 0

@@ -1,0 +1,53 @@
+"""Warnings of a fit held against rules: one that must be there, one that must not, none at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from labpipe.project.judging import judge
+from labpipe.project.rules import Rule
+from labpipe.records.finding import Finding, note
+from labpipe.records.identification import Fit
+from tests.uncertainty.conftest import a_fit
+
+
+def with_warnings(*codes: str) -> Fit:
+    """A fit with these warnings, and a remark, which is none."""
+    findings = (*(Finding(code, "said") for code in codes), note("remark", "said"))
+    return replace(a_fit("test", {"k": (1.0, 0.1)}), findings=findings)
+
+
+@pytest.mark.parametrize(
+    ("codes", "bound", "passed"),
+    [
+        ((), "none", True),
+        (("mass",), "none", False),
+        (("mass", "band"), "mass", True),
+        (("mass",), "band", False),
+        ((), "mass", False),
+        (("mass",), "not mass", False),
+        (("mass",), "not band", True),
+        ((), "not mass", True),
+        ((), "remark", False),
+    ],
+)
+def test_warnings_that_must_be_there_or_must_not(codes: tuple[str, ...], bound: str, passed: bool) -> None:
+    rule = Rule(
+        section="accept", address="axial.warnings", fit="axial", which="", item="warnings", kind="=", bound=bound, place="p.yaml:1:1"
+    )
+    (outcome,) = judge([rule], [with_warnings(*codes)], {})
+    assert outcome.passed is passed and outcome.found == (", ".join(codes) or "none")
+
+
+def test_a_bias_that_nobody_knows_is_not_accepted_unless_it_is_expected() -> None:
+    """As of a force that is fed back: whatever the rules on the values say."""
+    biased = with_warnings("feedback")
+    (outcome,) = judge([], [biased, biased], {})
+    assert not outcome.passed and outcome.rule == "axial.warnings: not feedback"
+    expected = Rule(
+        section="expect", address="axial.warnings", fit="axial", which="", item="warnings", kind="=", bound="feedback", place="p.yaml:1:1"
+    )
+    (outcome,) = judge([expected], [biased], {})
+    assert outcome.passed

@@ -1,0 +1,36 @@
+"""A project from a recording whose force, rate and periods are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from labpipe.errors import DataError
+from labpipe.project.scaffold import first_look, scaffold
+from labpipe.raw_files.table import open_table
+from tests.project.laboratory import recording
+
+
+def test_rate_period_and_band_are_those_of_the_recording(tmp_path: Path) -> None:
+    """Three periods of 1 s at 100 Hz, the force at 1-45 Hz; the resonance of 0.79 kg on 18 kN/m is at 24.0 Hz."""
+    (tmp_path / "soft.csv").write_text(recording(18e3))
+    first = first_look(open_table(tmp_path / "soft.csv"))
+    assert first.rate == pytest.approx(100.0) and first.time == "t [s]" and first.rows.shape == (300, 2)
+    assert [channel.role for channel in first.channels] == ["input", "output"]
+    made = scaffold([tmp_path / "soft.csv"], tmp_path)
+    pipeline = yaml.safe_load(made.pipeline)
+    assert pipeline["frf"] == {"excitation": "periodic", "period": "1 s", "skip": 1, "band": "1-45 Hz"}
+    (fit,) = pipeline["identify"].values()
+    low, high = (float(edge) for edge in fit["band"].removesuffix(" Hz").split("-"))
+    # Twelve lines of 1 Hz, which are more than a tenth of the frequency.
+    assert (low, high) == (18.0, 30.0)
+
+
+def test_a_file_of_two_rows_is_the_shortest(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("t [ms],f [N],x [um]\n0,2,3\n4,1,2\n")
+    assert first_look(open_table(tmp_path / "two.csv")).rate == pytest.approx(250.0)
+    (tmp_path / "one.csv").write_text("t [ms],f [N],x [um]\n0,1,2\n")
+    with pytest.raises(DataError, match="holds too few samples"):
+        first_look(open_table(tmp_path / "one.csv"))

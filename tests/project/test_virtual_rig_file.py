@@ -1,0 +1,82 @@
+"""Virtual rig files: every shipped one is read, every kind of the table has one, faults stand at their place."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import ConfigError
+from labpipe.project.marked_yaml import load_marked
+from labpipe.project.virtual_rig_file import load_virtual_rig
+from labpipe.records.settings import settings_of
+from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def kind_of(path: Path) -> str:
+    tree = load_marked(path)
+    return tree.content["kind"].text if "kind" in tree.content else ""
+
+
+SHIPPED = sorted(path for path in CONFIGS.glob("*.yaml") if kind_of(path) in VIRTUAL_RIGS.names())
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_rig_is_read_into_the_class_of_its_kind(path: Path) -> None:
+    rig = load_virtual_rig(path)
+    assert isinstance(rig, VIRTUAL_RIGS.load(kind_of(path)).settings) and dataclasses.is_dataclass(rig)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("three-dof", "mass=[1 kg, 2 kg, []]", "mass does not fit 3 dofs"),
+        ("virtual-hmb", "pedestal_mass=0 kg", "pedestal_mass must be positive"),
+        ("virtual-hmb", "levitation.bearings=0", "one bearing or more"),
+        ("virtual-hmb", "levitation.corner=0 Hz", "corner must be positive"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_refused(name: str, change: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_virtual_rig(CONFIGS / f"{name}.yaml", [change])
+
+
+def test_every_kind_has_a_shipped_example() -> None:
+    assert {kind_of(path) for path in SHIPPED} == set(VIRTUAL_RIGS.names())
+
+
+@pytest.mark.parametrize("kind", VIRTUAL_RIGS.names())
+def test_every_kind_explains_its_entries(kind: str) -> None:
+    declared = settings_of(VIRTUAL_RIGS.load(kind).settings)
+    assert declared and all(setting.help for setting, _ in declared.values())
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_an_unknown_entry_is_named_with_its_place(path: Path) -> None:
+    with pytest.raises(ConfigError, match="--set nonsense=1: nonsense: unknown key"):
+        load_virtual_rig(path, ["nonsense=1"])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name: x\n", "rig.yaml:1:1: kind: is missing; known: virtual-mdof-rig"),
+        ("kind: virtual-mdof\n", "rig.yaml:1:1: kind: unknown virtual rig 'virtual-mdof'; did you mean 'virtual-mdof-rig'?"),
+        ("kind: [a]\n", "kind: is missing"),
+        ("- kind\n", "rig.yaml:1:1: a mapping of keys to values is needed"),
+    ],
+)
+def test_a_rig_of_no_kind_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_virtual_rig(tmp_path / "rig.yaml")
+    assert said in str(caught.value)
+
+
+def test_the_kind_may_be_set_from_outside(tmp_path: Path) -> None:
+    text = (CONFIGS / "three-dof.yaml").read_text()
+    (tmp_path / "rig.yaml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("kind:")))
+    assert load_virtual_rig(tmp_path / "rig.yaml", ["kind=virtual-mdof-rig"]) == load_virtual_rig(CONFIGS / "three-dof.yaml")

@@ -1,0 +1,156 @@
+"""An answer on the whole house in under a minute on two cores: the tests that reach the most code for their time.
+
+python -m tests.quick [options of pytest]     run the recorded selection
+python -m tests.quick --record                run all tests, note the time and the lines of each, and write the selection anew
+
+The selection is tests/quick.txt, one test a line. A line of the package that a second and a third test reach counts half and a quarter of
+what it counts for the first: a test that reaches a line need not look at what it does.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Generator, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = str(ROOT / "labpipe") + os.sep
+SELECTION = Path(__file__).with_name("quick.txt")
+# Where the workers of a recording write; set by the process that starts them.
+NOTES = "LABPIPE_TEST_NOTES"
+# Seconds of tests in the selection, as noted: the notes cost time too, and two processes share it after ten seconds of beginning.
+SECONDS = 30.0
+# A function's lines are noted for its first calls in a test: those in the inner loops of a fit come by the hundred thousand.
+CALLS = 4
+# Another test of a line adds this much of what the last one added; the fourth adds nothing.
+AGAIN, READERS = 0.5, 3
+# Tests of the house, and not of its code; ratios of speed; a browser.
+LEFT_OUT = ("tests/benchmarks/", "tests/browser/", "tests/docs/", "tests/packaging/", "tests/machine/", "tests/draws/")
+
+
+@dataclass(frozen=True)
+class Noted:
+    """A test with its time [s] and the lines of the package that it reaches."""
+
+    name: str
+    seconds: float
+    lines: frozenset[str]
+
+
+def chosen(tests: Iterable[Noted], seconds: float = SECONDS) -> list[str]:
+    """The names of the tests that together reach the most in that time: the next one is that which adds most for its time."""
+    read: Counter[str] = Counter()
+
+    def worth(test: Noted) -> float:
+        return sum(AGAIN ** read[line] for line in test.lines if read[line] < READERS) / max(test.seconds, 0.01)
+
+    # What a test adds only falls while others are taken: a worth that is still the largest when counted anew is the largest of all.
+    waiting = [(-worth(test), test.name, test) for test in tests]
+    heapq.heapify(waiting)
+    taken, left = [], seconds
+    while waiting:
+        _, name, test = heapq.heappop(waiting)
+        now = worth(test)
+        if not now or test.seconds > left:
+            continue
+        if waiting and now < -waiting[0][0]:
+            heapq.heappush(waiting, (-now, name, test))
+            continue
+        taken.append(name)
+        left -= test.seconds
+        read.update(test.lines)
+    return sorted(taken)
+
+
+class Recorder:
+    """A plug-in of pytest that notes the time and the lines of every test that passes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / f"{os.environ.get('PYTEST_XDIST_WORKER', 'alone')}.jsonl"
+        self.failed = False
+        self.calls: dict[int, int] = {}
+        self.lines: set[tuple[str, int]] = set()
+
+    def _call(self, frame: FrameType, _event: str, _argument: Any) -> Any:
+        code = frame.f_code
+        calls = self.calls.get(id(code), 0 if code.co_filename.startswith(PACKAGE) else CALLS)
+        self.calls[id(code)] = calls + 1
+        return self._line if calls < CALLS else None
+
+    def _line(self, frame: FrameType, event: str, _argument: Any) -> Any:
+        if event == "line":
+            self.lines.add((frame.f_code.co_filename, frame.f_lineno))
+        return self._line
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        self.failed, self.calls, self.lines = False, {}, set()
+        began = time.perf_counter()
+        sys.settrace(self._call)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(None)
+            if not self.failed:
+                lines = sorted(f"{name.removeprefix(PACKAGE)}:{line}" for name, line in self.lines)
+                note = {"name": item.nodeid, "seconds": time.perf_counter() - began, "lines": lines}
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(note) + "\n")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.failed = self.failed or not report.passed
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """As a plug-in of a recording: in the processes that run tests, not in the one that shares them out."""
+    if NOTES in os.environ and ("PYTEST_XDIST_WORKER" in os.environ or not config.getoption("numprocesses", None)):
+        config.pluginmanager.register(Recorder(Path(os.environ[NOTES])))
+
+
+def recorded(arguments: Sequence[str]) -> dict[str, Noted]:
+    """Tests by their names, as a run of pytest with these arguments notes them."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.quick", *arguments]
+        subprocess.run(command, check=False, env={**os.environ, NOTES: folder})
+        notes = [json.loads(line) for path in sorted(Path(folder).glob("*.jsonl")) for line in path.read_text("utf-8").splitlines()]
+    return {note["name"]: Noted(note["name"], note["seconds"], frozenset(note["lines"])) for note in notes}
+
+
+def record() -> None:
+    """Write the selection. Shared fixtures make a test slower without its neighbours: the selection is measured itself, and made again."""
+    tests = recorded([f"--ignore={ROOT / folder}" for folder in LEFT_OUT])
+    names = chosen(tests.values())
+    for _ in range(2):
+        alone = recorded(names)
+        tests |= {name: Noted(name, max(one.seconds, tests[name].seconds), one.lines) for name, one in alone.items()}
+        names = chosen(tests.values())
+    SELECTION.write_text("\n".join(names) + "\n", encoding="utf-8")
+
+
+def selected() -> list[str]:
+    """The recorded names."""
+    return SELECTION.read_text(encoding="utf-8").splitlines()
+
+
+def main() -> int:
+    os.chdir(ROOT)
+    if "--record" in sys.argv:
+        record()
+        return 0
+    return int(pytest.main([*sys.argv[1:], *selected()]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

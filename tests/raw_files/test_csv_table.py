@@ -1,0 +1,134 @@
+"""Text tables as loggers and spreadsheets write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import DataError
+from labpipe.raw_files.table import check_columns, open_table
+from labpipe.raw_files.text_table import CsvTable, find_layout
+
+ROWS = [[0.0, 1.5, -2.25], [0.001, 1.25, 3.5], [0.002, -0.5, 0.125]]
+
+
+def written(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = tmp_path / "run.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def body(delimiter: str, decimal: str) -> str:
+    return "\n".join(delimiter.join(str(v).replace(".", decimal) for v in row) for row in ROWS) + "\n"
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16"])
+def test_delimiter_decimal_sign_and_encoding(tmp_path: Path, delimiter: str, decimal: str, encoding: str) -> None:
+    table = CsvTable(written(tmp_path, delimiter.join(["t [s]", "force [N]", "x [µm]"]) + "\n" + body(delimiter, decimal), encoding))
+    assert table.columns == ("t [s]", "force [N]", "x [µm]")
+    assert table.units == {"t [s]": "s", "force [N]": "N", "x [µm]": "µm"}
+    np.testing.assert_array_equal(np.concatenate(list(table.chunks(table.columns))), ROWS)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "units"),
+    [
+        ("# logger 7\n# rate: 1000 Hz\nt,f,x\n", ("t", "f", "x"), {}),
+        ("t,f,x\ns,N,um\n", ("t", "f", "x"), {"t": "s", "f": "N", "x": "um"}),
+        ("t,f,x\n[s],[N],[um]\n", ("t", "f", "x"), {"t": "s", "f": "N", "x": "um"}),
+        ("# t,f,x\n", ("t", "f", "x"), {}),
+        ('Test rig 5\nDate: 3 May\n\n"t","f","x"\n', ("t", "f", "x"), {}),
+        ("", ("1", "2", "3"), {}),
+    ],
+)
+def test_headers_and_unit_rows(tmp_path: Path, header: str, columns: tuple[str, ...], units: dict[str, str]) -> None:
+    table = CsvTable(written(tmp_path, header + body(",", ".")))
+    assert (table.columns, table.units) == (columns, units)
+    assert np.concatenate(list(table.chunks(columns[:1])))[:, 0].tolist() == [0.0, 0.001, 0.002]
+
+
+def test_a_trailing_delimiter_is_no_column(tmp_path: Path) -> None:
+    table = CsvTable(written(tmp_path, "t;f\n" + "0;1;\n1;2;\n2;3;\n"))
+    assert table.columns == ("t", "f")
+    assert np.concatenate(list(table.chunks(["f"])))[:, 0].tolist() == [1, 2, 3]
+
+
+def test_missing_numbers_are_nan(tmp_path: Path) -> None:
+    table = CsvTable(written(tmp_path, "t,f\n0,1\n1,\n2,NaN\n3,-\n4,5\n"))
+    np.testing.assert_array_equal(np.concatenate(list(table.chunks(["f"])))[:, 0], [1, np.nan, np.nan, np.nan, 5])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty"),
+        ("\n\n", "the file is empty"),
+        ("t,f\n", "no row of numbers in it"),
+        ("t,f\n0,1\n1\n2,3\n", r"run.csv:3: 1 fields, 2 are needed"),
+        ("t,f\n0,1\n1,2,3\n2,3\n", r"run.csv:3: 3 fields, 2 are needed"),
+        ("t,f\n0,1\n1,abc\n2,3\n", r"run.csv:3: column 'f': 'abc' is not a number"),
+        ("t,f\n0,1\n1,2 N\n2,3\n", r"run.csv:3: column 'f': '2 N' is not a number"),
+    ],
+)
+def test_what_is_no_table_is_refused_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        list(CsvTable(written(tmp_path, text)).chunks(["t", "f"]))
+
+
+def test_columns_missing_or_twice(tmp_path: Path) -> None:
+    table = CsvTable(written(tmp_path, "t,force,force\n0,1,2\n1,2,3\n"))
+    with pytest.raises(DataError, match="no column 'forse'; did you mean 'force'"):
+        check_columns(table, ["forse"])
+    with pytest.raises(DataError, match="'force' appears 2 times"):
+        check_columns(table, ["force"])
+    check_columns(table, ["t"])
+
+
+def test_files_of_no_known_kind(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file"):
+        open_table(tmp_path / "none.csv")
+    with pytest.raises(DataError, match="is a folder"):
+        open_table(tmp_path)
+    (tmp_path / "run.xyz").write_text("1\n")
+    with pytest.raises(DataError, match=r"ending '\.xyz' cannot be read"):
+        open_table(tmp_path / "run.xyz")
+    (tmp_path / "run.csv").write_bytes(b"a\0b")
+    with pytest.raises(DataError, match="is not a text file"):
+        open_table(tmp_path / "run.csv")
+    (tmp_path / "run.parquet").write_text("no parquet")
+    with pytest.raises(DataError, match="is not a readable Parquet file"):
+        open_table(tmp_path / "run.parquet")
+
+
+def test_a_faulty_row_does_not_decide_over_the_delimiter(tmp_path: Path) -> None:
+    layout = find_layout(written(tmp_path, "t;f\n" + "0,5;1,5\n" * 20 + "bad line\n" + "1,5;2,5\n" * 20))
+    assert (layout.delimiter, layout.decimal, layout.first_line) == (";", ",", 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("  1.5   2.5\n -3e-1\t 4\n", ("1", "2")),
+        ("t   x\r\n1.5 2.5\r\n-0.3 4\r\n", ("t", "x")),
+        ("# t x\n1,5 2,5\n-0,3 4\n", ("t", "x")),
+        ("Run of 3 March, 2 channels\n1.5     2.5\n\n   -0.3  4   \n", ("1", "2")),
+    ],
+)
+def test_any_number_of_blanks_keeps_columns_apart(tmp_path: Path, text: str, columns: tuple[str, ...]) -> None:
+    table = CsvTable(written(tmp_path, text))
+    assert table.columns == columns
+    np.testing.assert_array_equal(np.concatenate(list(table.chunks(columns[::-1]))), [[2.5, 1.5], [4.0, -0.3]])
+
+
+def test_blanks_of_a_long_file_and_its_faulty_row(tmp_path: Path) -> None:
+    """40,000 rows of n, n^2: more than the reader takes in one piece."""
+    rows = [f"{n}   {n * n}" for n in range(40_000)]
+    values = np.concatenate(list(CsvTable(written(tmp_path, "\n".join(rows))).chunks(["1", "2"])))
+    np.testing.assert_array_equal(values[:, 1], np.arange(40_000.0) ** 2)
+    rows[30_000] = "30000 x"
+    with pytest.raises(DataError) as caught:
+        list(CsvTable(written(tmp_path, "\n".join(rows))).chunks(["1", "2"]))
+    assert str(caught.value).endswith(":30001: column '2': 'x' is not a number")

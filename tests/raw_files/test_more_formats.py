@@ -1,0 +1,225 @@
+"""LabVIEW, NumPy, Excel and MDF files as tables: what other libraries wrote is read back, faults have their place."""
+
+from __future__ import annotations
+
+import datetime
+import sys
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+
+from labpipe.artefacts.writing import output_folder
+from labpipe.errors import DataError
+from labpipe.project.ingest import ingest
+from labpipe.project.inspect import inspect
+from labpipe.project.rig_file import load_rig
+from labpipe.raw_files.frf_described import Dofs, read_described
+from labpipe.raw_files.table import open_table
+from labpipe.records.frf_layout import FrfColumns, FrfLayout
+from labpipe.records.recording import Overview
+
+TOP = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\n{more}***End_of_Header***\t\n\t\n"
+SEGMENT = (
+    "Channels\t2\t\t\nSamples\t3\t3\t\nY_Unit_Label\tNewtons\tm/s^2\t\nX_Dimension\tTime\tTime\t\n"
+    "Delta_X\t{step}\t{step}\t\n***End_of_Header***\t\t\t\nX_Value\tF\ta\tComment\n"
+)
+ROWS = "\t0.5\t-1.5\tlost\n\t1.0\t2e-3\n\t1.5\t\n"
+
+
+def whole(path: Path, *columns: str) -> np.ndarray:
+    table = open_table(path)
+    return np.concatenate(list(table.chunks(columns or table.columns)))
+
+
+def lvm(path: Path, text: str, more: str = "", step: str = "3.906250E-5") -> Path:
+    path.write_text(TOP.replace("{more}", more) + text.replace("{step}", step))
+    return path
+
+
+def test_lvm_without_x_values_has_units_and_rate_and_no_comments(tmp_path: Path) -> None:
+    """Delta_X 3.90625E-5 s is 25.6 kHz; the text behind the numbers is LabVIEW's comment."""
+    table = open_table(lvm(tmp_path / "r.lvm", SEGMENT + ROWS))
+    assert (table.columns, table.units, table.sample_rate) == (("F", "a"), {"F": "N", "a": "m/s^2"}, 25600.0)
+    np.testing.assert_array_equal(whole(table.path, "a", "F"), [[-1.5, 0.5], [2e-3, 1.0], [np.nan, 1.5]])
+
+
+@pytest.mark.parametrize(("step", "rate"), [("0.000977", 1024.0), ("0.000488", 2050.0), ("0.001000", 1000.0), ("2.441406E-4", 4096.0)])
+def test_a_rounded_step_stands_for_the_rate_of_fewest_digits_that_it_may_be(tmp_path: Path, step: str, rate: float) -> None:
+    """1/1024 s is 0.000977 within its digits, 1/1023 s is not; of 0.000488 the shortest rate is 2050 Hz."""
+    assert open_table(lvm(tmp_path / "r.lvm", SEGMENT + ROWS, step=step)).sample_rate == rate
+
+
+def test_lvm_with_decimal_commas_and_two_segments_with_x_values(tmp_path: Path) -> None:
+    text = SEGMENT + "0,0\t0,5\t-1,5\n0,1\t1,0\t2,5\n\n" + SEGMENT + "0,2\t7\t8\n"
+    table = open_table(lvm(tmp_path / "r.lvm", text, "Decimal_Separator\t,\n", "0,1"))
+    assert table.columns == ("X_Value", "F", "a") and table.sample_rate is None
+    np.testing.assert_array_equal(whole(table.path), [[0, 0.5, -1.5], [0.1, 1, 2.5], [0.2, 7, 8]])
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (SEGMENT + ROWS + "\tx\t1\n", "r.lvm:16: column 'F': 'x' is not a number"),
+        (SEGMENT + ROWS + "\n" + SEGMENT + ROWS, "r.lvm:23: a second segment begins, and no X values say when"),
+        (SEGMENT[:60], "r.lvm: is cut off in its header"),
+        (SEGMENT.replace("3\t3", "0\t0") + ROWS, "r.lvm: holds no channel with samples"),
+        (SEGMENT.replace("{step}\t{step}", "0.1\t0.2") + ROWS, "r.lvm: the channels have different rates (Delta_X)"),
+    ],
+)
+def test_faults_of_lvm(tmp_path: Path, text: str, fault: str) -> None:
+    with pytest.raises(DataError) as caught:
+        whole(lvm(tmp_path / "r.lvm", text))
+    assert str(caught.value).removeprefix(f"{tmp_path}/").startswith(fault)
+
+
+def test_numpy_files(tmp_path: Path) -> None:
+    rows = np.arange(12.0).reshape(6, 2)
+    np.save(tmp_path / "r.npy", rows)
+    assert open_table(tmp_path / "r.npy").columns == ("1", "2")
+    np.testing.assert_array_equal(whole(tmp_path / "r.npy"), rows)
+    np.savez(tmp_path / "r.npz", f=rows[:, 0], y=rows[:, 1], fs=512)
+    assert (open_table(tmp_path / "r.npz").columns, open_table(tmp_path / "r.npz").sample_rate) == (("f", "y"), 512.0)
+    np.save(tmp_path / "s.npy", np.array([(1.0, 2), (3.0, 4)], [("t", float), ("x", int)]))
+    np.testing.assert_array_equal(whole(tmp_path / "s.npy", "x", "t"), [[2, 1], [4, 3]])
+
+
+def test_pickled_objects_are_never_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "r.npy", np.array([{"a": 1}, None], object), allow_pickle=True)
+    with pytest.raises(DataError, match="is not a readable NumPy file of numbers"):
+        open_table(tmp_path / "r.npy")
+
+
+def test_frfs_in_variables_of_npz(tmp_path: Path) -> None:
+    np.savez(tmp_path / "h.npz", f=np.array([1.0, 2.0]), H=np.array([1 + 1j, 2 + 2j]))
+    layout = FrfLayout(file="h.npz", variables=FrfColumns(frequency="f", complex="H"), form="mobility")
+    np.testing.assert_array_equal(read_described(tmp_path / "h.npz", layout, Dofs(("x",), ("f",))).matrix.ravel(), [1 + 1j, 2 + 2j])
+
+
+def workbook(path: Path, *rows: list[object], second: bool = False) -> Path:
+    book = openpyxl.Workbook()
+    for row in rows:
+        book.active.append(row)
+    book.create_sheet("remarks").append([1.0, 2.0] if second else ["made by hand"])
+    book.save(path)
+    return path
+
+
+def test_the_sheet_of_an_excel_workbook(tmp_path: Path) -> None:
+    """A title, names, a row of units; a time of day is in seconds since midnight; a cell may be empty."""
+    rows = [[datetime.time(10, 0, n), n * 0.5, None if n == 1 else n] for n in range(4)]
+    path = workbook(tmp_path / "r.xlsx", ["Run 3"], ["Time", "force", "x"], [None, "N", "um"], *rows)
+    table = open_table(path)
+    assert table.columns == ("Time", "force", "x") and table.units == {"force": "N", "x": "um"}
+    np.testing.assert_array_equal(whole(path, "x", "Time"), [[0, 36000], [np.nan, 36001], [2, 36002], [3, 36003]])
+
+
+def test_faults_of_workbooks(tmp_path: Path) -> None:
+    good = [[1.0, 2.0]] * 3
+    with pytest.raises(DataError) as caught:
+        whole(workbook(tmp_path / "r.xlsx", ["a", "b"], *good, [1.0, "much"]))
+    assert str(caught.value).endswith("r.xlsx: sheet Sheet, row 5: column 'b': 'much' is not a number")
+    with pytest.raises(DataError, match="several sheets hold numbers: Sheet, remarks"):
+        open_table(workbook(tmp_path / "r.xlsx", ["a", "b"], *good, second=True))
+    with pytest.raises(DataError, match="no sheet holds a row of numbers"):
+        open_table(workbook(tmp_path / "r.xlsx", ["a", "b"]))
+
+
+def test_the_longest_group_of_an_mdf_file(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+
+    times = np.arange(400) / 100
+    force, ticks = np.sin(times), np.arange(400, dtype=np.int16)
+    with MDF(version="4.10") as file:
+        file.append([Signal(times[:9], times[:9], name="slow")])
+        file.append([Signal(force, times, name="f", unit="N"), Signal(ticks, times, name="n")])
+        file.save(tmp_path / "r.mf4")
+    table = open_table(tmp_path / "r.mf4")
+    assert table.columns == ("time [s]", "f", "n") and table.units == {"f": "N"}
+    np.testing.assert_array_equal(whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force]))
+
+
+def mdf(path: Path) -> bytearray:
+    """A measurement of nine samples."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.arange(9.0), np.arange(9.0), name="f")])
+        file.save(path)
+    return bytearray(path.read_bytes())
+
+
+def test_more_samples_than_an_mdf_file_can_hold_are_refused_at_once(tmp_path: Path) -> None:
+    """A channel group ##CG: the number of its samples at byte 80, then the bytes of a sample and of its marks at 96 and 100.
+
+    The library made room for four gigabytes, at each of its channels.
+    """
+    content = mdf(tmp_path / "r.mf4")
+    group = content.index(b"##CG")
+    for place, size in ((80, 8), (96, 4), (100, 4)):
+        damaged = bytearray(content)
+        damaged[group + place : group + place + size] = (2**31).to_bytes(size, "little")
+        (tmp_path / "r.mf4").write_bytes(damaged)
+        with pytest.raises(DataError, match=r"samples of .* bytes are stated, 144 bytes are there"):
+            open_table(tmp_path / "r.mf4")
+
+
+def test_what_a_library_prints_of_a_damaged_file_is_not_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A channel ##CN whose data stand far behind those of its sample (byte offset at 92)."""
+    content = mdf(tmp_path / "r.mf4")
+    channel = content.rindex(b"##CN")
+    content[channel + 92 : channel + 96] = (2**31).to_bytes(4, "little")
+    (tmp_path / "r.mf4").write_bytes(content)
+    with pytest.raises(DataError, match="not a readable MDF file"):
+        whole(tmp_path / "r.mf4")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
+    """Bytes overwritten: what the libraries throw, and what half-made objects of theirs say when they go, is one message."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.arange(9.0), np.arange(9.0), name="f")])
+        file.save(tmp_path / "good.mf4")
+    np.save(tmp_path / "good.npy", np.arange(9.0))
+    np.savez_compressed(tmp_path / "good.npz", f=np.arange(9.0))
+    workbook(tmp_path / "good.xlsx", [1.0, 2.0])
+    for suffix, place in ((".mf4", 64), (".npy", 12), (".npz", 60), (".xlsx", -60)):
+        content = bytearray((tmp_path / f"good{suffix}").read_bytes())
+        content[place : place + 40] = b"{(" * 20
+        (tmp_path / f"bad{suffix}").write_bytes(content)
+        with pytest.raises(DataError, match="is not a readable") as caught:
+            whole(tmp_path / f"bad{suffix}")
+        assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(("module", "suffix", "extra"), [("openpyxl", ".xlsx", "excel"), ("asammdf", ".mf4", "mdf")])
+def test_a_library_that_is_not_there_is_named_with_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, extra: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / f"r{suffix}").write_bytes(b"1")
+    with pytest.raises(DataError) as caught:
+        open_table(tmp_path / f"r{suffix}")
+    assert str(caught.value).endswith(f"r{suffix}: needs the package {module}; pip install 'labpipe[{extra}]'")
+
+
+@pytest.mark.parametrize(
+    ("title", "dimension"), [("Acceleration (FFT - (RMS))", "Time"), ("a (Power Spectrum)", "Time"), ("a", "Frequency")]
+)
+def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dimension: str) -> None:
+    """LabVIEW says Time of an FFT as well; with or without X values no rate follows from the distance of the lines."""
+    head = SEGMENT.replace("\tF\ta\tComment", f"\t{title}\t{title} 2\tComment").replace("Time\tTime", f"{dimension}\t{dimension}")
+    path = lvm(tmp_path / "s.lvm", head + "0.0\t1\t2\n0.5\t3\t4\n1.0\t5\t6\n", step="0.5")
+    table = open_table(path)
+    assert table.units["X_Value"] == "Hz" and table.sample_rate is None
+    overview = inspect(path)
+    assert isinstance(overview, Overview) and overview.sample_rate is None and overview.time == ""
+    assert overview.rate == "a spectrum: 'X_Value' is a frequency in Hz, no time"
+    assert open_table(lvm(tmp_path / "w.lvm", head + "\t1\t2\n\t3\t4\n", step="0.5")).sample_rate is None
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(f"name: R\ntime: X_Value\nchannels:\n  a: {{column: '{title}', quantity: acceleration, role: output}}\n")
+    with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="'X_Value' is a frequency, no time"):
+        ingest(path, load_rig(rig), output, "s", tmp_path)

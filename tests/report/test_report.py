@@ -1,0 +1,195 @@
+"""The report is a pure function of the result: what it says, what it escapes, that it stands alone."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from labpipe.document import render
+from labpipe.document.html_page import LONG_TABLE, render_html
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings, Sliding
+from labpipe.records.finding import Finding, Parameter
+from labpipe.records.identification import Identification, RuleOutcome
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.report.document import Document, Section, Table
+from labpipe.report.wording import parameter_row, rounded, significance
+
+HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
+
+
+def result(name: str = "pedestal", sliding: Sliding | None = None) -> Identification:
+    rng = np.random.default_rng(1)
+    frequency = np.arange(30.0, 100.0)
+    w = 2 * np.pi * frequency
+    clean = (1 / (134.5e3 - 0.79 * w**2 + 3.7j * w))[:, None, None]
+    noise = 1e-7 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
+    response = FrequencyResponse(
+        frequency,
+        clean + noise,
+        (Port(name, name, "y"),),
+        (Port("f", "f", "y"),),
+        covariance=uncorrelated(np.full(clean.shape, 1e-14)),
+        name="run 1",
+    )
+    fits = identify(response, FitSettings("sdof", mass=0.79, name=name, sliding=sliding))
+    outcome = RuleOutcome("accept", f"{name}.gof >= 0.95", 0.9999, True)
+    sources = ({"path": "run.csv", "sha256": "ab" * 32},)
+    return Identification(
+        fits,
+        f"Report of {name}",
+        pipeline="p.yaml",
+        sources=sources,
+        settings={"frf": {"period": 1.0}},
+        rig={},
+        responses=(response,),
+        outcomes=(outcome,),
+        version="0.1.0",
+    )
+
+
+def html_report(identification: Identification) -> str:
+    return render.html_report(identification).decode()
+
+
+def markdown_report(identification: Identification) -> str:
+    return render.markdown_report(identification).decode()
+
+
+class Tags(HTMLParser):
+    """Every tag with its attributes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_the_verdict_comes_first_and_provenance_is_complete() -> None:
+    html = html_report(result())
+    headings = re.findall(r"<h2[^>]*>(.*?)</h2>", html)
+    assert headings[0] == "Verdict" and headings[-3:] == ["Rig and conditions", "Provenance", "Signature"]
+    assert "ACCEPTED: all 1 rules hold" in html
+    assert "ab" * 32 in html and "labpipe 0.1.0" in html and "&quot;period&quot;: 1.0" in html
+
+
+def test_a_failed_rule_and_missing_rules_are_said() -> None:
+    base = result()
+    failed = replace(base, outcomes=(replace(base.outcomes[0], passed=False),))
+    assert "NOT ACCEPTED: 1 of 1 rules fail" in html_report(failed)
+    assert "nothing is accepted or refused" in html_report(replace(base, outcomes=()))
+
+
+def test_every_warning_stands_in_words() -> None:
+    base = result()
+    fit = replace(base.fits[0], findings=(Finding("collinear", "k and c cannot be told apart"),))
+    for text in (html_report(replace(base, fits=(fit,))), markdown_report(replace(base, fits=(fit,)))):
+        assert "collinear" in text and "k and c cannot be told apart" in text
+
+
+def test_names_from_files_are_escaped_everywhere() -> None:
+    html = html_report(replace(result(), title=HOSTILE, fits=result(HOSTILE).fits, responses=result(HOSTILE).responses))
+    assert "<script>alert" not in html and "&lt;script&gt;" in html
+    assert set(re.findall(r"<script[^>]*>", html)) == {"<script>", '<script type="application/json">'}
+    markdown = markdown_report(replace(result(), title=HOSTILE))
+    assert "<script>" not in markdown.replace("\\<", "") and "\\*bold\\*" in markdown
+
+
+def test_the_page_asks_for_nothing_from_elsewhere() -> None:
+    html = html_report(result())
+    tags = Tags()
+    tags.feed(html)
+    assert not [tag for tag, _ in tags.tags if tag in ("link", "img", "iframe", "object", "form")]
+    assert [attributes for tag, attributes in tags.tags if tag == "script" and attributes.get("type") != "application/json"] == [{}]
+    links = [value for _, attributes in tags.tags for key, value in attributes.items() if key in ("src", "href", "xlink:href")]
+    assert all(str(link).startswith(("#", "data:image/png;base64,")) for link in links)
+    assert "@import" not in html and "url(http" not in html
+
+
+def test_every_figure_tells_what_it_shows() -> None:
+    tags = Tags()
+    tags.feed(html_report(result()))
+    figures = [attributes for tag, attributes in tags.tags if tag == "figure"]
+    assert len(figures) == 2 and all(attributes.get("role") == "group" and attributes.get("aria-label") for attributes in figures)
+
+
+def test_sliding_fits_are_drawn_over_frequency_and_stay_small() -> None:
+    html = html_report(result(sliding=Sliding(15.0, 1.0)))
+    assert "stiffness over frequency, 55 bands" in html and "damping over frequency" in html
+    assert len(html) < 1e6
+
+
+def test_same_result_same_bytes() -> None:
+    assert html_report(result()) == html_report(result())
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (134.49812, 0.0086, "134.4981"),
+        (3.70808, 0.021, "3.708"),
+        (134498.12, 860.0, "134500"),
+        (5.0, None, "5"),
+        (0.0056878, 3.2e-5, "0.005688"),
+        (float("nan"), 1.0, "not determined"),
+    ],
+)
+def test_values_are_rounded_to_what_their_error_supports(value: float, error: float | None, text: str) -> None:
+    assert rounded(value, error) == text
+
+
+def test_stars_follow_the_t_distribution() -> None:
+    # Student's t with 40 degrees of freedom: two-sided p of 0.05, 0.01, 0.001 at 2.021, 2.704, 3.551 (printed tables).
+    marks = [significance(Parameter("k", t, "N/m", std_error=1.0, t_ratio=t), 40) for t in (2.0, 2.03, 2.71, 3.56)]
+    assert marks == ["n.s.", "*", "**", "***"]
+
+
+def test_a_parameter_without_an_error_shows_none() -> None:
+    row = parameter_row(Parameter("linear_range", 0.2, "1", derived=True), 5)
+    assert row == ("linear_range", "0.2", "", "none", "none", "", "derived", "")
+
+
+def test_the_pdf_has_pages_with_numbers_and_is_the_same_each_time() -> None:
+    from labpipe.document.pdf import pdf_report
+
+    first, second = pdf_report(result()), pdf_report(result())
+    assert first.startswith(b"%PDF-") and first == second
+    assert first.count(b"/Type /Page\n") >= 3
+
+
+def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_of_dots() -> None:
+    from labpipe.document.pdf import pdf_report
+    from labpipe.report.cover import cover_facts
+
+    base = result()
+    responses = tuple(replace(base.responses[0], conditions={"date": day, "preload": "427 N"}) for day in ("2026-03-02", "2026-02-27"))
+    facts = dict(cover_facts([replace(base, responses=responses)]))
+    assert facts["recorded"] == "2026-02-27 to 2026-03-02" and facts["preload"] == "427 N"
+    assert facts["pipeline"] == "p.yaml" and facts["computed by"] == "labpipe 0.1.0" and "rig" not in facts
+    # The correlation of two estimates is a sentence; no picture of dots stands for it.
+    assert b"/Subtype /Image" not in pdf_report(base)
+
+
+def test_the_signs_are_explained_once_and_the_correlation_of_two_in_words() -> None:
+    base = result()
+    text = html_report(replace(base, fits=(base.fits[0], replace(base.fits[0], name="again"))))
+    assert text.count("Significance of the difference from zero") == 1
+    assert text.count("Correlation between the estimates of") == 2 and "Correlation matrix" not in text
+
+
+def test_a_long_table_is_folded_and_stands_in_full_in_its_csv() -> None:
+    rows = tuple((str(n), f"{n}.5, or so") for n in range(LONG_TABLE + 1))
+    tables = (Table(("band", "value"), chosen, "Bands") for chosen in (rows, rows[1:]))
+    long, short = (render_html(Document("T", "", (Section("S", (table,)),))) for table in tables)
+    assert "<details" not in short and f"<summary>Bands: {len(rows)} rows</summary>" in long
+    content = base64.b64decode(re.search(r'data:text/csv;base64,([^"]+)"', long)[1]).decode()
+    assert list(csv.reader(io.StringIO(content))) == [["band", "value"], *(list(row) for row in rows)]

@@ -1,0 +1,299 @@
+"""Hammer hits on a mass on a spring with known dynamics: windows, damping taken out, bad hits left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.damping import undamped, without_added_damping
+from labpipe.spectra.impact import exponential_window, find_hits, force_window, is_double, overloaded
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings, ImpactSettings
+
+RATE, BLOCK = 2048.0, 1.0
+N = 2048
+HAMMER = Channel("hammer", "force", "input", "x", 0.0)
+X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+POLE = -2 * np.pi * 0.4 + 2j * np.pi * 60.0
+
+
+def discrete(pole: complex) -> tuple[list[float], list[float]]:
+    """A sampled mode h(n) = Im exp(p n dt): exact in discrete time, so that no aliasing blurs the truth."""
+    z = np.exp(pole / RATE)
+    return [0.0, float(z.imag)], [1.0, -2 * float(z.real), float(abs(z) ** 2)]
+
+
+def truth(frequency: np.ndarray, pole: complex = POLE) -> np.ndarray:
+    return signal.freqz(*discrete(pole), worN=frequency, fs=RATE)[1]
+
+
+def half_sine(n_sample: int, starts: list[int], peaks: list[float], width: int = 8) -> np.ndarray:
+    force = np.zeros(n_sample)
+    for start, peak in zip(starts, peaks, strict=True):
+        force[start : start + width] += peak * np.sin(np.pi * (np.arange(width) + 0.5) / width)
+    return force
+
+
+def hammered(
+    rng: np.random.Generator, force: np.ndarray, pole: complex = POLE, noise: float = 0.0, channels: tuple[Channel, ...] = (HAMMER, X)
+) -> Recording:
+    response = signal.lfilter(*discrete(pole), force)
+    columns = [force, response, 0.5 * response][: len(channels)]
+    samples = np.column_stack(columns) + noise * rng.normal(size=(force.size, len(columns))) * np.std(response)
+    return Recording(channels, samples, RATE, "taps")
+
+
+# The response to one hit has died away before the next.
+STARTS = [500 + 6 * N * k for k in range(5)]
+LENGTH = 30 * N
+
+
+def test_without_windows_a_response_that_dies_away_is_exact(rng: np.random.Generator) -> None:
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    response = measure(
+        [hammered(rng, half_sine(LENGTH, STARTS, [1.0, 0.8, 1.1, 0.9, 1.0]), quick)],
+        FrfSettings(excitation="impact", block=2.0, band=(10.0, 150.0)),
+    )
+    np.testing.assert_allclose(response.matrix[:, 0, 0], truth(response.frequency, quick), rtol=1e-9)
+    assert response.averages == 5 and not response.findings
+
+
+def test_the_damping_of_the_exponential_window_is_taken_out_again(rng: np.random.Generator) -> None:
+    # Half width 0.4 Hz; the window falls to 1 % within the 1 s block and adds 1 / (2 pi decay) = 0.73 Hz.
+    decay = BLOCK / np.log(100)
+    impact = ImpactSettings(decay=decay)
+    response = measure(
+        [hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))],
+        FrfSettings(excitation="impact", block=BLOCK, band=(20.0, 150.0), impact=impact),
+    )
+    expected = truth(response.frequency)
+    # What the window leaves at the block's end, 1 % x exp(-0.4 x 2 pi) = 0.08 %, is cut off.
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.01 * np.abs(expected).max())
+    peak = int(np.argmax(np.abs(expected)))
+    assert abs(response.matrix[peak, 0, 0]) == pytest.approx(abs(expected[peak]), rel=0.01)
+    windowed = truth(response.frequency, POLE - 1 / decay)
+    assert abs(windowed[peak]) < 0.4 * abs(expected[peak])
+
+
+def test_local_functions_move_two_poles_exactly() -> None:
+    frequency = np.arange(20.0, 100.0)
+    s, shift = 2j * np.pi * frequency, 3.0
+    poles = (-2.0 + 2j * np.pi * 45.3, -4.0 + 2j * np.pi * 71.6)
+
+    def response(at: np.ndarray) -> np.ndarray:
+        return sum((1.0 + k) / (at - pole) + (1.0 + k) / (at - pole.conjugate()) for k, pole in enumerate(poles))[:, None, None]
+
+    found = without_added_damping(frequency, response(s + shift), 1 / shift).matrix
+    # The other mode, 26 lines off, is met by the second-order numerator but for (4 / 26)^3 = 0.4 % of its size.
+    np.testing.assert_allclose(found, response(s), atol=0.004 * np.abs(response(s)).max())
+    np.testing.assert_allclose(found[[25, 51]], response(s)[[25, 51]], rtol=0.004)
+    constant = np.full((9, 1, 1), 2.0 + 0j)
+    np.testing.assert_allclose(without_added_damping(frequency[:9], constant, 0.3).matrix, constant, rtol=1e-12)
+    np.testing.assert_array_equal(without_added_damping(frequency[:3], constant[:3], 0.3).matrix, constant[:3])
+
+
+def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
+    force = half_sine(LENGTH, STARTS, [1.0, 0.8, 1.1, 0.9, 1.0]) + half_sine(LENGTH, [STARTS[1] + 40], [0.3])
+    recording = hammered(rng, force, channels=(HAMMER, X, Y), noise=1e-4)
+    samples = recording.samples.copy()
+    third = slice(STARTS[2], STARTS[2] + N)
+    # The second response is clipped in the third hit.
+    samples[third, 2] = np.clip(samples[third, 2], -np.inf, 0.6 * samples[third, 2].max())
+    impact = ImpactSettings(decay=0.2, reject=("5",))
+    response = measure([Recording(recording.channels, samples, RATE, "taps")], FrfSettings(excitation="impact", block=BLOCK, impact=impact))
+    messages = [finding.message for finding in response.findings if finding.code == "hit-rejected"]
+    assert [message.partition("left out: ")[2] for message in messages] == ["double hit", "overload of channel 'y'", "left out by hand"]
+    assert [message[:5] for message in messages] == ["hit 2", "hit 3", "hit 5"]
+    assert response.averages == 2
+    inside = (response.frequency > 20) & (response.frequency < 150)
+    expected = truth(response.frequency)
+    assert np.max(np.abs(response.matrix[:, 0, 0] - expected)[inside]) < 0.02 * np.abs(expected).max()
+
+
+@pytest.mark.long
+def test_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
+    # Recipe: 200 simulated tests of 8 hits each, exponential window with its damping taken out.
+    impact = ImpactSettings(decay=0.25)
+    settings = FrfSettings(excitation="impact", block=BLOCK, band=(40.0, 90.0), impact=impact)
+    starts = [500 + 4 * N * k for k in range(8)]
+    force = half_sine(33 * N, starts, [1.0] * 8)
+    quick = -2 * np.pi * 2.0 + 2j * np.pi * 60.0
+    responses = [measure([hammered(rng, force, quick, noise=0.01)], settings) for _ in range(200)]
+    matrices = np.array([response.matrix[:, 0, 0] for response in responses])
+    predicted = np.mean([response.variance[:, 0, 0] for response in responses], axis=0)
+    ratio = predicted / matrices.var(axis=0)
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_response_that_rings_on_is_said(rng: np.random.Generator) -> None:
+    recording = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))
+    response = measure([recording], FrfSettings(excitation="impact", block=BLOCK, band=(10.0, 500.0)))
+    assert [finding.code for finding in response.findings] == ["not-died-away"]
+
+
+def test_two_hammered_directions_give_one_matrix(rng: np.random.Generator) -> None:
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    force = half_sine(LENGTH, STARTS, [1.0] * 5)
+    runs = []
+    for dof, gains in (("x", (1.0, 0.3)), ("y", (0.2, 1.0))):
+        response = signal.lfilter(*discrete(quick), force)
+        samples = np.column_stack([force, gains[0] * response, gains[1] * response])
+        runs.append(Recording((Channel("hammer", "force", "input", dof), X, Y), samples, RATE, dof))
+    found = measure(runs, FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0)))
+    expected = truth(found.frequency, quick)[:, None, None] * np.array([[1.0, 0.2], [0.3, 1.0]])
+    np.testing.assert_allclose(found.matrix, expected, rtol=1e-8)
+
+
+def test_windows_closed_forms() -> None:
+    window = force_window(100, 10, 40.0)
+    assert np.all(window[:51] == 1) and window[52] == pytest.approx(0.5) and np.all(window[54:] == 0)
+    np.testing.assert_allclose(exponential_window(11, 5.0)[[0, 5, 10]], np.exp([0.0, -1.0, -2.0]))
+
+
+def test_judgements() -> None:
+    push = half_sine(200, [20], [1.0])
+    assert not is_double(push, 0.1) and not is_double(-push, 0.1)
+    assert is_double(push + half_sine(200, [40], [0.2]), 0.1) and not is_double(push + half_sine(200, [40], [0.05]), 0.1)
+    flat = np.column_stack([np.clip(push, 0, 0.8), push, np.clip(-push, -0.5, 0.0)])
+    assert overloaded(flat).tolist() == [True, False, True]
+
+
+def test_hits_over_block_borders_are_found_once(rng: np.random.Generator) -> None:
+    starts = [65_536 - 3, 65_536 + 3 * N, 131_072 - N // 2, 131_072 + 2 * N]
+    recording = hammered(rng, half_sine(140_000, starts, [1.0] * 4))
+    hits = list(find_hits(recording, 0, N, ImpactSettings(trigger=0.05)))
+    assert [hit.start for hit in hits] == [start - round(0.02 * N) for start in starts]
+    assert [hit.number for hit in hits] == [1, 2, 3, 4]
+
+
+def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
+    force = half_sine(LENGTH, STARTS, [1.0] * 5)
+    both = Recording((HAMMER, Channel("g", "force", "input", "y"), X), np.column_stack([force, force, force]), RATE, "both")
+    with pytest.raises(DataError, match=r"'both' of hits has 2 forces \(hammer, g\)"):
+        measure([both], FrfSettings(excitation="impact", block=1.0))
+    with pytest.raises(DataError, match="no hit whose block is complete"):
+        measure([hammered(rng, half_sine(3000, [1900], [1.0]))], FrfSettings(excitation="impact", block=1.0))
+    with pytest.raises(DataError, match=r"'taps' is 0\.976562 s long, too short for one block of 1 s"):
+        measure([hammered(rng, half_sine(2000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0))
+    with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
+        rejecting = ImpactSettings(reject=("1",))
+        measure([hammered(rng, half_sine(6000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0, impact=rejecting))
+    for wrong, fault in ((("x",), "'x' is not the number"), (("0",), "'0' is not the number")):
+        with pytest.raises(ConfigError, match=fault):
+            ImpactSettings(reject=wrong)
+    with pytest.raises(ConfigError, match="'decay' must be positive"):
+        ImpactSettings(decay=0.0)
+    with pytest.raises(ConfigError, match="'trigger' must lie between"):
+        ImpactSettings(trigger=1.0)
+
+
+def test_an_offset_of_the_hammer_makes_no_hits(rng: np.random.Generator) -> None:
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    plain = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5), quick)
+    offset = Recording(plain.channels, plain.samples + np.array([0.5, -3.0]), RATE, "taps")
+    settings = FrfSettings(excitation="impact", block=2.0, band=(10.0, 150.0))
+    np.testing.assert_allclose(measure([offset], settings).matrix, measure([plain], settings).matrix, rtol=1e-6)
+
+
+def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Generator) -> None:
+    # Noise of 5 % of the peak on the force: over 8 ms of a 2 s block a 250th of its power is left.
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    starts = [20, *STARTS[1:]]
+    plain = hammered(rng, half_sine(LENGTH, starts, [1.0] * 5), quick)
+    noise = np.column_stack([0.05 * rng.normal(size=LENGTH), np.zeros(LENGTH)])
+    noisy = Recording(plain.channels, plain.samples + noise, RATE, "taps")
+    errors = []
+    for impact in (ImpactSettings(trigger=0.4, double_hit=0.4), ImpactSettings(trigger=0.4, double_hit=0.4, force_window=8e-3)):
+        response = measure([noisy], FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact))
+        expected = truth(response.frequency, quick)
+        errors.append(np.sqrt(np.mean(np.abs(response.matrix[:, 0, 0] / expected - 1) ** 2)))
+    # sqrt(1 / 250), and as much again for the one draw there is.
+    assert errors[1] < 2 * np.sqrt(1 / 250) * errors[0]
+
+
+def one_hit(start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)) -> Recording:
+    """A block of 2 s as an analyser stores it, its window on force and response."""
+    force = half_sine(2 * N, [start, start + 60], [peak, second])
+    window = np.ones(2 * N) if decay is None else exponential_window(2 * N, decay * RATE)
+    response = signal.lfilter(*discrete(POLE), force)
+    return Recording(channels, np.column_stack([force * window, response * window]), RATE, f"hit at {start}")
+
+
+@pytest.mark.parametrize("start", [30, 400])
+def test_hits_that_an_analyser_has_windowed_lose_its_damping_and_get_no_second_window(start: int) -> None:
+    """Closed form; one file for every hit, whether the analyser's pretrigger is shorter or longer than labpipe's."""
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": "0.3 s"})
+    response = measure([one_hit(start, peak, decay=0.3) for peak in (1.0, 0.8, 1.2)], settings)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], truth(response.frequency), rtol=1e-3)
+    assert response.averages == 3.0
+    by_labpipe = measure([one_hit(start, 1.0)], FrfSettings("impact", block=2.0, band=(30.0, 90.0), impact={"decay": "0.3 s"}))
+    np.testing.assert_allclose(response.matrix, by_labpipe.matrix, rtol=1e-6)
+
+
+def test_a_bad_hit_of_one_file_costs_that_file_only() -> None:
+    sources = [one_hit(30, 1.0, decay=0.3), one_hit(30, 1.0, second=0.5, decay=0.3), one_hit(30, 1.2, decay=0.3)]
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    response = measure(sources, settings)
+    assert response.averages == 2.0
+    assert [finding.message for finding in response.findings if finding.code == "hit-rejected"] == [
+        "hit 2 ('hit at 30', 0.000 s) is left out: double hit"
+    ]
+    with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
+        measure(sources[1:2], settings)
+
+
+def test_a_roving_hammer_gives_one_row_and_a_bad_hit_there_is_no_column_of_zeros() -> None:
+    """Points 1 and 2 along a line: three files, the only hit at point 2 a double one."""
+    at = [Channel("hammer", "force", "input", place) for place in ("1", "1", "2")]
+    sources = [one_hit(30, 1.0, second, 0.3, (channel, X)) for channel, second in zip(at, (0.0, 0.0, 0.5), strict=True)]
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    with pytest.raises(DataError, match="none of them good"):
+        measure(sources, settings)
+    response = measure([*sources, one_hit(30, 1.0, 0.0, 0.3, (at[2], X))], settings)
+    assert [port.dof for port in response.inputs] == ["1", "2"]
+    np.testing.assert_allclose(response.matrix[:, 0, 1], truth(response.frequency), rtol=1e-3)
+
+
+def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
+    """The sensor at three places in three files: receptances g H with g = 1, -0.5, 2."""
+    sources = []
+    for place, gain in (("10", 1.0), ("2", -0.5), ("1", 2.0)):
+        hit = one_hit(30, 1.0, decay=0.3)
+        sensor = Channel("a", "displacement", "output", place)
+        sources.append(Recording((HAMMER, sensor), hit.samples * [1.0, gain], RATE, f"at {place}"))
+    settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
+    response = measure(sources, settings)
+    assert [port.label for port in response.outputs] == ["1", "2", "10"] and response.line_gains is not None
+    for row, gain in enumerate((2.0, -0.5, 1.0)):
+        np.testing.assert_allclose(response.matrix[:, row, 0], gain * truth(response.frequency), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("entries", "fault"),
+    [
+        ({"excitation": "random", "windowed": {"exponential": 1.0}}, "'windowed' is not for random excitation"),
+        ({"excitation": "impact", "windowed": {"exponential": 1.0}, "impact": {"decay": 1.0}}, "two exponential windows"),
+        ({"excitation": "impact", "windowed": {"exponential": 0.0}}, "must be positive"),
+    ],
+)
+def test_windows_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        FrfSettings(block=1.0, **entries)
+
+
+def test_a_ready_response_loses_the_damping_of_its_window() -> None:
+    """H(j w + 1/tau) becomes H(j w) but for the curvature that the conjugate pole leaves, 120 Hz away; uneven lines are refused."""
+    frequency = np.arange(40.0, 80.0, 0.5)
+    x = Port("x", "x", "x")
+    rate = 2j * np.pi * frequency + 1 / 0.4
+    matrix = (1 / ((rate - POLE) * (rate - POLE.conjugate())))[:, None, None]
+    response = undamped(FrequencyResponse(frequency, matrix, (x,), (x,), covariance=np.ones((80, 1, 1))), 0.4)
+    rate = 2j * np.pi * frequency
+    np.testing.assert_allclose(response.matrix[:, 0, 0], 1 / ((rate - POLE) * (rate - POLE.conjugate())), rtol=1e-5)
+    assert response.covariance is None
+    with pytest.raises(DataError, match="not evenly spaced"):
+        undamped(FrequencyResponse(frequency**1.1, matrix, (x,), (x,)), 0.4)

@@ -1,0 +1,213 @@
+"""measure: recordings of a known system -> its FRF, with the doubt it has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.raw_files.excitation import design_multisine
+from labpipe.records.finding import Finding
+from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+
+RATE = 256.0
+FORCE = Channel("f", "force", "input", "x", 0.0)
+X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+PERIODIC = FrfSettings(excitation="periodic", period=1.0, skip=0)
+
+
+def periodic_recording(rng: np.random.Generator, gains: tuple[float, ...], noise: float, periods: int = 6, dof: str = "x") -> Recording:
+    """Responses are the force times a gain, delayed by one sample: H = g e^{-j w / rate}."""
+    force = design_multisine((1.0, 60.0), 1.0, 1.0).samples(RATE, periods)
+    samples = [force, *(gain * np.roll(force, 1) for gain in gains)]
+    noisy = np.column_stack(samples) + noise * rng.normal(size=(force.size, len(samples)))
+    channel = Channel("f", "force", "input", dof, {"x": 0.0, "y": np.pi / 2}[dof])
+    return Recording((channel, X, Y)[: len(samples)], noisy, RATE, f"run {dof}")
+
+
+def test_periodic_data_give_gain_and_the_sign_of_the_phase(rng: np.random.Generator) -> None:
+    response = measure([periodic_recording(rng, (2.0,), 1e-9)], PERIODIC)
+    expected = 2 * np.exp(-2j * np.pi * response.frequency / RATE)
+    assert response.frequency.tolist() == list(range(1, 61))
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, rtol=1e-7)
+    assert (response.form, response.outputs[0].label, response.inputs[0].label) == ("receptance", "x", "f")
+
+
+def test_periodic_variance_is_what_the_scatter_of_repeats_shows(rng: np.random.Generator) -> None:
+    repeats = [measure([periodic_recording(rng, (2.0,), 0.05)], PERIODIC) for _ in range(150)]
+    matrices = np.array([response.matrix[:, 0, 0] for response in repeats])
+    observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 150 / 149
+    predicted = np.mean([response.variance[:, 0, 0] for response in repeats], axis=0)
+    assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:
+    # The recorded response comes one sample late; a delay of one sample in the rig file makes H real again.
+    plain = periodic_recording(rng, (2.0,), 1e-9)
+    late = Channel("x", "displacement", "output", "x", 0.0, delay=1 / RATE)
+    response = measure([Recording((plain.channels[0], late), plain.samples, RATE, "late")], PERIODIC)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], 2.0, atol=1e-7)
+
+
+def test_two_force_directions_give_one_matrix(rng: np.random.Generator) -> None:
+    runs = [periodic_recording(rng, (2.0, 0.5), 1e-6, dof="x"), periodic_recording(rng, (0.3, 1.0), 1e-6, dof="y")]
+    response = measure(runs, PERIODIC)
+    gains = np.abs(response.matrix).mean(axis=0)
+    np.testing.assert_allclose(gains, [[2.0, 0.3], [0.5, 1.0]], rtol=1e-4)
+    assert [port.label for port in response.inputs] == [port.label for port in response.outputs] == ["x", "y"]
+    assert response.covariance.shape == (60, 4, 4)
+    # Forces and responses of one label are told apart: files keep a column for each.
+    assert response.snr_channels == ("x (input)", "y (input)", "x (output)", "y (output)")
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e6])
+def test_no_scale_of_the_numbers_changes_the_result(scale: float) -> None:
+    recording = periodic_recording(np.random.default_rng(4), (2.0,), 0.01)
+    scaled = Recording(recording.channels, recording.samples * scale, RATE, "run x")
+    plain, other = measure([recording], PERIODIC), measure([scaled], PERIODIC)
+    np.testing.assert_allclose(other.matrix, plain.matrix, rtol=1e-10)
+    np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-8)
+
+
+def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> None:
+    # 50 Hz in the force of one run only, where no force is meant to act: the other run knows nothing of that direction there.
+    runs = []
+    for dof, gains in (("x", (2.0, 0.5)), ("y", (0.3, 1.0))):
+        force = design_multisine((1.0, 40.0), 1.0, 1.0).samples(RATE, 6)
+        hum = 0.2 * np.cos(2 * np.pi * 50 * np.arange(force.size) / RATE) * (dof == "x")
+        samples = np.column_stack([force + hum, gains[0] * force, gains[1] * force]) + 1e-3 * rng.normal(size=(force.size, 3))
+        runs.append(Recording((Channel("f", "force", "input", dof), X, Y), samples, RATE, dof))
+    response = measure(runs, PERIODIC)
+    assert response.frequency.tolist() == list(range(1, 41))
+    np.testing.assert_allclose(response.matrix.mean(axis=0).real, [[2.0, 0.3], [0.5, 1.0]], atol=0.01)
+
+
+@pytest.mark.parametrize("estimator", ["H2", "Hv"])
+def test_a_silent_response_is_named(rng: np.random.Generator, estimator: str) -> None:
+    samples = np.column_stack([rng.normal(size=4000), np.zeros(4000)])
+    with pytest.raises(DataError, match="silent: x"):
+        measure([Recording((FORCE, X), samples, RATE, "dead")], FrfSettings(excitation="random", block=1.0, estimator=estimator))
+
+
+def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) -> Recording:
+    force = rng.normal(size=n)
+    b, a = signal.iirpeak(30.0, 8.0, fs=RATE)
+    response = signal.lfilter(b, a, force) + noise * rng.normal(size=n)
+    return Recording((FORCE, X), np.column_stack([force, response]), RATE, "noise")
+
+
+@pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("hann", 0.0), ("hann", 0.67), ("hamming", 0.5), ("blackman", 0.5)])
+def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overlap: float) -> None:
+    rng = np.random.default_rng(6)
+    settings = FrfSettings(excitation="random", block=1.0, window=window, overlap=overlap, band=(10.0, 100.0))
+    repeats = [measure([random_recording(rng, 0.5, 8000)], settings) for _ in range(120)]
+    matrices = np.array([response.matrix[:, 0, 0] for response in repeats])
+    observed = np.mean(np.abs(matrices - matrices.mean(axis=0)) ** 2, axis=0) * 120 / 119
+    predicted = np.mean([response.variance[:, 0, 0] for response in repeats], axis=0)
+    assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
+
+
+def test_random_data_near_the_filter_s_own_response(rng: np.random.Generator) -> None:
+    response = measure([random_recording(rng, 0.01, 200_000)], FrfSettings(excitation="random", block=4.0, band=(20.0, 60.0)))
+    _, expected = signal.freqz(*signal.iirpeak(30.0, 8.0, fs=RATE), worN=response.frequency, fs=RATE)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.03)
+    assert response.coherence.max() <= 1 and response.coherence.min() > 0.8
+
+
+def test_poor_coherence_is_said(rng: np.random.Generator) -> None:
+    response = measure([random_recording(rng, 3.0)], FrfSettings(excitation="random", block=1.0))
+    assert [finding.code for finding in response.findings] == ["low-coherence"]
+
+
+def test_one_period_has_no_covariance_and_says_so(rng: np.random.Generator) -> None:
+    response = measure([periodic_recording(rng, (2.0,), 0.01, periods=1)], PERIODIC)
+    assert response.covariance is None and [f.code for f in response.findings] == ["no-covariance"]
+
+
+def test_excluded_bands_are_left_out_and_edges_belong(rng: np.random.Generator) -> None:
+    settings = FrfSettings(excitation="periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),))
+    response = measure([periodic_recording(rng, (2.0,), 0.01)], settings)
+    assert response.frequency.tolist() == [10, 11, 14, 15, 16, 17, 18, 19, 20]
+
+
+def test_findings_of_the_recordings_travel(rng: np.random.Generator) -> None:
+    plain = periodic_recording(rng, (2.0,), 0.01)
+    clipped = Recording(plain.channels, plain.samples, RATE, "run x", (Finding("clipped", "channel x"),))
+    assert measure([clipped], PERIODIC).findings == (Finding("clipped", "channel x"),)
+
+
+def broken(rng: np.random.Generator, column: int, value: float) -> Recording:
+    """A recording with a NaN would be refused at birth; a stored one can hold it, so the blocks are made here."""
+    plain = periodic_recording(rng, (2.0,), 0.01)
+
+    class Stored(Recording):
+        def blocks(self, n_sample: int):  # type: ignore[no-untyped-def]
+            for block in super().blocks(n_sample):
+                changed = block.copy()
+                changed[777, column] = value
+                yield changed
+
+    return Stored(plain.channels, plain.samples, RATE, "run x")
+
+
+def test_a_missing_number_is_named_with_channel_and_sample(rng: np.random.Generator) -> None:
+    with pytest.raises(DataError, match=r"channel 'x' of 'run x' has no number at sample 777 \(3\.0\d+ s\)"):
+        measure([broken(rng, 1, np.nan)], PERIODIC)
+
+
+def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None:
+    one = periodic_recording(rng, (2.0, 1.0), 0.01)
+    with pytest.raises(DataError, match="lacks the response y"):
+        measure([one, periodic_recording(rng, (2.0,), 0.01, dof="y")], PERIODIC)
+    other_rate = Recording(one.channels, one.samples, 2 * RATE, "fast")
+    with pytest.raises(DataError, match="different sampling rates"):
+        measure([one, other_rate], PERIODIC)
+    both = Recording((FORCE, Channel("g", "force", "input", "y"), X), one.samples, RATE, "both")
+    with pytest.raises(DataError, match="cannot separate 2 forces"):
+        measure([both], FrfSettings(excitation="periodic", period=1.0, skip=0))
+    still = Recording(one.channels, one.samples * [0, 1, 1], RATE, "still")
+    with pytest.raises(DataError, match="force channel 'f' of 'still' does not vary"):
+        measure([still], PERIODIC)
+    with pytest.raises(DataError, match=r"no line lies in the band.*every 1 Hz up to 128 Hz"):
+        measure([one], FrfSettings(excitation="periodic", period=1.0, band=(500.0, 600.0)))
+    with pytest.raises(DataError, match="too short for one block"):
+        measure([one], FrfSettings(excitation="random", block=60.0))
+
+
+def test_settings_must_fit_the_excitation() -> None:
+    with pytest.raises(ConfigError, match="'period' is missing"):
+        FrfSettings(excitation="periodic")
+    with pytest.raises(ConfigError, match="'block' is missing"):
+        FrfSettings(excitation="random", period=1.0)
+    with pytest.raises(ConfigError, match="below 100 %"):
+        FrfSettings(excitation="random", block=1.0, overlap=1.0)
+    with pytest.raises(ConfigError, match="skip: '-1' is not a whole number of at least 0"):
+        FrfSettings(excitation="periodic", period=1.0, skip=-1)
+
+
+def test_a_reference_channel_changes_nothing(rng: np.random.Generator) -> None:
+    plain = random_recording(rng, 0.1)
+    tacho = Channel("tacho", "voltage", "reference", "tacho")
+    samples = np.column_stack([plain.samples[:, 0], rng.normal(size=plain.n_sample), plain.samples[:, 1]])
+    with_tacho = Recording((FORCE, tacho, X), samples, RATE, "noise")
+    settings = FrfSettings(excitation="random", block=1.0)
+    one, other = measure([plain], settings), measure([with_tacho], settings)
+    np.testing.assert_allclose(other.matrix, one.matrix, rtol=1e-10)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-8)
+
+
+def test_a_drift_is_taken_out_with_a_straight_line(rng: np.random.Generator) -> None:
+    # A drift of 30 deviations per block leaks into the lowest lines unless the line is taken out.
+    plain = random_recording(rng, 0.01)
+    drift = np.column_stack([np.zeros(plain.n_sample), np.arange(plain.n_sample) * 30 / RATE])
+    drifting = Recording(plain.channels, plain.samples + drift, RATE, "drift")
+    plainly = FrfSettings(excitation="random", block=1.0, band=(2.0, 20.0), window="boxcar", overlap=0.0)
+    settings = {name: replace(plainly, detrend=name) for name in ("constant", "linear")}
+    truth = measure([plain], settings["linear"]).matrix
+    error = {name: np.max(np.abs(measure([drifting], own).matrix - truth)) for name, own in settings.items()}
+    assert error["linear"] < 1e-9 and error["constant"] > 0.05

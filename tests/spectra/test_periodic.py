@@ -1,0 +1,137 @@
+"""Averages over whole periods and their noise, against literal twins and simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labpipe.errors import ConfigError, DataError
+from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+
+N = 64
+
+
+def spectrum_of(samples: np.ndarray, block: int = 10_000, skip: int = 0) -> LineSpectrum:
+    average = PeriodAverage(N, samples.shape[1], skip)
+    for start in range(0, samples.shape[0], block):
+        average.add(samples[start : start + block])
+    return average.spectrum(float(N))
+
+
+def test_mean_and_noise_equal_the_literal_twin(rng: np.random.Generator) -> None:
+    samples = rng.normal(size=(5 * N, 2))
+    spectrum = spectrum_of(samples)
+    for line in range(1, N // 2 + 1):
+        rotation = np.exp(-2j * np.pi * line * np.arange(N) / N)
+        amplitudes = [2 / N * (rotation @ samples[p * N : (p + 1) * N]) for p in range(5)]
+        mean = sum(amplitudes) / 5
+        scatter = sum(np.outer(a - mean, (a - mean).conj()) for a in amplitudes)
+        np.testing.assert_allclose(spectrum.mean[line - 1], mean, atol=1e-13)
+        np.testing.assert_allclose(spectrum.noise[line - 1], scatter / (5 * 4), atol=1e-13)
+    assert spectrum.dof == 4
+
+
+@settings(derandomize=True, max_examples=25, deadline=None)
+@given(block=st.integers(1, 400))
+def test_block_size_changes_nothing(block: int) -> None:
+    samples = np.random.default_rng(2).normal(size=(5 * N + 17, 2))
+    np.testing.assert_array_equal(spectrum_of(samples, block, skip=1).mean, spectrum_of(samples, skip=1).mean)
+
+
+def test_a_transient_period_is_skipped() -> None:
+    t = np.arange(4 * N) / N
+    samples = np.cos(2 * np.pi * 3 * t)[:, None]
+    samples[:N] += 100.0
+    samples[5] = 1e6
+    assert abs(spectrum_of(samples, skip=1).mean[2, 0]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_small_noise_on_a_large_signal_is_not_lost_to_cancellation(rng: np.random.Generator) -> None:
+    t = np.arange(200 * N) / N
+    noise = 1e-9 * rng.normal(size=t.size)
+    spectrum = spectrum_of((1e3 * np.cos(2 * np.pi * 3 * t) + noise)[:, None])
+    # E|X|^2 of white noise of variance s^2 is 4 s^2 / N per period.
+    assert spectrum.noise[2, 0, 0].real * 200 == pytest.approx(4e-18 / N, rel=0.3)
+
+
+def test_smoothing_gives_the_noise_more_degrees_of_freedom(rng: np.random.Generator) -> None:
+    spectrum = spectrum_of(rng.normal(size=(5 * N, 1)))
+    smooth = smoothed_noise(spectrum, 5)
+    expected = 4 / N / 5
+    assert np.std(smooth.noise[:, 0, 0].real) < 0.45 * np.std(spectrum.noise[:, 0, 0].real)
+    assert np.mean(smooth.noise[:, 0, 0].real) == pytest.approx(expected, rel=0.25)
+    assert smooth.dof == 4 * 11
+
+
+def test_a_disturbed_line_keeps_its_own_noise_and_spares_its_neighbours(rng: np.random.Generator) -> None:
+    samples = rng.normal(size=(5 * N, 1))
+    # A shaft-speed line whose phase differs from period to period: it is no broadband noise.
+    for p in range(5):
+        samples[p * N : (p + 1) * N, 0] += 50 * np.cos(2 * np.pi * 12 * np.arange(N) / N + 2.4 * p)
+    spectrum = spectrum_of(samples)
+    smooth = smoothed_noise(spectrum, 5)
+    np.testing.assert_allclose(smooth.noise[11], spectrum.noise[11])
+    others = np.delete(smooth.noise[:, 0, 0].real, 11)
+    assert np.max(others) < 4 * 4 / N / 5
+
+
+def test_excited_lines_are_found_with_and_without_noise(rng: np.random.Generator) -> None:
+    t = np.arange(6 * N) / N
+    clean = sum(np.cos(2 * np.pi * line * t + line) for line in (3, 5, 7))
+    for noise in (0.0, 0.05):
+        spectrum = smoothed_noise(spectrum_of((clean + noise * rng.normal(size=t.size))[:, None]), 5)
+        assert np.flatnonzero(excited_lines(spectrum, [0])).tolist() == [2, 4, 6]
+
+
+def test_a_period_holds_whole_samples() -> None:
+    assert samples_per_period(0.5, 1000.0) == 500
+    assert samples_per_period(1 / 3, 3000.0) == 1000
+    with pytest.raises(ConfigError, match="not a whole number") as caught:
+        samples_per_period(0.1234567, 1000.0)
+    assert caught.value.hint == "the nearest period that does is 0.123 s"
+
+
+def test_too_short_for_one_period() -> None:
+    with pytest.raises(DataError, match="too short for one period"):
+        spectrum_of(np.zeros((2 * N, 1)), skip=2)
+
+
+def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
+    samples = rng.normal(size=(5 * N, 2))
+    kept = PeriodAverage(N, 2, 0, slice(4, 9))
+    kept.add(samples)
+    whole, part = spectrum_of(samples), kept.spectrum(float(N))
+    assert part.frequency.tolist() == [4, 5, 6, 7, 8]
+    np.testing.assert_array_equal(part.mean, whole.mean[3:8])
+    np.testing.assert_array_equal(part.noise, whole.noise[3:8])
+
+
+def line_noise(power: np.ndarray, dof: float) -> LineSpectrum:
+    n = power.size
+    return LineSpectrum(np.arange(1.0, n + 1), np.zeros((n, 1), complex), power[:, None, None].astype(complex), 5, dof)
+
+
+def test_leakage_beside_a_shaft_speed_line_is_left_out_too() -> None:
+    # Leakage falls with the square of the distance; the strongest line hides the weaker ones in the first pass.
+    power = np.ones(60)
+    power[28:33] = [25.0, 100.0, 1e4, 100.0, 25.0]
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    np.testing.assert_array_equal(smooth[28:33], power[28:33])
+    np.testing.assert_allclose(np.delete(smooth, range(28, 33)), 1.0, rtol=1e-12)
+
+
+def test_one_huge_line_does_not_swallow_small_noise() -> None:
+    power = np.full(60, 1e-20)
+    power[30] = 1e3
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    assert smooth[30] == 1e3
+    np.testing.assert_allclose(np.delete(smooth, 30), 1e-20, rtol=1e-12)
+
+
+def test_few_broadband_lines_are_taken_for_disturbed_ones() -> None:
+    # Recipe: 20,000 lines of chi-square noise with 2 x 4 degrees of freedom; the F-test is made at 0.1 %.
+    power = np.random.default_rng(8).chisquare(8, 20_000) / 8
+    smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
+    assert 0.0003 < np.mean(smooth == power) < 0.002

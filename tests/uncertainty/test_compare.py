@@ -1,0 +1,168 @@
+"""The table of comparisons: every kind answers, every verdict is one of the documented ones, the same theory is matched once."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labpipe.artefacts.json_file import entry_of, record_of
+from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.fitting import identify
+from labpipe.methods.rolling_bearing.ratio import TheoryAt
+from labpipe.records.comparison import Comparison
+from labpipe.records.response import FrequencyResponse
+from labpipe.records.uncertain import Uncertain
+from labpipe.report.comparison import EXPLAINED, FIGURES, OVER_FREQUENCY
+from labpipe.uncertainty.compare import Evidence
+from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, TheorySettings, comparison_kind
+from tests.uncertainty.test_theory import BENDING, PEAKS, SHAFT, K, measured
+
+VERDICTS = {
+    "trend": {"rising", "falling", "no trend"},
+    "difference": {"different", "no difference"},
+    "repeatability": {"settings differ", "settings alike"},
+    "ratio": {"stiffer than theory", "softer than theory", "as theory"},
+    "rayleigh": {"proportional", "not proportional"},
+    "reciprocity": {"reciprocal", "not reciprocal"},
+}
+THEORY = TheorySettings("bearing.yaml", shaft=Uncertain(BENDING, 0.01 * BENDING), arm=0.1)
+SERIES = {"fit": "peaks", "term": "z", "over": "preload", "name": "series"}
+
+
+@pytest.fixture
+def evidence(rng) -> Evidence:
+    """Three preloads up and down: the 6208 at 427 N with its matrix growing as the preload, ratio 1.12."""
+    responses, fits = [], []
+    for way in ("up", "down"):
+        for preload in (427.0, 500.0, 600.0):
+            name = f"{preload:g} {way}"
+            made = measured(1.12 * preload / 427, BENDING, rng)
+            responses.append(dataclasses.replace(made, name=name, conditions={"preload": f"{preload:g} N", "way": way}))
+            fits.extend(dataclasses.replace(fit, test=name) for fit in identify(made, PEAKS))
+    return Evidence(tuple(fits), tuple(responses), (PEAKS,))
+
+
+def theory(calls: list[float]) -> Callable[[Sequence[tuple[float, str]]], TheoryAt]:
+    def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
+        ((condition, unit),) = conditions
+        assert unit == "N"
+        calls.append(condition)
+        return TheoryAt(K * condition / 427, K * condition / 427 * 1.001, 1e-3, SHAFT)
+
+    return at
+
+
+def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
+    """The comparison with a theory in place of the bearing file that the settings name."""
+    kind = comparison_kind(settings.kind)
+    return kind.compare(settings, evidence) if theory is None else kind.compare(settings, evidence, theory)
+
+
+def every_kind(evidence: Evidence) -> dict[str, Comparison]:
+    own = {
+        "trend": CompareSettings(kind="trend", law="power", **SERIES),
+        "difference": CompareSettings(kind="difference", group="way", groups=("up", "down"), **SERIES),
+        "repeatability": CompareSettings(kind="repeatability", group="preload", **SERIES),
+        "ratio": CompareSettings(kind="ratio", theory=THEORY, **SERIES),
+        "rayleigh": CompareSettings(kind="rayleigh", **SERIES),
+        "reciprocity": CompareSettings(kind="reciprocity", name="symmetry"),
+    }
+    return {kind: compare(settings, evidence, theory([]) if settings.theory else None) for kind, settings in own.items()}
+
+
+def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evidence) -> None:
+    found = every_kind(evidence)
+    # Those over frequency are looked at in test_prediction, test_bandwise and test_sensitivity.
+    assert set(found) == set(VERDICTS) == {*FIGURES, "reciprocity"}
+    assert set(COMPARISONS) == set(EXPLAINED) == {*found, *OVER_FREQUENCY}
+    page = (Path(__file__).parents[2] / "docs/pages/comparisons.md").read_text()
+    for kind, comparison in found.items():
+        assert comparison.kind == kind
+        assert comparison.verdict in VERDICTS[kind]
+        assert comparison.verdict in comparison.statement or kind == "ratio"
+        entry = json.loads(json.dumps(entry_of(comparison)))
+        assert record_of(entry, Comparison) == comparison
+        for verdict in VERDICTS[kind]:
+            assert verdict in page
+
+
+def test_the_numbers_are_those_of_the_making(evidence) -> None:
+    """K grows as the preload, so the exponent of z is 1; the ratio is 1.12; beta 20 us; both ways are alike."""
+    found = every_kind(evidence)
+    within = {"trend": ("exponent", 1.0), "ratio": ("ratio", 1.12), "rayleigh": ("beta", 20e-6), "difference": ("difference", 0.0)}
+    for kind, (name, truth) in within.items():
+        amount = found[kind].amount(name)
+        assert abs(amount.value - truth) < 4 * amount.std_error, kind
+    assert found["trend"].verdict == "rising"
+    assert found["ratio"].verdict == "stiffer than theory"
+    assert found["ratio"].amount("beta").std_error is None
+
+
+def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:
+    calls: list[float] = []
+    radial = {**SERIES, "term": "x"}
+    first = compare(CompareSettings(kind="ratio", theory=THEORY, **radial), evidence, theory(calls))
+    assert sorted(calls) == [427.0, 500.0, 600.0]
+    second = compare(CompareSettings(kind="rayleigh", theory=THEORY, **radial), evidence, theory(calls))
+    assert len(calls) == 3
+    assert first.amount("ratio").value == pytest.approx(1.12, rel=0.01)
+    assert second.amount("beta").value == pytest.approx(20e-6, rel=0.01)
+    compare(CompareSettings(kind="ratio", theory=dataclasses.replace(THEORY, shaft=None), **radial), evidence, theory(calls))
+    assert len(calls) == 6
+
+
+def test_the_bending_shaft_makes_radial_damping_fall_though_the_bearing_s_grows(evidence) -> None:
+    """The measured c over the preload falls, the bearing's damping is beta K: the theory sees through it, c / k does not."""
+    radial = {**SERIES, "term": "x"}
+    assert compare(CompareSettings(kind="trend", parameter="c", law="power", **radial), evidence).verdict == "falling"
+    assert compare(CompareSettings(kind="rayleigh", **radial), evidence).verdict == "not proportional"
+    assert compare(CompareSettings(kind="rayleigh", theory=THEORY, **radial), evidence, theory([])).verdict == "proportional"
+
+
+def test_overlays_are_the_first_and_the_last_condition(evidence) -> None:
+    found = compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), evidence, theory([]))
+    assert [overlay.test.split()[0] for overlay in found.overlays] == ["427", "600"]
+    for overlay in found.overlays:
+        measured_peak, matched_peak, theory_peak = (max(curve) for curve in (overlay.measured, overlay.matched, overlay.theory))
+        assert matched_peak == pytest.approx(measured_peak, rel=0.02)
+        assert theory_peak < 1.1 * matched_peak
+
+
+def test_errors_name_the_test_and_what_is_missing(evidence) -> None:
+    settings = CompareSettings(kind="ratio", theory=dataclasses.replace(THEORY, arm=None), **{**SERIES, "term": "by"})
+    with pytest.raises(ConfigError, match="test 427 up: the tilt by is compared without an arm"):
+        compare(settings, evidence, theory([]))
+    with pytest.raises(ConfigError, match=r"bearing\.yaml: no such file"):
+        compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), evidence, None)
+    with pytest.raises(ConfigError, match="response of test '427 up' is missing"):
+        dataclasses.replace(evidence, responses=evidence.responses[1:]).response("427 up")
+
+
+def test_fits_that_were_corrected_are_not_compared_with_a_theory(evidence) -> None:
+    shared = dataclasses.replace(evidence, fit_settings=(dataclasses.replace(PEAKS, share=2),), solved={})
+    with pytest.raises(ConfigError, match="corrected for support or share"):
+        compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), shared, theory([]))
+
+
+def test_a_fit_without_noise_gives_the_ratio_itself() -> None:
+    quiet: list[FrequencyResponse] = []
+    fits = []
+    for preload in (427.0, 500.0):
+        made = dataclasses.replace(measured(1.12 * preload / 427, BENDING), covariance=None, name=f"{preload:g}")
+        quiet.append(dataclasses.replace(made, conditions={"preload": f"{preload:g} N"}))
+        fits.extend(dataclasses.replace(fit, test=made.name) for fit in identify(made, PEAKS))
+    evidence = Evidence(tuple(fits), tuple(quiet), (PEAKS,))
+    found = compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), evidence, theory([]))
+    # The residual of an exact model is rounding: the ratio is exact, its interval next to nothing.
+    assert found.amount("ratio").value == pytest.approx(1.12, rel=1e-6)
+
+
+def test_one_test_is_no_campaign(evidence) -> None:
+    assert evidence.settings_of("peaks") is PEAKS
+    with pytest.raises(FitError, match="at least two are needed"):
+        Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(CompareSettings(kind="trend", **SERIES))

@@ -1,0 +1,58 @@
+"""Control limits against hand calculation, differences and trends against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import FitError
+from labpipe.uncertainty.weighted import control_limits, from_the_rest, straight_trend
+
+
+def test_limits_of_an_individuals_chart_by_hand() -> None:
+    # Moving ranges 2, 1, 3, 2: mean 2; 2.66 * 2 = 5.32 either side (Montgomery: 3 / d_2 = 2.66).
+    limits = control_limits(np.array([10.0, 12.0, 11.0, 14.0, 12.0]))
+    assert limits.centre == pytest.approx(11.8)
+    assert limits.high - limits.centre == pytest.approx(5.32, abs=0.005)
+    assert limits.centre - limits.low == pytest.approx(limits.high - limits.centre)
+    assert limits.outside == ()
+
+
+def test_a_single_jump_lies_outside_and_is_named_by_its_place() -> None:
+    values = np.array([10.0, 10.1, 9.9, 10.0, 10.1, 10.0, 9.9, 10.0, 10.1, 15.0])
+    assert control_limits(values).outside == (9,)
+
+
+def test_false_alarms_come_as_often_as_three_sigma_says(rng: np.random.Generator) -> None:
+    # Known limits give 0.27 %; limits estimated from 200 values give a little more.
+    share = np.mean([len(control_limits(rng.normal(size=200)).outside) / 200 for _ in range(200)])
+    assert 0.0015 < share < 0.0045
+
+
+def test_two_values_differ_by_the_closed_form() -> None:
+    # z = 3 / sqrt(1 + 1): two-sided p = 0.0339 (normal tables).
+    difference, p_value = from_the_rest(np.array([10.0, 13.0]), np.array([1.0, 1.0]))
+    assert difference == pytest.approx([-3.0, 3.0])
+    assert p_value == pytest.approx([0.0339, 0.0339], abs=1e-4)
+
+
+def test_p_values_of_alike_tests_are_uniform(rng: np.random.Generator) -> None:
+    chances = np.concatenate([from_the_rest(rng.normal(5.0, 0.1, 6), np.full(6, 0.1))[1] for _ in range(400)])
+    # Slightly too few small ones are expected: the errors of the others are enlarged where they scatter more than stated.
+    assert 0.02 < np.mean(chances < 0.05) < 0.06
+
+
+def test_a_trend_without_scatter_is_found_exactly() -> None:
+    condition = np.array([1.0, 2.0, 4.0])
+    found = straight_trend(condition, 3.0 + 0.5 * condition, np.array([0.1, 0.2, 0.1]))
+    assert found.values[1] == pytest.approx(0.5)
+    # Slope variance 1 / sum w (x - weighted mean)^2, w = 100, 25, 100: mean 22/9, sum 455.556.
+    assert found.std_error(1) == pytest.approx(1 / np.sqrt(455.5556), rel=1e-6)
+
+
+def test_too_few_values_are_refused() -> None:
+    for refused in (lambda: control_limits(np.ones(2)), lambda: from_the_rest(np.ones(1), np.ones(1))):
+        with pytest.raises(FitError):
+            refused()
+    with pytest.raises(FitError):
+        straight_trend(np.arange(2.0), np.ones(2), np.ones(2))

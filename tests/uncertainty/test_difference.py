@@ -1,0 +1,111 @@
+"""Up against down: exact differences, pairing, size of the test, and its power."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError, FitError
+from labpipe.uncertainty.settings import CompareSettings
+from labpipe.uncertainty.trend import difference
+
+PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
+PAIRED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis")
+
+
+def both_ways(up, down, error: float = 1e3):
+    return [
+        (value, error, {"preload": f"{preload!r} N", "way": way})
+        for way, values in (("up", up), ("down", down))
+        for value, preload in zip(values, PRELOADS, strict=True)
+    ]
+
+
+def stiffness(rng=None, setting: float = 0.0, noise: float = 0.0):
+    scatter = np.zeros((2, 4)) if rng is None else rng.standard_normal((2, 4))
+    return 2e5 * (np.array(PRELOADS) * (1 + setting * scatter[0])) ** 0.7 + noise * scatter[1]
+
+
+def test_a_constant_relative_difference_is_found(campaign) -> None:
+    k = stiffness()
+    found = difference(campaign(PAIRED, both_ways(k, 1.03 * k)))
+    assert found.amount("difference").value == pytest.approx(0.03, rel=1e-9)
+    assert found.verdict == "different"
+    assert found.amount("scatter_p").value == pytest.approx(1.0)
+    assert "down against up +3.00 %" in found.statement
+    assert {point.group for point in found.points} == {"up", "down"}
+
+
+def test_the_error_is_that_of_the_weighted_logarithms(campaign) -> None:
+    """Closed form: each pair's error is sqrt(2) s / k, combined by 1 / sum of weights."""
+    k = stiffness()
+    found = difference(campaign(PAIRED, both_ways(k, k, 1e4)))
+    weights = (k / 1e4) ** 2 / 2
+    assert found.amount("difference").std_error == pytest.approx(np.sum(weights) ** -0.5, rel=1e-6)
+
+
+def test_the_setting_s_error_enters_by_the_exponent(campaign) -> None:
+    """Without noise of the fits each pair has sqrt(2) 0.7 x 0.5 %, four pairs half of it."""
+    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    k = stiffness()
+    found = difference(campaign(settings, both_ways(k, k, 1.0)))
+    assert found.amount("difference").std_error == pytest.approx(np.sqrt(2) * 0.7 * 0.005 / 2, rel=1e-4)
+
+
+def test_no_difference_is_claimed_at_the_stated_rate_and_three_per_cent_are_seen(campaign, rng) -> None:
+    """300 campaigns: 5 % false alarms (within 3.5 binomial standard deviations of 6.7 %, with enlarged errors); 3 % found in 99 %."""
+    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    false, seen = 0, 0
+    for _ in range(300):
+        up, down = (stiffness(rng, 0.005, 1e4) for _ in range(2))
+        false += difference(campaign(settings, both_ways(up, down, 1e4))).verdict == "different"
+        seen += difference(campaign(settings, both_ways(up, 1.03 * down, 1e4))).verdict == "different"
+    assert false <= 0.12 * 300
+    assert seen >= 0.99 * 300
+
+
+def test_only_shared_conditions_are_paired(campaign) -> None:
+    k = stiffness()
+    given = both_ways(k, 1.02 * k)[:5]
+    found = difference(campaign(PAIRED, given))
+    assert found.amount("difference").value == pytest.approx(0.02, rel=1e-9)
+    assert "from 1 condition(s)" in found.statement
+
+
+def test_without_a_condition_groups_are_compared_as_they_are(campaign) -> None:
+    settings = CompareSettings(kind="difference", fit="axial", group="way", groups=("before", "after"))
+    given = [(value, 0.1, {"way": way}) for way, value in (("before", 10.0), ("before", 10.0), ("after", 11.0), ("after", 11.0))]
+    found = difference(campaign(settings, given))
+    assert found.amount("difference").value == pytest.approx(0.1, rel=1e-9)
+    assert found.amount("difference").std_error == pytest.approx(1.1 * np.hypot(0.01, 0.1 / 11) / np.sqrt(2), rel=1e-6)
+
+
+def test_groups_that_are_not_there_are_named(campaign) -> None:
+    k = stiffness()
+    wrong = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "dwon"))
+    with pytest.raises(ConfigError, match="no test has way: dwon") as caught:
+        difference(campaign(wrong, both_ways(k, k)))
+    assert caught.value.hint == "known: down, up"
+    with pytest.raises(ConfigError, match="at no common 'preload'"):
+        difference(campaign(PAIRED, [both_ways(k, k)[0], both_ways(k, k)[7]]))
+    lone = CompareSettings(kind="difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01)
+    with pytest.raises(FitError, match="'setting_error' needs the condition"):
+        difference(campaign(lone, both_ways(k, k)))
+
+
+TWICE = CompareSettings(
+    kind="difference", fit="axial", over=("speed", "load"), group="way", groups=("up", "down"), tolerance=0.01, name="two"
+)
+
+
+def test_tests_are_paired_by_both_conditions(campaign) -> None:
+    """k rises with speed and falls with load; down is 2 % above up at equal conditions, which were set to within 0.2 %."""
+    tests = [
+        (1e6 * speed / load * (1.02 if way == "down" else 1.0), 1e3, {"speed": f"{set_speed} Hz", "load": f"{load} N", "way": way})
+        for speed in (20.0, 40.0)
+        for load in (1.0, 2.0)
+        for way, set_speed in (("up", speed), ("down", speed * 1.002))
+    ]
+    found = difference(campaign(TWICE, tests))
+    assert found.amount("difference").value == pytest.approx(0.02, rel=1e-9)
+    assert "4 condition(s) tested both ways" in found.statement

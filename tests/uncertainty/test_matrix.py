@@ -1,0 +1,191 @@
+"""Matrices of tests: levels, means of repeats with what repeating does not make smaller, theory beside, rest positions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ConfigError
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
+from labpipe.report.condition_matrix import coefficient_figures
+from labpipe.uncertainty.matrix import condition_matrix, repeated
+from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
+from tests.uncertainty.conftest import a_fit
+
+SETTINGS = MatrixSettings(fit="axial", over=("speed", "load"), name="tm")
+
+
+def a_matrix(tests, settings: MatrixSettings = SETTINGS, theory=None, correlation: float = 0.0):
+    """The matrix of tests (values, conditions)."""
+    fits = [a_fit(f"t{n}", values, correlation) for n, (values, _) in enumerate(tests)]
+    return condition_matrix(settings, fits, {f"t{n}": given for n, (_, given) in enumerate(tests)}, theory)
+
+
+def at(speed: str, load: str, **more: str) -> dict[str, str]:
+    return {"speed": speed, "load": load, **more}
+
+
+def test_set_values_closer_than_the_tolerance_are_one_level() -> None:
+    levels, number = levels_of(np.array([1000.0, 2003.0, 998.0, 1001.0, 1997.0]), 0.02)
+    np.testing.assert_allclose(levels, [999.6666667, 2000.0])
+    assert number.tolist() == [0, 1, 0, 0, 1]
+
+
+def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> None:
+    """Equal errors: the mean of two has 1 / sqrt 2 of their error."""
+    tests = [
+        ({"k": (1.00e6, 1e3)}, at("2999 rpm +- 2 rpm", "1002 N")),
+        ({"k": (1.001e6, 1e3)}, at("3001 rpm", "998 N")),
+        ({"k": (2.0e6, 1e3)}, at("6000 rpm", "1 kN")),
+    ]
+    matrix = a_matrix(tests)
+    assert [axis.levels for axis in matrix.axes] == [(pytest.approx(50.0), pytest.approx(100.0)), (pytest.approx(1000.0),)]
+    (first, second) = matrix.points
+    assert (first.tests, second.tests) == (("t0", "t1"), ("t2",))
+    assert first.values[0].parameter.value == pytest.approx(1.0005e6)
+    assert first.values[0].parameter.std_error == pytest.approx(1e3 / np.sqrt(2))
+    assert first.values[0].scatter == pytest.approx(1e3 / np.sqrt(2))
+    assert second.values[0].repeats == 1
+    assert matrix.text_of(first) == "speed 3000 rpm, load 1 kN"
+
+
+def test_what_is_common_to_repeats_does_not_shrink() -> None:
+    """100 repeats, noise 1 and common part 3: sqrt(0.1^2 + 3^2), closed form."""
+    one = Parameter("k", 10.0, "N/m", std_error=1.0, std_error_inflated=float(np.sqrt(10.0)), ci95=(8.0, 12.0))
+    values = 10.0 + np.linspace(-1.7, 1.7, 100)
+    mean = repeated([dataclasses.replace(one, value=value) for value in values]).parameter
+    assert mean.value == pytest.approx(10.0)
+    assert mean.std_error == pytest.approx(0.1)
+    assert mean.full_error == pytest.approx(np.sqrt(0.01 + 9.0))
+    assert mean.ci95 == pytest.approx((10 - 1.95996 * np.sqrt(9.01), 10 + 1.95996 * np.sqrt(9.01)), rel=1e-5)
+
+
+def test_repeats_apart_are_named_and_their_mean_widened() -> None:
+    tests = [({"k": (value, 1e3)}, at("50 Hz", "1 kN")) for value in (1.00e6, 1.02e6, 0.98e6)]
+    matrix = a_matrix(tests)
+    assert [finding.code for finding in matrix.findings] == ["repeats-apart"]
+    assert "speed 3000 rpm, load 1 kN" in matrix.findings[0].message
+    # Birge: the error of the mean is that of the scatter, 2e4 / sqrt 3.
+    assert matrix.points[0].values[0].parameter.std_error == pytest.approx(2e4 / np.sqrt(3), rel=1e-9)
+    assert matrix.amount("repeats_apart").value == 1
+
+
+def test_sound_repeats_are_rarely_called_apart(rng) -> None:
+    """300 matrices of 6 points with 5 repeats: at most 5 % + 3.5 binomial standard deviations have any finding."""
+    alarms = 0
+    for _ in range(300):
+        tests = [
+            ({"k": (1e6 + 1e3 * rng.standard_normal(), 1e3)}, at(f"{speed} Hz", "1 kN")) for speed in range(10, 70, 10) for _ in range(5)
+        ]
+        alarms += bool(a_matrix(tests).findings)
+    assert alarms <= 300 * 0.05 + 3.5 * np.sqrt(300 * 0.05 * 0.95)
+
+
+def test_means_of_repeats_hold_the_truth(rng) -> None:
+    """1500 points of 4 repeats with a common error three times that of noise: 95 % intervals hold, within 3.5 binomial deviations."""
+    held = 0
+    for _ in range(1500):
+        common = 3.0 * rng.standard_normal()
+        draws = [
+            Parameter("k", 100 + common + rng.standard_normal(), "N/m", std_error=1.0, std_error_inflated=10**0.5, ci95=(0.0, 1.0))
+            for _ in range(4)
+        ]
+        low, high = repeated(draws).parameter.ci95 or (0.0, 0.0)
+        held += low <= 100 <= high
+    assert abs(held / 1500 - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / 1500)
+
+
+def test_missing_combinations_and_a_theory_stand_in_the_matrix() -> None:
+    tests = [({"k": (1e6, 1e3)}, at("50 Hz", "1 kN")), ({"k": (2e6, 1e3)}, at("100 Hz", "2 kN"))]
+    matrix = a_matrix(tests, theory=lambda conditions, _units: {"k": 1e6 if conditions[0] < 60 else 3e6})
+    assert matrix.missing == ((0, 1), (1, 0))
+    assert [point.values[0].holds_theory for point in matrix.points] == [True, False]
+    assert matrix.amount("theory_share").value == 0.5
+    assert matrix.amount("k.largest_error").value == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (dataclasses.replace(SETTINGS, over=("sped", "load")), "test 't0' has no condition 'sped'"),
+        (dataclasses.replace(SETTINGS, parameters=("k_xx",)), "fit 'axial' has no 'k_xx'"),
+    ],
+)
+def test_what_tests_do_not_have_is_named(settings, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        a_matrix([({"k": (1e6, 1e3)}, at("50 Hz", "1 kN"))], settings)
+
+
+@pytest.mark.parametrize("entries", [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.5}, {"level": 0.0}])
+def test_settings_that_cannot_be_are_refused(entries) -> None:
+    with pytest.raises(ConfigError):
+        MatrixSettings(**{"fit": "axial", "over": ("speed",), **entries})
+
+
+STIFFNESS = np.array([[8e6, 3e6], [-4e6, 1.2e7]])
+
+
+def _fit_of(stiffness: np.ndarray, error: float, test: str) -> Fit:
+    names = ("k_xx", "k_xy", "k_yx", "k_yy")
+    return a_fit(test, {name: (float(value), error) for name, value in zip(names, stiffness.reshape(-1), strict=True)})
+
+
+def a_path(rng, tests_per_load: int, static: np.ndarray, shaken: np.ndarray, spread: float = 1e-8):
+    """The path of a linear bearing K d = W u, u at 90 deg, with noise on the mean positions and on K."""
+    settings = MatrixSettings(
+        fit="axial",
+        over=("load",),
+        path=EquilibriumSettings(load="load", x="x", y="y", direction=np.pi / 2, clearance=100e-6),
+        name="tm",
+    )
+    fits, conditions = [], {}
+    for load in (500.0, 600.0, 700.0):
+        rest = np.linalg.solve(static, [0.0, load])
+        for number in range(tests_per_load):
+            name = f"{load:g}-{number}"
+            measured = rest + spread * rng.standard_normal(2)
+            fits.append(_fit_of(shaken + 2e4 * rng.standard_normal((2, 2)), 2e4, name))
+            conditions[name] = {"load": f"{load} N", "x": f"{measured[0] * 1e6:.12g} um", "y": f"{measured[1] * 1e6:.12g} um"}
+    return condition_matrix(settings, fits, conditions).paths[0]
+
+
+def test_the_slope_of_the_path_is_the_compliance(rng) -> None:
+    """K d = W u: d is linear in W, so its slope is K^-1 u, with eccentricity and attitude in closed form."""
+    path = a_path(rng, 6, STIFFNESS, STIFFNESS)
+    expected = np.linalg.solve(STIFFNESS, [0.0, 1.0])
+    for point in path.points:
+        np.testing.assert_allclose(point.statics, expected, atol=5 * max(point.statics_error))
+        np.testing.assert_allclose(point.shaking, expected, atol=5 * max(point.shaking_error))
+        rest = expected * point.load
+        assert point.eccentricity == pytest.approx(np.hypot(*rest), rel=1e-3)
+        assert point.attitude == pytest.approx(np.arctan2(rest[1], rest[0]) - np.pi / 2, abs=2e-3)
+
+
+def test_static_and_shaken_stiffness_that_differ_are_shown(rng) -> None:
+    """A static stiffness 20 % above that from shaking; where both agree, p-values are seldom small (binomial, 60 points)."""
+    apart = a_path(rng, 6, 1.2 * STIFFNESS, STIFFNESS)
+    assert all(point.p_value < 1e-3 for point in apart.points)
+    alike = [point.p_value for _ in range(20) for point in a_path(rng, 12, STIFFNESS, STIFFNESS).points]
+    assert sum(p < 0.05 for p in alike) <= 60 * 0.05 + 3.5 * np.sqrt(60 * 0.05 * 0.95)
+
+
+def test_the_report_shows_all_points_in_the_unit_of_the_largest_the_second_condition_upwards() -> None:
+    tests = [
+        ({"k": (value, 1e4)}, at(speed, load))
+        for value, speed, load in (
+            (2.5e6, "25 Hz", "2 kN"),
+            (40.0e6, "50 Hz", "2 kN"),
+            (104.0e6, "25 Hz", "5 kN"),
+            (226.1e6, "50 Hz", "5 kN"),
+        )
+    ]
+    matrix = a_matrix(tests, theory=lambda _conditions, _units: {"k": 3e6})
+    lines, chart = (figure.graphic.panels[0] for figure in coefficient_figures(matrix, "k"))
+    assert [axis.shown_unit for axis in matrix.axes] == ["rpm", "kN"] and lines.y.unit == "MN/m"
+    assert [series.name for series in lines.series] == ["load 2 kN", "load 5 kN", "theory", ""]
+    np.testing.assert_allclose(lines.series[1].y, [104.0, 226.1])
+    assert chart.series[0].texts == (("104.0", "226.1"), ("2.500", "40.00"))
+    assert [name for _, name in chart.y.ticks or ()] == ["5", "2"]

@@ -1,0 +1,186 @@
+"""The section matrix from YAML to report, tables and rules: FRFs of known bearings at every condition, theory beside, faults."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from labpipe.artefacts.identification_file import read_identification
+from labpipe.cli.main import run_command
+from labpipe.errors import ConfigErrors, DataError
+from labpipe.project.compare import table_theory
+from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.raw_files.frf_csv import write_frf_csv
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+
+SPEEDS, LOADS, REPEATS = (1500, 3000), (1, 2), 3
+MASS = 5.0
+PIPELINE = """
+title: A bearing over speed and load
+tests:
+{tests}
+identify:
+  film: {{model: rotor-2dof, mass: 5 kg}}
+matrix:
+  tm:
+    fit: film
+    over: [speed, load]
+    parameters: [k_xx, k_xy, k_yx, k_yy, c_xx, c_xy, c_yx, c_yy]
+    beside: [oil]
+    theory: {{table: theory.csv}}
+accept:
+  tm.k_xx.largest_error: "<= 1 %"
+  tm.missing: "<= 0"
+expect:
+  tm.points: 4
+"""
+
+
+def coefficients(speed: float, load: float) -> tuple[np.ndarray, np.ndarray]:
+    """A made-up bearing: stiffness grows with load, cross-coupling with speed."""
+    k = np.array([[1e7 * load, 2e3 * speed], [-2e3 * speed, 1.4e7 * load]])
+    return k, np.array([[2e4, 0.0], [0.0, 3e4]])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """FRFs with 0.1 % noise of 12 tests, and the truth as a table of another program."""
+    folder = tmp_path_factory.mktemp("matrix")
+    rng = np.random.default_rng(20261122)
+    frequency = np.arange(20.0, 200.0, 5.0)
+    w = 2 * np.pi * frequency[:, None, None]
+    entries, rows = [], []
+    for speed, load in itertools.product(SPEEDS, LOADS):
+        k, c = coefficients(speed, load)
+        rows.append([speed, load, *(k.reshape(-1) / 1e6), *(c.reshape(-1) / 1e3)])
+        h = np.linalg.inv(k + 1j * w * c - MASS * w**2 * np.eye(2))
+        std = 1e-3 * np.max(np.abs(h))
+        for repeat in range(REPEATS):
+            noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+            ports = (
+                (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2)),
+                (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2)),
+            )
+            name = f"{speed}rpm-{load}kN-{repeat}"
+            response = FrequencyResponse(frequency, noisy, *ports, covariance=uncorrelated(np.full(h.shape, std**2)), name=name)
+            write_frf_csv(folder / f"{name}.csv", response)
+            oil = f"oil: {40 + repeat} degC"
+            conditions = f"{{speed: {speed + repeat} rpm, load: {load} kN, {oil}}}"
+            entries.append(f"  - {{name: {name}, frfs: {name}.csv, conditions: {conditions}}}")
+    names = [f"{letter}_{axes} [{unit}]" for letter, unit in (("k", "MN/m"), ("c", "kN.s/m")) for axes in ("xx", "xy", "yx", "yy")]
+    pd.DataFrame(rows, columns=["speed [rpm]", "load [kN]", *names]).to_csv(folder / "theory.csv", index=False)
+    (folder / "p.yaml").write_text(PIPELINE.format(tests="\n".join(entries)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Path:
+    assert run_command(["run", str(folder / "p.yaml"), "-o", str(folder / "out")]) == 0
+    return folder / "out/identification.json"
+
+
+def test_every_point_is_near_its_truth_and_mostly_holds_it(result: Path) -> None:
+    """32 intervals of 95 %: at least 26 hold the truth (chance of fewer: 1e-3 by the binomial distribution)."""
+    (matrix,) = read_identification(result).sections["matrix"]
+    assert matrix.statement.startswith("film: 12 tests at 4 points (2 speed x 2 load); the theory lies in")
+    held = 0
+    for point in matrix.points:
+        speed, load = matrix.levels_of(point)
+        k, c = coefficients(round(60 * speed / 500) * 500, load / 1e3)
+        for name, truth in zip(matrix.names, [*k.reshape(-1), *c.reshape(-1)], strict=True):
+            value = point.value(name)
+            low, high = value.parameter.ci95
+            held += low <= truth <= high
+            assert value.theory == pytest.approx(truth, rel=1e-2, abs=1e3)
+        assert point.beside[0].value == pytest.approx(273.15 + 41)
+    assert held >= 26
+    assert all(outcome.passed for outcome in read_identification(result).outcomes)
+
+
+def test_the_report_begins_with_the_matrix_and_draws_tests_on_demand(result: Path, folder: Path, labpipe) -> None:
+    page = (result.parent / "report.html").read_text("utf-8")
+    assert "Test matrix: tm" in page and "Result: film, test" not in page
+    one = labpipe("report", result.parent, "--test", "1500rpm-1kN-0", "-o", folder / "one.md")
+    assert one.code == 0
+    text = (folder / "one.md").read_text("utf-8")
+    assert "Result: film, test 1500rpm-1kN-0" in text and "1500rpm-1kN-1" not in text
+    unknown = labpipe("report", result.parent, "--test", "1500rpm-1kN-00", "-o", folder / "two.md")
+    assert unknown.code == 2 and "the result has no test '1500rpm-1kN-00'; did you mean" in unknown.err
+    assert not (folder / "two.md").exists()
+
+
+def test_tables_hold_conditions_values_and_doubts(result: Path) -> None:
+    (matrix,) = read_identification(result).sections["matrix"]
+    table = matrix_table((matrix,))
+    assert len(table) == 4 * 8
+    row = table[(table["coefficient"] == "k_xx") & (table["load [N]"] == 2000)].iloc[0]
+    assert row["repeats"] == 3 and row["unit"] == "N/m"
+    assert row["ci95_low"] < row["value"] < row["ci95_high"]
+
+
+def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
+    """K + jwC without mass: k and c are those of the points at every frequency, over speed in rad/s."""
+    identification = read_identification(result)
+    (matrix,) = identification.sections["matrix"]
+    sheets = dict(rotor_sheets(identification, (matrix,)))
+    assert list(sheets)[:3] == ["1 synchronous", "1 1501 rpm", "1 3001 rpm"]
+    synchronous = sheets["1 synchronous"]
+    np.testing.assert_allclose(synchronous["frequency"], 2 * np.pi * np.array([1501, 3001]) / 60, rtol=1e-9)
+    first = matrix.points[0]
+    assert synchronous["kxx"][0] == pytest.approx(first.value("k_xx").parameter.value, rel=1e-9)
+    assert synchronous["cyy"][0] == pytest.approx(first.value("c_yy").parameter.value, rel=1e-9)
+
+
+def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
+    """The bearing element of another program made from the file; done where that program is installed."""
+    ross = pytest.importorskip("ross", exc_type=ImportError)
+    write_rotor_xlsx(result, tmp_path / "rotor.xlsx")
+    bearing = ross.BearingElement.from_table(0, str(tmp_path / "rotor.xlsx"), sheet_name="1 synchronous")
+    (matrix,) = read_identification(result).sections["matrix"]
+    assert bearing.kxy[0] == pytest.approx(matrix.points[0].value("k_xy").parameter.value)
+
+
+def test_a_table_is_linear_along_the_first_condition(folder: Path) -> None:
+    theory = table_theory(folder / "theory.csv", ("speed", "load"), 0.02)
+    between = theory((37.5, 1000.0), ("Hz", "N"))
+    assert between["k_xy"] == pytest.approx((2e3 * 1500 + 2e3 * 3000) / 2)
+    assert theory((80.0, 1000.0), ("Hz", "N")) == {}
+    assert theory((30.0, 1500.0), ("Hz", "N")) == {}
+
+
+def test_faults_of_a_table_are_named(folder: Path) -> None:
+    with pytest.raises(DataError, match="has no column of the condition 'pressure'"):
+        table_theory(folder / "theory.csv", ("speed", "pressure"), 0.02)
+    (folder / "wrong.csv").write_text("speed [rpm],k_xx [N.s/m]\n1,2\n")
+    with pytest.raises(DataError, match=r"N.s/m is no unit of 'k_xx'"):
+        table_theory(folder / "wrong.csv", ("speed",), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("fit: film", "fit: flim", "there is no fit 'flim'"),
+        ("over: [speed, load]", "over: []", "'over' names no condition"),
+        ("{table: theory.csv}", "{table: no.csv}", "no such file 'no.csv'"),
+        ("beside: [oil]", "besides: [oil]", "unknown key"),
+        ("{table: theory.csv}", "{table: theory.csv, bearing: b.yaml}", "no such file 'b.yaml'"),
+    ],
+)
+def test_faults_stand_at_their_place(folder: Path, tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = (folder / "p.yaml").read_text().replace(old, new)
+    (folder / "wrong.yaml").write_text(text)
+    with pytest.raises(ConfigErrors, match=r"wrong.yaml:\d+:\d+: ") as caught:
+        load_pipeline(folder / "wrong.yaml")
+    assert any(message in str(fault) for fault in caught.value.faults)
+
+
+def test_an_unknown_amount_of_a_rule_is_named(folder: Path, tmp_path: Path, labpipe_without_report) -> None:
+    (folder / "rule.yaml").write_text((folder / "p.yaml").read_text().replace("tm.points: 4", "tm.pionts: 4"))
+    ended = labpipe_without_report("run", folder / "rule.yaml", "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert "the matrix has no 'pionts'; did you mean 'points'?" in ended.err

@@ -1,0 +1,99 @@
+"""One ratio over several tests, and Rayleigh damping: combination in closed form, verdicts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import FitError
+from labpipe.methods.rolling_bearing.ratio import Matched, rayleigh, stiffness_ratio
+from labpipe.uncertainty.observations import campaign_of
+from labpipe.uncertainty.settings import CompareSettings, TheorySettings
+from tests.uncertainty.conftest import a_fit
+
+RATIO = CompareSettings(kind="ratio", fit="axial", over="preload", theory=TheorySettings("b.yaml"), setting_error=0.01, name="ratio")
+RAYLEIGH = CompareSettings(kind="rayleigh", fit="axial", over="preload", name="damping")
+
+
+def a_match(ratio: float, error: float = 1e-3, bending: float = 0.0, condition: float = 0.0, beta: float = 2e-5) -> Matched:
+    log = np.log([ratio, beta])
+    covariance = np.diag([error**2, 4e-6])
+    return Matched(log, covariance, np.array([bending, 0.0]), np.array([condition, 0.0]), np.array([1e7, 200.0]))
+
+
+def series(settings: CompareSettings, stiffness=(1e7, 2e7), damping=(200.0, 400.0), error: float = 1.0):
+    pairs = enumerate(zip(stiffness, damping, strict=True))
+    fits = [a_fit(f"t{n}", {"k": (k, k / 1000), "c": (c, error * c / 500)}) for n, (k, c) in pairs]
+    return campaign_of(
+        settings, fits, {fit.test: {"preload": f"{100 * (n + 1)} N"} for n, fit in enumerate(fits)}, "c" if settings is RAYLEIGH else "k"
+    )
+
+
+def test_tests_are_weighed_and_the_shaft_s_error_is_common() -> None:
+    """ln ratio by generalised least squares, written out with the inverse of V = diag(s^2) + b b^T."""
+    matched = [a_match(1.10, 1e-3, bending=-2.0), a_match(1.1011, 2e-3, bending=-3.0)]
+    found = stiffness_ratio(series(RATIO), matched, (), 0.005)
+    inverse = np.linalg.inv(np.diag([1e-6, 4e-6]) + np.outer([0.01, 0.015], [0.01, 0.015]))
+    log = inverse.sum(axis=0) @ np.log([1.10, 1.1011]) / inverse.sum()
+    error = inverse.sum() ** -0.5
+    ratio = found.amount("ratio")
+    assert ratio.value == pytest.approx(np.exp(log), rel=1e-9)
+    assert ratio.std_error == pytest.approx(np.exp(log) * error, rel=1e-9)
+    assert ratio.ci95 == pytest.approx(tuple(np.exp(log + np.array([-1, 1]) * 1.959964 * error)), rel=1e-6)
+    assert found.verdict == "stiffer than theory"
+    assert "corrected for the bending shaft" in found.statement
+
+
+def test_the_setting_s_error_is_each_test_s_own() -> None:
+    found = stiffness_ratio(series(RATIO), [a_match(1.0, 1e-6, condition=-0.7)] * 2, (), 0.0)
+    assert found.amount("ratio").std_error == pytest.approx(0.7 * 0.01 / np.sqrt(2), rel=1e-4)
+    assert found.verdict == "as theory"
+    assert found.points[0].ratio_ci95 == pytest.approx((np.exp(-1.96 * 0.007), np.exp(1.96 * 0.007)), rel=1e-4)
+
+
+def test_one_factor_that_does_not_hold_is_told_and_the_interval_widened() -> None:
+    found = stiffness_ratio(series(RATIO), [a_match(0.8), a_match(0.9)], (), 0.0)
+    assert found.amount("scatter_p").value < 1e-6
+    assert "One factor does not hold" in found.statement
+    low, high = found.amount("ratio").ci95
+    assert low < 0.8
+    assert high > 0.9
+    assert stiffness_ratio(series(RATIO), [a_match(0.8), a_match(0.801)], (), 0.0).verdict == "softer than theory"
+
+
+def test_damping_proportional_to_stiffness_is_called_so() -> None:
+    found = rayleigh(series(RAYLEIGH), None)
+    assert found.verdict == "proportional"
+    assert found.amount("beta").value == pytest.approx(2e-5, rel=1e-9)
+    assert found.amount("exponent").value == pytest.approx(1.0, abs=1e-9)
+    assert found.amount("beta").std_error == pytest.approx(2e-5 * np.hypot(1e-3, 2e-3) / np.sqrt(2), rel=1e-9)
+    assert [point.ratio for point in found.points] == pytest.approx([1.0, 1.0])
+    assert [point.theory for point in found.points] == pytest.approx([200.0, 400.0])
+
+
+def test_constant_damping_is_not_proportional() -> None:
+    found = rayleigh(series(RAYLEIGH, damping=(200.0, 200.0)), None)
+    assert found.verdict == "not proportional"
+    assert found.amount("exponent").value == pytest.approx(0.0, abs=1e-9)
+    assert [point.ratio for point in found.points] == pytest.approx([2**0.5, 2**-0.5], rel=1e-9)
+
+
+def test_with_a_theory_its_beta_counts() -> None:
+    found = rayleigh(series(RAYLEIGH, damping=(200.0, 200.0)), [a_match(1.1, beta=3e-5), a_match(1.1, beta=3e-5)])
+    assert found.verdict == "proportional"
+    assert found.amount("beta").value == pytest.approx(3e-5, rel=1e-9)
+
+
+def test_chance_alone_is_not_proportional_in_one_case_of_twenty(rng) -> None:
+    """600 series of four tests with independent c: 5 % within 4 binomial standard deviations."""
+    wrong = 0
+    for _ in range(600):
+        k = np.array([1e7, 2e7, 3e7, 4e7]) * (1 + 1e-3 * rng.standard_normal(4))
+        c = 2e-5 * np.array([1e7, 2e7, 3e7, 4e7]) * (1 + 2e-3 * rng.standard_normal(4))
+        wrong += rayleigh(series(RAYLEIGH, k, c), None).verdict == "not proportional"
+    assert wrong / 600 == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 600))
+
+
+def test_a_fit_without_damping_is_refused() -> None:
+    with pytest.raises(FitError, match="has no standard error"):
+        rayleigh(series(RAYLEIGH), [a_match(1.1), Matched(np.log([1.1, 2e-5]), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.ones(2))])

@@ -1,0 +1,73 @@
+"""Weighted means and lines: against closed forms and scipy, and the enlargement by scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from labpipe.errors import FitError
+from labpipe.uncertainty.weighted import weighted_fit, weighted_mean
+
+
+def test_a_weighted_mean_is_the_textbook_s() -> None:
+    """sum(v / s^2) / sum(1 / s^2) with error sum(1 / s^2)^(-1/2)."""
+    found = weighted_mean(np.array([10.0, 10.3]), np.array([0.1, 0.2]))
+    assert found.values[0] == pytest.approx((10 / 0.01 + 10.3 / 0.04) / 125, rel=1e-12)
+    assert found.std_error(0) == pytest.approx(125**-0.5, rel=1e-12)
+    assert found.chi2 == pytest.approx(0.3**2 / 0.05, rel=1e-9)
+    assert found.p_value == pytest.approx(stats.chi2.sf(1.8, 1), rel=1e-9)
+    assert not found.inflated
+    assert found.quantile == pytest.approx(1.959964, abs=1e-6)
+
+
+def test_a_weighted_line_is_scipy_s(rng) -> None:
+    x, s = np.array([1.0, 2, 3, 5, 8]), np.array([0.1, 0.2, 0.1, 0.3, 0.2])
+    y = 2 + 0.5 * x + s * rng.standard_normal(5)
+    found = weighted_fit(np.column_stack([np.ones(5), x]), y, s)
+    values, covariance = optimize.curve_fit(lambda t, a, b: a + b * t, x, y, sigma=s, absolute_sigma=True)
+    np.testing.assert_allclose(found.values, values, rtol=1e-6)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-5)
+
+
+def test_errors_that_values_share_do_not_average_out() -> None:
+    """Equal own errors s and a shared one b: the mean has s^2 / n + b^2, and the shared part makes no scatter."""
+    values = np.array([1.0, 1.1, 1.2])
+    found = weighted_mean(values, 0.01 * np.eye(3) + 0.04)
+    assert found.values[0] == pytest.approx(1.1)
+    assert found.std_error(0) == pytest.approx(np.sqrt(0.01 / 3 + 0.04), rel=1e-12)
+    assert found.chi2 == pytest.approx(weighted_mean(values, np.full(3, 0.1)).chi2, rel=1e-9)
+
+
+def test_scatter_beyond_the_errors_enlarges_them_by_birge_s_ratio() -> None:
+    values = np.array([1.0, 2.0, 4.0])
+    found = weighted_mean(values, np.full(3, 0.01))
+    assert found.inflated
+    assert found.std_error(0) == pytest.approx(np.std(values, ddof=1) / np.sqrt(3), rel=1e-12)
+    assert found.quantile == pytest.approx(stats.t.ppf(0.975, 2), rel=1e-12)
+    assert found.p_of(0, 2.0) == pytest.approx(stats.ttest_1samp(values, 2.0).pvalue, rel=1e-9)
+
+
+def test_one_value_has_its_own_error_and_no_scatter() -> None:
+    found = weighted_mean(np.array([3.0]), np.array([0.5]))
+    assert (found.values[0], found.std_error(0), found.p_value, found.inflated) == (3.0, 0.5, None, False)
+    assert found.p_of(0) == pytest.approx(2 * stats.norm.sf(6.0), rel=1e-9)
+
+
+def test_intervals_cover_at_the_stated_rate(rng) -> None:
+    """2000 means of five values with known errors; 95 % +- 3 binomial standard deviations, with the 5 % that are enlarged."""
+    errors = np.array([0.1, 0.2, 0.3, 0.1, 0.2])
+    hits = 0
+    for _ in range(2000):
+        found = weighted_mean(errors * rng.standard_normal(5), errors)
+        hits += abs(found.values[0]) <= found.quantile * found.std_error(0)
+    assert hits / 2000 == pytest.approx(0.95, abs=0.015)
+
+
+def test_what_cannot_be_weighed_is_refused() -> None:
+    with pytest.raises(FitError, match="cannot determine 2 parameters"):
+        weighted_fit(np.ones((1, 2)), np.ones(1), np.ones(1))
+    with pytest.raises(FitError, match="has no standard error"):
+        weighted_mean(np.ones(2), np.array([0.0, 1.0]))
+    with pytest.raises(FitError, match="do not differ"):
+        weighted_fit(np.ones((3, 2)), np.ones(3), np.ones(3))
