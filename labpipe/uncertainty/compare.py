@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,8 @@ class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
     *spectra* of tests that have no response. *conditions* of tests without a response (free decays), by their names. *folder*: where the
-    files lie that settings name. *solved*: cache of theories matched to a fit, since several comparisons use the same.
+    files lie that settings name; *theory*: in place of that of the file, by the kind of comparison. *solved*: cache of theories matched to
+    a fit, since several comparisons use the same.
     """
 
     fits: tuple[Fit, ...]
@@ -78,6 +79,7 @@ class Evidence:
     conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     spectra: tuple[ChannelSpectra, ...] = ()
     folder: Path = Path()
+    theory: Any = None
 
     def fits_of(self, settings: CompareSettings) -> list[Fit]:
         """The fits that the settings name; ConfigError where there is none."""
@@ -102,9 +104,9 @@ class Evidence:
         return next(settings for settings in self.fit_settings if settings.name == fit)
 
 
-def compare(settings: CompareSettings, evidence: Evidence) -> Comparison:
-    """The comparison of the settings. LabpipeError where the tests do not allow it."""
-    return comparison_kind(settings.kind).compare(settings, evidence)
+def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
+    """The comparison of the settings; *theory*: in place of their bearing file. LabpipeError where the tests do not allow it."""
+    return comparison_kind(settings.kind).compare(settings, evidence if theory is None else replace(evidence, theory=theory))
 
 
 def _bands(settings: CompareSettings, evidence: Evidence) -> Comparison:

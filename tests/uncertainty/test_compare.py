@@ -6,7 +6,6 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,8 +17,8 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
 from labpipe.report.comparison import EXPLAINED, FIGURES, OVER_FREQUENCY
-from labpipe.uncertainty.compare import Evidence
-from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, TheorySettings, comparison_kind
+from labpipe.uncertainty.compare import Evidence, compare
+from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, TheorySettings
 from tests.uncertainty.test_theory import BENDING, PEAKS, SHAFT, K, measured
 
 VERDICTS = {
@@ -55,12 +54,6 @@ def theory(calls: list[float]) -> Callable[[Sequence[tuple[float, str]]], Theory
         return TheoryAt(K * condition / 427, K * condition / 427 * 1.001, 1e-3, SHAFT)
 
     return at
-
-
-def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
-    """The comparison with a theory in place of the bearing file that the settings name."""
-    kind = comparison_kind(settings.kind)
-    return kind.compare(settings, evidence) if theory is None else kind.compare(settings, evidence, theory)
 
 
 def every_kind(evidence: Evidence) -> dict[str, Comparison]:

@@ -37,16 +37,22 @@ def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
 
 
 def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | None:
-    return None if settings.theory is None else magnetic_theory(evidence.folder, settings.theory)(None, "")
+    theory = _theory(settings, evidence)
+    return None if theory is None else theory(None, "")
+
+
+def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
+    """The theory that was given, else the bearing file that the settings name; None without either."""
+    given: MagneticTheory | None = evidence.theory
+    return magnetic_theory(evidence.folder, settings.theory) if given is None and settings.theory is not None else given
 
 
 def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
     """k and c of a loop predicted from its bearing file beside those of every band."""
-    if settings.theory is None:
+    theory = _theory(settings, evidence)
+    if theory is None:
         raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
-    return prediction(
-        settings, [checked_view(view) for view in _views(settings, evidence, magnetic_theory(evidence.folder, settings.theory))]
-    )
+    return prediction(settings, [checked_view(view) for view in _views(settings, evidence, theory)])
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:

@@ -399,22 +399,24 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
     return at
 
 
-def ratio_of_tests(settings: CompareSettings, evidence: Evidence, theory: Theory | None = None) -> Comparison:
-    """The ratio of stiffness measured / theory over all tests; *theory* in place of the file that the settings name."""
+def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
+    """The ratio of stiffness measured / theory over all tests."""
     if settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
-    solved = _matched(campaign, evidence, theory or theory_of(evidence.folder, settings.theory))
+    solved = _matched(campaign, evidence, evidence.theory or theory_of(evidence.folder, settings.theory))
     return stiffness_ratio(campaign, solved.matched, solved.overlays, _bending_error(settings))
 
 
-def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence, theory: Theory | None = None) -> Comparison:
+def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
     """Whether damping is proportional to stiffness, beside the theory where the settings name one."""
     campaign = evidence.campaign(settings, "c")
     if settings.theory is None:
         return rayleigh(campaign, None)
     return rayleigh(
-        campaign, _matched(campaign, evidence, theory or theory_of(evidence.folder, settings.theory)).matched, _bending_error(settings)
+        campaign,
+        _matched(campaign, evidence, evidence.theory or theory_of(evidence.folder, settings.theory)).matched,
+        _bending_error(settings),
     )
 
 
