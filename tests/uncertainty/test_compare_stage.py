@@ -60,7 +60,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def written_series(tmp_path: Path) -> Path:
     """A pipeline over FRF tables made of the bearing file's own K_zz times 1.1, at three preloads, up and down.
 
-    The preloads are exact; a stated setting error makes the interval wider than needed (coverage is held elsewhere).
+    The preloads are exact; a stated setting error makes the interval wider than needed (test_campaign_coverage.py draws the coverage).
     """
     theory = theory_of(tmp_path, TheorySettings(str(BEARING)))
     rng = np.random.default_rng(20240917)

@@ -72,7 +72,7 @@ def test_two_directions_without_a_cross_term_have_the_poles_of_one_twice(delay: 
 
 
 def test_stability_is_that_of_the_poles() -> None:
-    """The printed sign of the lag leaves the rotor alone unstable (test_stability.py), in time as well."""
+    """The printed sign of the lag leaves the rotor alone unstable, in time as well."""
     largest = []
     for loop in (LOOP, replace(LOOP, lag=0.25)):
         rotor = Suspended(loop, inferred_negative_stiffness(loop, 1694.0), 0.065)
