@@ -60,9 +60,10 @@ def dask_cluster(folder: Path, count: int, mark: dict[str, str] | None = None) -
         processes = [scheduler]
         try:
             end = time.monotonic() + START_SECONDS
-            while not file.exists() and time.monotonic() < end:
+            # The scheduler writes the file in place: for a moment it is there and empty, and "}" alone may end a part of it.
+            while not (text := file.read_text() if file.exists() else "").endswith("\n}") and time.monotonic() < end:
                 time.sleep(0.05)
-            address = json.loads(file.read_text())["address"]
+            address = json.loads(text)["address"]
             keepers = tuple(start("dask_worker", "--nthreads", "1", "--death-timeout", "20") for _ in range(count))
             processes.extend(keepers)
             yield DaskCluster(address, scheduler, keepers)
