@@ -51,7 +51,9 @@ def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
 def _added(kind: str) -> Mapping[str, EntryPoint]:
     """Entries of methods and of other packages; cached, since it reads the metadata of every installed package."""
     group = group_of(kind)
-    return {**{entry.name: entry for entry in entry_points(group=group)}, **_shipped().get(group, {})}
+    # Our own first, in the order of their file: results hold this order, and metadata come in any.
+    shipped = _shipped().get(group, {})
+    return {**shipped, **{entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped}}
 
 
 def group_of(kind: str) -> str:

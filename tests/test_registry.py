@@ -40,3 +40,17 @@ def test_an_unknown_name_is_answered_with_the_nearest(table: Registry) -> None:
 @pytest.mark.parametrize(("kind", "group"), [("reader", "labpipe.reader"), ("frf-reader", "labpipe.frf_reader"), ("a b", "labpipe.a_b")])
 def test_groups_hold_only_what_packagers_allow(kind: str, group: str) -> None:
     assert group_of(kind) == group
+
+
+def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_beside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results write details in this order: with another one the same fit has other bytes on another worker."""
+    shipped = list(registry._shipped()["labpipe.fit_detail"])
+    others = [EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))]
+    monkeypatch.setattr(registry, "entry_points", lambda group: others)
+    registry._added.cache_clear()
+    try:
+        added = registry._added("fit detail")
+        assert list(added) == [*shipped, "theirs"]
+        assert all(added[name].value != "elsewhere:x" for name in shipped)
+    finally:
+        registry._added.cache_clear()

@@ -29,10 +29,10 @@ PLUG_IN_GROUPS = "labpipe."
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 over the source of labpipe, and name and version of every package that adds to its tables."""
+    """SHA-256 over the source of labpipe, and name and version of every other package that adds to its tables."""
     digest = hashlib.sha256()
     root = Path(labpipe.__file__).parent
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted((*root.rglob("*.py"), *root.rglob("entry_points.txt"))):
         digest.update(path.relative_to(root).as_posix().encode())
         digest.update(path.read_bytes())
     for name in sorted(_plug_ins()):
@@ -43,7 +43,9 @@ def code_digest() -> str:
 def _plug_ins() -> set[str]:
     every = entry_points()
     added = (entry for group in every.groups if group.startswith(PLUG_IN_GROUPS) for entry in every.select(group=group))
-    return {f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value for entry in added}
+    # What labpipe itself adds is source. Its metadata may lie there twice, as an old folder beside the checkout does.
+    others = (entry for entry in added if entry.dist is None or entry.dist.name != "labpipe")
+    return {f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value for entry in others}
 
 
 # The commit that this code is of, where that is known: of a checkout, or of what was installed from a
