@@ -115,7 +115,7 @@ def rig_page() -> str:
 
     return (
         "# Rig files\n\nWhat the rig is. `channels:` holds one entry per channel, under the name used everywhere else.\n\n"
-        "`constants:` holds numbers with their doubt for channels that are sums of others (`derived`): "
+        "`constants:` holds numbers with their uncertainty for channels that are sums of others (`derived`): "
         "[a floating stator](../how-to/floating.md#channels-that-are-sums-of-others).\n\n"
         f"{table(RigSettings)}\n## channels\n\n{table(ChannelSettings)}"
     )
@@ -135,7 +135,7 @@ def pipeline_page() -> str:
             FrfLayout,
         ),
         "frf": ("How recordings become frequency responses.", FrfSettings),
-        "uncertainty": ("How doubts are propagated, for all fits: [uncertainty budget](../how-to/budget.md).", UncertaintySettings),
+        "uncertainty": ("How uncertainties are propagated, for all fits: [uncertainty budget](../how-to/budget.md).", UncertaintySettings),
         **{name: (section.words, section.settings) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),
     }

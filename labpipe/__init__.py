@@ -1,4 +1,4 @@
-"""labpipe: from recorded test-rig runs to stiffness and damping with their doubt.
+"""labpipe: from recorded test-rig runs to stiffness and damping with their uncertainty.
 
 The same functions as on the command line, records in and records out::
 

@@ -86,8 +86,8 @@ def written(value: float, error: float | None, *others: float) -> tuple[str, ...
     finite is 'not determined'. A value that is known beyond twelve digits has twelve, and its uncertainty a power of its own.
     """
     if error is None or error == 0.0 or not math.isfinite(error):
-        doubt = "" if error is None else "0" if error == 0.0 else NOT_DETERMINED
-        return (number(value), doubt, *(number(other) for other in others))
+        uncertainty = "" if error is None else "0" if error == 0.0 else NOT_DETERMINED
+        return (number(value), uncertainty, *(number(other) for other in others))
     place = _place(error, value, *others)
     digits = 1 + place.decimals - place.power + (math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0)
     if digits > MOST_DIGITS:

@@ -1,6 +1,6 @@
 """``identification.json`` and ``fits/TEST.json``: fits with their uncertainty, the records of all other sections.
 
-``identification.json``: all fits with their doubt, the records of all other sections, and the responses they came from.
+``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses they came from.
 
 Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are read as well.
 """
@@ -114,7 +114,7 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
         raise DamagedError(f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN) from None
 
 
-# ``identification.json``: all fits with their doubt, the records of all other sections, and the responses
+# ``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses
 # they came from.
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"

@@ -214,7 +214,7 @@ def read_bytes(path: Path) -> bytes:
 def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
     """The entries of a JSON object; DamagedError for anything else."""
     try:
-        entries = json.loads(content.decode("utf-8"))
+        entries = current(content.decode("utf-8"))
     except RecursionError:
         raise DamagedError(f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN) from None
     except ValueError as error:
@@ -222,6 +222,20 @@ def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
     if not isinstance(entries, dict):
         raise DamagedError(f"is not a readable {what} (no JSON object)", where=str(path), hint=AGAIN)
     return entries
+
+
+# What files call by another name that versions before wrote.
+NAMES_BEFORE = {"doubt": "uncertainty", "doubts": "uncertainties"}
+
+
+def current(text: str) -> Any:
+    """The value of a JSON text with its entries under the names of this version; ValueError, RecursionError as from json.loads."""
+    old = any(f'"{name}"' in text for name in NAMES_BEFORE)
+    return json.loads(text, object_hook=_under_new_names if old else None)
+
+
+def _under_new_names(entries: dict[str, Any]) -> dict[str, Any]:
+    return {NAMES_BEFORE.get(name, name): entry for name, entry in entries.items()}
 
 
 def _content(entries: dict[str, Any]) -> bytes:

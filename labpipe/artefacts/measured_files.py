@@ -18,7 +18,7 @@ from labpipe.artefacts.parquet import as_written, numpy_array, read_header, read
 from labpipe.records.recording import Channel
 from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
-from labpipe.records.uncertain import Doubt, MatrixError
+from labpipe.records.uncertain import MatrixError, Uncertainty
 
 # ``*.frf.parquet``: a frequency response with its covariance, real and imaginary parts in separate columns.
 
@@ -92,7 +92,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
-        "errors": [dataclasses.asdict(error.doubt) for error in response.errors],
+        "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
         "conditions": response.conditions,
     }
 
@@ -159,9 +159,11 @@ def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) 
     return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
 
 
-def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], doubts: list[dict[str, Any]]) -> tuple[MatrixError, ...]:
-    changes = [[_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")] for number in range(len(doubts))]
-    return tuple(MatrixError(Doubt(**entry), real + 1j * imaginary) for entry, (real, imaginary) in zip(doubts, changes, strict=True))
+def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], uncertainties: list[dict[str, Any]]) -> tuple[MatrixError, ...]:
+    changes = [[_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")] for number in range(len(uncertainties))]
+    return tuple(
+        MatrixError(Uncertainty(**entry), real + 1j * imaginary) for entry, (real, imaginary) in zip(uncertainties, changes, strict=True)
+    )
 
 
 def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:

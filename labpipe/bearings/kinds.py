@@ -12,7 +12,7 @@ from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import Registry
 
 # Result of a bearing model of any kind: stiffness and damping at its load and speed, and its equilibrium
@@ -176,17 +176,17 @@ def not_on_rotor(entry: str) -> ConfigError:
     return ConfigError(f"{entry}: follows from the rotor", hint="leave it out", field=entry.partition(".")[0])
 
 
-# What doubts of geometry, oil, loads and gains do to the coefficients of a bearing.
+# What uncertainties of geometry, oil, loads and gains do to the coefficients of a bearing.
 
 
 @dataclass(frozen=True)
-class BearingDoubts:
+class BearingUncertainties:
     """Changes of the coefficients by one standard uncertainty of each of the *sources*, with their signs.
 
     stiffness, damping (n_source, n_dof, n_dof) [SI units of the coefficients]; rest (n_source, n_amount): of the amounts at rest.
     """
 
-    sources: tuple[Doubt, ...]
+    sources: tuple[Uncertainty, ...]
     stiffness: FloatArray
     damping: FloatArray
     rest: FloatArray
@@ -213,7 +213,9 @@ class BearingDoubts:
         return sorted(parts, key=lambda pair: -pair[1])
 
 
-def bearing_doubts(sources: Sequence[Doubt], ends: Sequence[tuple[BearingCoefficients, BearingCoefficients]]) -> BearingDoubts:
+def bearing_uncertainties(
+    sources: Sequence[Uncertainty], ends: Sequence[tuple[BearingCoefficients, BearingCoefficients]]
+) -> BearingUncertainties:
     """Half the difference of the coefficients with every number one standard uncertainty above and below its value (GUM 5.1.3, note 2).
 
     *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add up with their signs.
@@ -225,7 +227,7 @@ def bearing_doubts(sources: Sequence[Doubt], ends: Sequence[tuple[BearingCoeffic
     def changes(values: Sequence[FloatArray]) -> FloatArray:
         return np.array([sum(change for source, change in zip(sources, values, strict=True) if source.source == name) for name in names])
 
-    return BearingDoubts(
+    return BearingUncertainties(
         tuple(first[name] for name in names),
         changes([(high.stiffness - low.stiffness) / 2 for high, low in ends]),
         changes([(high.damping - low.damping) / 2 for high, low in ends]),

@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import output_file, output_folder
-from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingDoubts
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.display import amount_text, plain_text, significant
@@ -26,20 +26,20 @@ LEAST_SPREAD = 1e-4
 MAX_ROWS = 12
 # Sources shown of a coefficient, and the least share in its variance.
 MAX_SHARES, LEAST_SHARE = 3, 0.01
-# Significant digits of coefficients without a doubt; amounts at rest that people think of as percentages.
+# Significant digits of coefficients without an uncertainty; amounts at rest that people think of as percentages.
 DIGITS = 4
 PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
-    """The matrices, their doubts, the equilibrium, the range over one ball passage, and the warnings."""
+    """The matrices, their uncertainties, the equilibrium, the range over one ball passage, and the warnings."""
     coefficients = whole.coefficients
     echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
     if coefficients.damping.any():
         _echo_matrix("damping", coefficients, coefficients.damping, None)
-    if whole.doubts is not None:
-        _echo_doubts(coefficients, whole.doubts)
+    if whole.uncertainties is not None:
+        _echo_uncertainties(coefficients, whole.uncertainties)
     loads = tuple(amount for amount in coefficients.rest if amount.name.startswith("load_"))
     rest = tuple(amount for amount in coefficients.rest if amount not in loads)
     for title, amounts in (
@@ -78,17 +78,17 @@ def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArr
         echo(f"  {dof:<4}" + "".join(f"{number:>12}" for number in numbers))
 
 
-def _echo_doubts(coefficients: BearingCoefficients, doubts: BearingDoubts) -> None:
+def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: BearingUncertainties) -> None:
     """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
     echo("with standard uncertainties, and the shares of their sources:")
-    parts = (("k", coefficients.stiffness, doubts.stiffness, ""), ("c", coefficients.damping, doubts.damping, ".s"))
+    parts = (("k", coefficients.stiffness, uncertainties.stiffness, ""), ("c", coefficients.damping, uncertainties.damping, ".s"))
     for symbol, matrix, changes, per_speed in parts:
         for (i, row), (j, column) in ((r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)):
             error = float(np.sqrt(np.sum(changes[:, i, j] ** 2)))
             if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
                 continue
             force, _, motion = coefficients.unit(i, j).partition("/")
-            largest = [(source, share) for source, share in doubts.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
+            largest = [(source, share) for source, share in uncertainties.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
             shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
             amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
             echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())

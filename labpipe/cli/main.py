@@ -173,8 +173,8 @@ def _own_fault(error: Exception) -> int:
 
 
 def _echo_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """A warning of a library as one line, without the place in its source."""
-    echo(message_line(f"warning: {message} ({category.__name__})"), err=True)
+    """A warning of a library as one line, without the place in its source; what will change in a later version as a note."""
+    echo(message_line(f"note: {message}" if category is FutureWarning else f"warning: {message} ({category.__name__})"), err=True)
 
 
 def _fail(*messages: str) -> int:

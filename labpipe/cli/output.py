@@ -68,5 +68,5 @@ def value_cells(value: float, std_error: float | None, unit: str, shown: str = "
     """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that suits them."""
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
-    number, doubt = written(to_display(value, shown), error)
-    return number, doubt, unit_label(shown)
+    number, uncertainty = written(to_display(value, shown), error)
+    return number, uncertainty, unit_label(shown)

@@ -234,7 +234,7 @@ def _cells(pair: Difference) -> tuple[str, ...]:
     unit = shown_unit(pair.unit, pair.first, pair.second)
     error = None if pair.std_error is None else difference_in(pair.std_error, unit)
     change = difference_in(pair.second - pair.first, unit)
-    difference, doubt, first, second = written(change, error, *(to_display(value, unit) for value in (pair.first, pair.second)))
+    difference, uncertainty, first, second = written(change, error, *(to_display(value, unit) for value in (pair.first, pair.second)))
     p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
-    numbers = first, second, difference, doubt, unit_label(unit)
+    numbers = first, second, difference, uncertainty, unit_label(unit)
     return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

@@ -13,7 +13,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
 from labpipe.estimation.regression import solve_scaled, triangle_of
 from labpipe.estimation.statistics import Estimate
-from labpipe.estimation.weights import has_noise, weight_doubt
+from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.records.identification import Goodness
 
 NOTE = "amplitude: the phase of the FRF was not used; k, c and m are positive by construction."
@@ -146,6 +146,6 @@ def _goodness(problem: _Amplitudes, values: FloatArray, dof: int) -> Goodness:
     adjusted = 1 - (1 - r2) * (amplitude.size - 1) / dof
     if problem.std is None:
         return Goodness(r2, adjusted)
-    doubt = weight_doubt(problem.measured, dof)
-    reduced = float(residual @ residual) / dof / doubt.excess
-    return Goodness(r2, adjusted, reduced, doubt.p_value(reduced, dof))
+    uncertainty = weight_uncertainty(problem.measured, dof)
+    reduced = float(residual @ residual) / dof / uncertainty.excess
+    return Goodness(r2, adjusted, reduced, uncertainty.p_value(reduced, dof))

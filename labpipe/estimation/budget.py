@@ -33,7 +33,7 @@ from labpipe.records.finding import Contribution, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
-from labpipe.records.uncertain import COURSES, Budget, Doubt, MatrixError, RepeatSource, Uncertain, doubt_of
+from labpipe.records.uncertain import COURSES, Budget, MatrixError, RepeatSource, Uncertain, Uncertainty, uncertainty_of
 
 # Systematic errors of a measured matrix: of the gain, delay and phase of its ports, and of the sums of
 # channels among them.
@@ -51,28 +51,30 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
     an error d of an angle changes row or column by -d times that at right angles, where ports of known direction tell it; else
     directions are left to the models that know them. Equation (unc-port).
     """
-    doubts: dict[str, Doubt] = {}
+    uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, ComplexArray] = {}
 
-    def add(doubt: Doubt, change: ComplexArray) -> None:
-        doubts.setdefault(doubt.source, doubt)
-        changes[doubt.source] = changes.get(doubt.source, np.zeros_like(change)) + change
+    def add(uncertainty: Uncertainty, change: ComplexArray) -> None:
+        uncertainties.setdefault(uncertainty.source, uncertainty)
+        changes[uncertainty.source] = changes.get(uncertainty.source, np.zeros_like(change)) + change
 
     whole = measured.plus_offset(measured.matrix)
     for ports, sign in ((measured.outputs, 1.0), (measured.inputs, -1.0)):
         for number, port in enumerate(ports):
-            for doubted in port.doubts:
-                if doubted.effect in COURSES:
-                    slope, power = COURSES[doubted.effect]
+            for uncertain in port.uncertainties:
+                if uncertain.effect in COURSES:
+                    slope, power = COURSES[uncertain.effect]
                     change = np.zeros_like(whole)
                     at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
-                    change[at] = (sign * doubted.doubt.std_error * slope * measured.omega**power)[:, None] * whole[at]
-                    add(doubted.doubt, change)
+                    change[at] = (sign * uncertain.uncertainty.std_error * slope * measured.omega**power)[:, None] * whole[at]
+                    add(uncertain.uncertainty, change)
                 elif directions and (across := across_ports(ports)) is not None:
-                    add(doubted.doubt, doubted.doubt.std_error * turned(measured.matrix, number, across, of_forces=sign < 0))
+                    add(
+                        uncertain.uncertainty, uncertain.uncertainty.std_error * turned(measured.matrix, number, across, of_forces=sign < 0)
+                    )
     for error in measured.errors:
-        add(error.doubt, error.change)
-    return tuple(MatrixError(doubts[source], change) for source, change in changes.items())
+        add(error.uncertainty, error.change)
+    return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())
 
 
 def across_ports(ports: Sequence[Port]) -> FloatArray | None:
@@ -104,9 +106,9 @@ def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: 
     return change
 
 
-def changes_by(errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]) -> list[tuple[Doubt, FloatArray]]:
+def changes_by(errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]) -> list[tuple[Uncertainty, FloatArray]]:
     """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix [m/N], one for each error."""
-    return [(error.doubt, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE)) for error in errors]
+    return [(error.uncertainty, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE)) for error in errors]
 
 
 # The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions
@@ -117,7 +119,7 @@ AT_MINIMUM = 1e-3
 # From a setup with changed numbers to its model.
 ModelOf = Callable[[Setup], BandModel]
 # A source, and the change (n_parameter,) of reported parameters by one standard uncertainty of it.
-Source = tuple[Doubt, FloatArray]
+Source = tuple[Uncertainty, FloatArray]
 # From a setup, its model and data to the reported parameters of a whole fit.
 Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
@@ -134,14 +136,17 @@ class Case:
 
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
-    """The budget of reported *parameters*; None where no number has a doubt, or the fit did not converge. Equation (unc-implicit)."""
+    """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not converge.
+
+    Equation (unc-implicit).
+    """
     sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None
     step = _step_of(case)
     changes = []
-    for doubt, change in sources:
-        ends = [_values(case, step, *change(case, sign * SHARE * doubt.std_error)) for sign in (1.0, -1.0)]
+    for uncertainty, change in sources:
+        ends = [_values(case, step, *change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)]
         changes.append((ends[0] - ends[1]) / (2 * SHARE))
     kept = [number for number, row in enumerate(changes) if np.any(row != 0)]
     if not kept:
@@ -154,13 +159,13 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
 
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
-    """A fit whose k and c are the given mass times what is fitted, with what the doubt of that mass adds; as it is without one."""
+    """A fit whose k and c are the given mass times what is fitted, with what the uncertainty of that mass adds; as it is without one."""
     return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
 
 
 def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
-    """The given mass as a source of stiffness and damping that are in proportion to it; none without a doubt of it."""
-    number = dict(settings.doubts).get("mass")
+    """The given mass as a source of stiffness and damping that are in proportion to it; none without an uncertainty of it."""
+    number = dict(settings.uncertainties).get("mass")
     if number is None or settings.mass == ESTIMATE or not number.value:
         return []
     relative = number.std_error / number.value
@@ -168,24 +173,24 @@ def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[
     return [(_of_mass(number), changes)]
 
 
-def mass_doubt(settings: FitSettings) -> Doubt | None:
-    """The doubt of a given mass; None where it has none, or is estimated."""
-    number = dict(settings.doubts).get("mass")
+def mass_uncertainty(settings: FitSettings) -> Uncertainty | None:
+    """The uncertainty of a given mass; None where it has none, or is estimated."""
+    number = dict(settings.uncertainties).get("mass")
     return None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
 
 
-def _of_mass(number: Uncertain) -> Doubt:
-    return doubt_of(number, f"mass {number.value:g} kg", "kg")
+def _of_mass(number: Uncertain) -> Uncertainty:
+    return uncertainty_of(number, f"mass {number.value:g} kg", "kg")
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
-    """The fit with what further systematic *sources* add to the doubt of its parameters; as it is where none changes an interval."""
+    """The fit with what further systematic *sources* add to the uncertainty of its parameters; as it is where none changes an interval."""
     before = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
-    counted = [(doubt, changes) for doubt, changes in sources if np.any(changes[np.isfinite(before)])]
+    counted = [(uncertainty, changes) for uncertainty, changes in sources if np.any(changes[np.isfinite(before)])]
     if not counted:
         return fit
     names = tuple(parameter.name for parameter in fit.parameters)
-    added = Budget(names, before, float(fit.dof), tuple(doubt for doubt, _ in counted), np.array([row for _, row in counted]))
+    added = Budget(names, before, float(fit.dof), tuple(uncertainty for uncertainty, _ in counted), np.array([row for _, row in counted]))
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)
@@ -194,7 +199,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
-    """The fit with combined and expanded uncertainty of every parameter that given numbers make doubtful, and with its sources.
+    """The fit with combined and expanded uncertainty of every parameter that given numbers make uncertain, and with its sources.
 
     *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of freedom.
     """
@@ -224,32 +229,32 @@ def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float
 Change = Callable[[Case, float], tuple[Setup, Measured]]
 
 
-def sources_of(setup: Setup, measured: Measured) -> list[tuple[Doubt, Change]]:
+def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Change]]:
     """Every source with what an error of it does; numbers of one source change together."""
-    changes: dict[str, list[tuple[Doubt, Change]]] = {}
+    changes: dict[str, list[tuple[Uncertainty, Change]]] = {}
     for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
         for number, port in enumerate(ports):
-            for doubted in port.doubts:
-                entry = (doubted.doubt, _change_of(doubted.effect, number, sign))
-                changes.setdefault(doubted.doubt.source, []).append(entry)
+            for uncertain in port.uncertainties:
+                entry = (uncertain.uncertainty, _change_of(uncertain.effect, number, sign))
+                changes.setdefault(uncertain.uncertainty.source, []).append(entry)
     for matrix_error in measured.errors:
-        changes.setdefault(matrix_error.doubt.source, []).append((matrix_error.doubt, _change_by(matrix_error)))
-    mass = mass_doubt(setup.settings)
+        changes.setdefault(matrix_error.uncertainty.source, []).append((matrix_error.uncertainty, _change_by(matrix_error)))
+    mass = mass_uncertainty(setup.settings)
     if mass is not None:
         changes.setdefault(mass.source, []).append((mass, _heavier))
-    for name, doubt in support_doubts(setup.settings.subtract):
-        changes.setdefault(doubt.source, []).append((doubt, _other_support(name)))
+    for name, uncertainty in support_uncertainties(setup.settings.subtract):
+        changes.setdefault(uncertainty.source, []).append((uncertainty, _other_support(name)))
     return [(entries[0][0], _together(entries)) for entries in changes.values()]
 
 
-def _together(entries: Sequence[tuple[Doubt, Change]]) -> Change:
+def _together(entries: Sequence[tuple[Uncertainty, Change]]) -> Change:
     """All changes of one source by the same number of standard uncertainties."""
     first = entries[0][0].std_error
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
         changed = case
-        for doubt, part in entries:
-            setup, measured = part(changed, error * doubt.std_error / first)
+        for uncertainty, part in entries:
+            setup, measured = part(changed, error * uncertainty.std_error / first)
             changed = replace(changed, setup=setup, measured=measured)
         return changed.setup, changed.measured
 
@@ -295,7 +300,7 @@ def _change_by(matrix_error: MatrixError) -> Change:
     """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
-        share = error / matrix_error.doubt.std_error
+        share = error / matrix_error.uncertainty.std_error
         return case.setup, replace(case.measured, matrix=case.measured.matrix + share * matrix_error.change)
 
     return change
@@ -320,12 +325,15 @@ def _heavier(case: Case, error: float) -> tuple[Setup, Measured]:
     return replace(case.setup, settings=replace(settings, mass=settings.mass + error)), case.measured
 
 
-def support_doubts(support: Support | None) -> Iterator[tuple[str, Doubt]]:
-    """Doubts of stiffness and damping, by these names, of a support that is subtracted; in all tests on it they are the same errors."""
+def support_uncertainties(support: Support | None) -> Iterator[tuple[str, Uncertainty]]:
+    """Uncertainties of stiffness and damping, by these names, of a support that is subtracted.
+
+    In all tests on it they are the same errors.
+    """
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
-            yield name, doubt_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit)
+            yield name, uncertainty_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit)
 
 
 def _other_support(name: str) -> Change:
@@ -422,4 +430,4 @@ def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, 
     same = f"{source.per} {conditions[source.per]}" if source.per else test or "this test"
     changes = np.array([source.relative * parameter.value if parameter.name == source.parameter else 0.0 for parameter in fit.parameters])
     size = abs(float(np.sum(changes)))
-    return Doubt(f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof), changes
+    return Uncertainty(f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof), changes

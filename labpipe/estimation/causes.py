@@ -30,7 +30,7 @@ from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.residual import line_scatter
-from labpipe.estimation.weights import fit_weights, has_noise, weight_doubt, whitened, whitener
+from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.finding import Finding
 
 # The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good
@@ -115,10 +115,10 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
         linear = problem.linearised(minimum.values)
         inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
         if weighted:
-            doubt = weight_doubt(measured, dof)
-            after, of_noise = linear.chi2, dof * doubt.excess
-            if doubt.p_value(after / of_noise, dof) >= CONTRADICTED_P:
-                return _FreeFit(minimum.values, doubt.inflation * inverse, dof)
+            uncertainty = weight_uncertainty(measured, dof)
+            after, of_noise = linear.chi2, dof * uncertainty.excess
+            if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
+                return _FreeFit(minimum.values, uncertainty.inflation * inverse, dof)
             if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
         scatter = line_scatter(problem.jacobian(minimum.values), problem.residual(minimum.values), measured.omega.size)

@@ -19,7 +19,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, ProportionalModel, Setup, constrained
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate
-from labpipe.estimation.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
@@ -269,7 +269,7 @@ def _order(name: str, fit: RationalFit) -> Candidate | None:
     raw, dof = fit.lowest_chi2(), fit.measured.n_equation - fit.n_parameter
     if raw is None:
         return None
-    chi2 = raw / weight_doubt(fit.measured, dof).inflation
+    chi2 = raw / weight_uncertainty(fit.measured, dof).inflation
     return Candidate(name, fit.n_parameter, chi2, dof, chi2 + 2 * fit.n_parameter)
 
 
@@ -348,9 +348,9 @@ def _estimate(measured: Measured, model: DynamicModel | ProportionalModel) -> Es
 def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
     """Name, parameters, chi-square and AIC of an estimate by ml."""
     assert estimate.squares is not None
-    doubt = weight_doubt(measured, estimate.dof)
+    uncertainty = weight_uncertainty(measured, estimate.dof)
     # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
-    chi2 = estimate.squares / doubt.inflation
+    chi2 = estimate.squares / uncertainty.inflation
     n_parameter = estimate.values.size
     return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)
 

@@ -54,8 +54,8 @@ def is_direct(name: str) -> bool:
 def corrected(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
-    The covariance is that of the estimates; the doubt of the support is a source of its own, common to all direct coefficients and to all
-    tests. ConfigError for a share below 1. Equation (est-corrected).
+    The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to all direct coefficients and to
+    all tests. ConfigError for a share below 1. Equation (est-corrected).
     """
     if settings.share < 1:
         raise ConfigError("share must be at least 1")
@@ -252,7 +252,7 @@ EVEN = 1e-3
 
 
 def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> tuple[Parameter, ...]:
-    """Estimated and derived parameters with the doubt that noise leaves them.
+    """Estimated and derived parameters with the uncertainty that noise leaves them.
 
     Without convergence the values of the last step, without standard errors.
     """

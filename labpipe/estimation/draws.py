@@ -20,7 +20,7 @@ from labpipe.estimation.budget import Refit as BudgetRefit
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 
 # Bootstrap: the fit repeated on the fitted FRF plus random noise of the measured covariance.
 
@@ -120,15 +120,15 @@ def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitt
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
     findings = _findings(complete, len(values))
-    note = f"Intervals are those of {len(values)} draws of the noise and of all numbers with a doubt (Monte Carlo, JCGM 101:2008)."
+    note = f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty (Monte Carlo, JCGM 101:2008)."
     return Drawn(tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)), complete, findings, note)
 
 
 def _drawn(case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
-    for doubt, change in sources_of(case.setup, case.measured):
-        setup, measured = change(changed, drawn_error(doubt, rng))
+    for uncertainty, change in sources_of(case.setup, case.measured):
+        setup, measured = change(changed, drawn_error(uncertainty, rng))
         changed = replace(changed, setup=setup, measured=measured)
     try:
         parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
@@ -137,18 +137,18 @@ def _drawn(case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.
     return np.array([parameter.value for parameter in parameters])
 
 
-def drawn_error(doubt: Doubt, rng: np.random.Generator) -> float:
-    """An error [unit of the doubt] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal.
+def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
+    """An error [unit of the uncertainty] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal.
 
     Equation (unc-draw).
     """
-    if doubt.shape == "rectangular":
-        return doubt.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
-    if doubt.shape == "triangular":
-        return doubt.std_error * float(np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0))
-    if doubt.dof:
-        return doubt.std_error * float(rng.standard_t(doubt.dof))
-    return doubt.std_error * float(rng.standard_normal())
+    if uncertainty.shape == "rectangular":
+        return uncertainty.std_error * float(np.sqrt(3.0) * rng.uniform(-1.0, 1.0))
+    if uncertainty.shape == "triangular":
+        return uncertainty.std_error * float(np.sqrt(6.0) * rng.triangular(-1.0, 0.0, 1.0))
+    if uncertainty.dof:
+        return uncertainty.std_error * float(rng.standard_t(uncertainty.dof))
+    return uncertainty.std_error * float(rng.standard_normal())
 
 
 def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:

@@ -236,7 +236,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
 
 @dataclass(frozen=True)
 class _Budgeted:
-    """Parameters with all doubts, and what is to be said of them."""
+    """Parameters with all uncertainties, and what is to be said of them."""
 
     parameters: tuple[Parameter, ...]
     budget: Budget | None = None
@@ -245,13 +245,13 @@ class _Budgeted:
 
 
 def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray) -> _Budgeted:
-    """The parameters with what given numbers add to their doubt, by first order and, if asked for, by draws.
+    """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by draws.
 
-    ConfigError for draws where no number has a doubt.
+    ConfigError for draws where no number has an uncertainty.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
-        hint = "bootstrap: 1000 draws the noise alone; or state a doubt, as mass: 0.92 kg +- 1 %"
-        raise ConfigError("'monte_carlo' has nothing to draw: no given number has a doubt", hint=hint, field="monte_carlo")
+        hint = "bootstrap: 1000 draws the noise alone; or state an uncertainty, as mass: 0.92 kg +- 1 %"
+        raise ConfigError("'monte_carlo' has nothing to draw: no given number has an uncertainty", hint=hint, field="monte_carlo")
     budget = budget_of(case, parameters)
     if budget is None:
         return _Budgeted(parameters)

@@ -23,7 +23,7 @@ from labpipe.estimation.output_error import NormalEquations, OutputError, has_li
 from labpipe.estimation.regression import equation_solution, inverse_of, regression, solve_scaled
 from labpipe.estimation.statistics import Estimate, determination
 from labpipe.estimation.transfer_mode import TransferMode, transfer_start
-from labpipe.estimation.weights import WeightDoubt, complex_rows, fit_weights, fitted_doubt, has_noise, weight_doubt
+from labpipe.estimation.weights import WeightUncertainty, complex_rows, fit_weights, fitted_uncertainty, has_noise, weight_uncertainty
 from labpipe.records.identification import Goodness
 
 # Start values of an output-error fit: estimates without start values of their own, the best one first.
@@ -119,7 +119,7 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
 # ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
 
 # p-value of a minimum below which, as without convergence, further starts are tried.
-DOUBTFUL_P = 1e-3
+SUSPECT_P = 1e-3
 UNWEIGHTED_NOTE = (
     "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal weight, the standard "
     "errors come from the residual, and the chi-square test of the model is not possible."
@@ -146,9 +146,11 @@ def maximum_likelihood(
     if dof <= 0:
         raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
     weighted = has_noise(measured)
-    doubt = weight_doubt(measured, dof) if weighted else WeightDoubt()
+    uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
-    best, start = _best_minimum(problem, lambda chi2: weighted and doubt.p_value(chi2 / dof / doubt.excess, dof) < DOUBTFUL_P, most_steps)
+    best, start = _best_minimum(
+        problem, lambda chi2: weighted and uncertainty.p_value(chi2 / dof / uncertainty.excess, dof) < SUSPECT_P, most_steps
+    )
     return _estimate(measured, model, problem, best, start.name)
 
 
@@ -162,7 +164,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
 
 
 def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
-    """The estimate at a minimum of *problem*, with its doubt."""
+    """The estimate at a minimum of *problem*, with its uncertainty."""
     n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
     values, converged, iterations = best.values, best.converged, best.steps
     linear = problem.linearised(values)
@@ -209,7 +211,8 @@ def assess(
     values: FloatArray,
     linear: Linearisation | None = None,
 ) -> Assessed:
-    """The doubt of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among them.
+    """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among
+    them.
 
     *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated covariance and for noise that lines
     share as in `weights`. Equation (est-unweighted).
@@ -221,12 +224,12 @@ def assess(
             return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
         shared = shared_residual(measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse)
         return Assessed(squares / shared.mean * shared.covariance, inverse)
-    noise, doubt = measured.noise or leaking_noise(measured, model, values[: len(model.names)]), weight_doubt(measured, dof)
-    covariance = doubt.inflation * inverse
+    noise, uncertainty = measured.noise or leaking_noise(measured, model, values[: len(model.names)]), weight_uncertainty(measured, dof)
+    covariance = uncertainty.inflation * inverse
     if noise is not None:
-        covariance, doubt = fitted_doubt(measured, noise, doubt, problem.jacobian(values), inverse)
-    reduced = squares / dof / doubt.excess
-    return Assessed(covariance, inverse, reduced, doubt.p_value(reduced, dof))
+        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, problem.jacobian(values), inverse)
+    reduced = squares / dof / uncertainty.excess
+    return Assessed(covariance, inverse, reduced, uncertainty.p_value(reduced, dof))
 
 
 def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
@@ -236,13 +239,13 @@ def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | 
     return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
 
 
-def _best_minimum(problem: OutputError[ResponseModel], doubtful: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *doubtful*."""
+def _best_minimum(problem: OutputError[ResponseModel], uncertain: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
+    """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *uncertain*."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)
         minima.append((problem.chi2(minimum.values), minimum, start))
-        if minimum.converged and not doubtful(minima[-1][0]):
+        if minimum.converged and not uncertain(minima[-1][0]):
             break
     _, best, start = min(minima, key=lambda entry: (not entry[1].converged, entry[0]))
     return best, start

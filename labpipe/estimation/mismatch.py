@@ -114,7 +114,7 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A fit of the output error judged: its minimum, its doubt, and the residual's p-value and structure (of unknown noise)."""
+    """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and structure (of unknown noise)."""
 
     problem: OutputError[ReceptanceModel]
     values: FloatArray

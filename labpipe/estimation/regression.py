@@ -16,7 +16,7 @@ from labpipe.estimation.descent import Linearisation, scaled_triangle
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
 from labpipe.estimation.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
-from labpipe.estimation.weights import has_noise, weight_doubt, whitened, whitener
+from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.identification import Goodness
 
 # ls: least squares of the equation of motion, sum_j p_j (Z_j H - B_j) = B_0 - Z_0 H, real and imaginary
@@ -121,12 +121,12 @@ def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArra
     if not has_noise(measured):
         return None, None
     try:
-        doubt = weight_doubt(measured, dof)
+        uncertainty = weight_uncertainty(measured, dof)
         residual = whitened(whitener(measured), measured.matrix - model.receptance(values, measured.omega))
     except FitError:
         return None, None
-    reduced = float(residual @ residual) / dof / doubt.excess
-    return (reduced, doubt.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
+    reduced = float(residual @ residual) / dof / uncertainty.excess
+    return (reduced, uncertainty.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
 
 
 def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray) -> tuple[FloatArray, FloatArray]:

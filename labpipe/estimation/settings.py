@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import ESTIMATE, Doubts, Settings, setting
+from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, setting
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -131,7 +131,7 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients; their doubts are sources of the budget."""
+    """Stiffness and damping of the support, subtracted from the direct coefficients; their uncertainties are sources of the budget."""
 
     stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
     damping: Uncertain = setting("uncertain", "damping of the support", unit="N.s/m", default=Uncertain(0.0))
@@ -169,12 +169,12 @@ class FitSettings(Settings):
     weight: str = setting("choice", "all lines weigh alike, or by their noise (as they always do for ml)", choices=WEIGHTS, default="none")
     bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
     coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
-    monte_carlo: int = setting("integer", "draws of noise and of all numbers with a doubt, as a check of the budget", default=0)
+    monte_carlo: int = setting("integer", "draws of noise and of all numbers with an uncertainty, as a check of the budget", default=0)
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""
     model_settings: Any = None
-    doubts: Doubts = ()
+    uncertainties: Uncertainties = ()
     repeats: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:

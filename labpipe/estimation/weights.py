@@ -98,7 +98,7 @@ Weights: TypeAlias = ComplexArray | ProductWeights
 
 
 @dataclass(frozen=True)
-class WeightDoubt:
+class WeightUncertainty:
     """Effect of weights from an estimated covariance on a fit; all 1 and infinite for a known covariance.
 
     excess        E[d^H S^-1 d] / E[d^H C^-1 d]: factor by which the weighted residual is too large
@@ -123,7 +123,7 @@ class WeightDoubt:
         return f_tail(reduced * self.residual_dof / (self.residual_dof - 2), effective_dof, self.residual_dof)
 
 
-def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
+def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     """excess = nu / a, inflation = s nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual; *dof* of the fit.
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies little from line to line.
@@ -132,7 +132,7 @@ def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
-        return WeightDoubt(inflation=measured.shared_noise, shared=measured.shared_power)
+        return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:
         raise FitError(
@@ -140,33 +140,33 @@ def weight_doubt(measured: Measured, dof: int) -> WeightDoubt:
             hint="average more periods or blocks, or raise `smooth`",
         )
     inflation = measured.shared_noise * nu**2 / (a**2 - 1)
-    return WeightDoubt(nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power)
+    return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power)
 
 
-def fitted_doubt(
-    measured: Measured, noise: SharedNoise | LineBlocks | None, doubt: WeightDoubt, jacobian: FloatArray, inverse: FloatArray
-) -> tuple[FloatArray, WeightDoubt]:
-    """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the doubt of the residual of a fit.
+def fitted_uncertainty(
+    measured: Measured, noise: SharedNoise | LineBlocks | None, uncertainty: WeightUncertainty, jacobian: FloatArray, inverse: FloatArray
+) -> tuple[FloatArray, WeightUncertainty]:
+    """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the uncertainty of the residual of a fit.
 
-    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *doubt* of weight_doubt. Where the noise
-    of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
-    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a
-    resonance's weights and cost no efficiency. Equation (est-ml-covariance).
+    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *uncertainty* of weight_uncertainty. Where the
+    noise of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
+    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a resonance's
+    weights and cost no efficiency. Equation (est-ml-covariance).
     """
     if noise is None:
-        return doubt.inflation * inverse, doubt
+        return uncertainty.inflation * inverse, uncertainty
     n_equation, n_parameter = jacobian.shape
     residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
     dof = n_equation - n_parameter
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
     changed = replace(
-        doubt,
-        excess=doubt.excess * residual.mean / dof,
+        uncertainty,
+        excess=uncertainty.excess * residual.mean / dof,
         shared=shared,
         residual_dof=_residual_dof(measured, dof, shared) if estimated else np.inf,
     )
-    lost = doubt.inflation / measured.shared_noise if measured.noise is None else 1.0
+    lost = uncertainty.inflation / measured.shared_noise if measured.noise is None else 1.0
     return lost * residual.covariance, changed
 
 

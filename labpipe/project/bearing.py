@@ -13,37 +13,37 @@ from labpipe import __version__
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.json_file import without_nan
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import BearingCoefficients, BearingDoubts, bearing_doubts
+from labpipe.bearings.kinds import BearingCoefficients, BearingUncertainties, bearing_uncertainties
 from labpipe.project.bearing_file import BearingFile, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.project.sweep import Sweep
 from labpipe.raw_files.frf_csv import write_frf_csv
-from labpipe.records.uncertain import doubt_of
+from labpipe.records.uncertain import uncertainty_of
 
 SCHEMA = "labpipe/bearing/1"
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The coefficients of a bearing, with what the doubts of its numbers leave of them; None without doubts."""
+    """The coefficients of a bearing, with what the uncertainties of its numbers leave of them; None without uncertainties."""
 
     coefficients: BearingCoefficients
-    doubts: BearingDoubts | None = None
+    uncertainties: BearingUncertainties | None = None
 
 
 def evaluated(file: BearingFile) -> Evaluated:
-    """The coefficients of the file as it is now, with their doubts; errors say which file."""
-    (whole,) = _evaluated(file, [lambda: None], file.doubts)
+    """The coefficients of the file as it is now, with their uncertainties; errors say which file."""
+    (whole,) = _evaluated(file, [lambda: None], file.uncertainties)
     return whole
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
-    """The coefficients at every value of the sweep, in its order; the doubt of the swept entry itself does not count."""
+    """The coefficients at every value of the sweep, in its order; the uncertainty of the swept entry itself does not count."""
 
     def setter(value: float) -> Callable[[], None]:
         return lambda: set_entry(file.tree, f"{sweep.key}={value!r} {sweep.unit}")
 
-    return _evaluated(file, [setter(float(value)) for value in sweep.values], [key for key in file.doubts if key != sweep.key])
+    return _evaluated(file, [setter(float(value)) for value in sweep.values], [key for key in file.uncertainties if key != sweep.key])
 
 
 def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]) -> list[Evaluated]:
@@ -57,10 +57,10 @@ def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Co
     coefficients = file.coefficients(settings)
     if not keys:
         return [Evaluated(point) for point in coefficients]
-    sources = [doubt_of(file.doubts[key], key, setting_at(file.kind.settings, key).unit) for key in keys]
+    sources = [uncertainty_of(file.uncertainties[key], key, setting_at(file.kind.settings, key).unit) for key in keys]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
-    return [Evaluated(row[0], bearing_doubts(sources, list(zip(row[1::2], row[2::2], strict=True)))) for row in rows]
+    return [Evaluated(row[0], bearing_uncertainties(sources, list(zip(row[1::2], row[2::2], strict=True)))) for row in rows]
 
 
 def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
@@ -88,19 +88,19 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
         entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
     if coefficients.lowest is not None and coefficients.highest is not None:
         entry["passage"] = {"stiffness_min": coefficients.lowest.tolist(), "stiffness_max": coefficients.highest.tolist()}
-    if whole.doubts is not None:
-        entry["uncertainty"] = _doubt_entry(whole.doubts, coefficients)
+    if whole.uncertainties is not None:
+        entry["uncertainty"] = _uncertainty_entry(whole.uncertainties, coefficients)
     return entry
 
 
-def _doubt_entry(doubts: BearingDoubts, coefficients: BearingCoefficients) -> dict[str, Any]:
+def _uncertainty_entry(uncertainties: BearingUncertainties, coefficients: BearingCoefficients) -> dict[str, Any]:
     """Standard uncertainties by all sources, and the change by one standard uncertainty of each."""
     names = [amount.name for amount in coefficients.rest]
-    changes = zip(doubts.sources, doubts.stiffness, doubts.damping, doubts.rest, strict=True)
+    changes = zip(uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True)
     return {
-        "stiffness": doubts.stiffness_error.tolist(),
-        "damping": doubts.damping_error.tolist(),
-        "equilibrium": dict(zip(names, doubts.rest_error.tolist(), strict=True)),
+        "stiffness": uncertainties.stiffness_error.tolist(),
+        "damping": uncertainties.damping_error.tolist(),
+        "equilibrium": dict(zip(names, uncertainties.rest_error.tolist(), strict=True)),
         "sources": [
             {
                 "source": source.source,
@@ -159,7 +159,7 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
 def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
     """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the codes of the warnings.
 
-    With doubts, standard uncertainties u_k_i_j and u_c_i_j follow.
+    With uncertainties, standard uncertainties u_k_i_j and u_c_i_j follow.
     """
     columns: dict[str, Any] = {f"{sweep.key} [{sweep.unit}]": sweep.values}
     coefficients = [point.coefficients for point in points]
@@ -171,10 +171,10 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
         columns[f"share_{amount.name} [{amount.unit}]"] = np.array([point.shares[number].value for point in coefficients])
     for number, amount in enumerate(coefficients[0].rest):
         columns[f"{amount.name} [{amount.unit}]"] = np.array([point.rest[number].value for point in coefficients])
-    doubts = [point.doubts for point in points if point.doubts is not None]
-    if doubts:
-        columns |= _by_element("u_k", coefficients[0], np.stack([doubted.stiffness_error for doubted in doubts]))
-        errors = np.stack([doubted.damping_error for doubted in doubts])
+    uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
+    if uncertainties:
+        columns |= _by_element("u_k", coefficients[0], np.stack([uncertain.stiffness_error for uncertain in uncertainties]))
+        errors = np.stack([uncertain.damping_error for uncertain in uncertainties])
         columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
     return columns

@@ -13,19 +13,19 @@ from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import UnitError, is_number
 from labpipe.records.settings import FileKind, Setting, settings_of
-from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain, split_doubt
+from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
 class BearingFile:
-    """A bearing file that is being read: its path, kind, the tree of its entries, and the *doubts* of its numbers by their keys."""
+    """A bearing file that is being read: its path, kind, the tree of its entries, and the *uncertainties* of its numbers by their keys."""
 
     path: Path
     kind_name: str
     kind: BearingKind
     tree: Marked
-    doubts: Mapping[str, Uncertain] = field(default_factory=dict)
+    uncertainties: Mapping[str, Uncertain] = field(default_factory=dict)
 
     def settings(self) -> Any:
         """The settings as the file has them now; ConfigErrors with every fault at its place."""
@@ -42,7 +42,7 @@ class BearingFile:
 
     def ends(self, key: str) -> list[Any]:
         """The settings with the number of a key one standard uncertainty above its value, and below it."""
-        number, unit = self.doubts[key], setting_at(self.kind.settings, key).unit
+        number, unit = self.uncertainties[key], setting_at(self.kind.settings, key).unit
         ends = []
         for sign in (1.0, -1.0, 0.0):
             set_entry(self.tree, f"{key}={number.value + sign * number.std_error!r} {unit}".rstrip())
@@ -68,9 +68,9 @@ def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     kind = kind_of(tree, "", faults)
     faults.raise_any()
     assert kind is not None
-    doubts = taken_doubts(tree, kind, "", kind.settings, faults)
+    uncertainties = taken_uncertainties(tree, kind, "", kind.settings, faults)
     faults.raise_any()
-    return BearingFile(path, tree.content["kind"].text, kind, tree, doubts)
+    return BearingFile(path, tree.content["kind"].text, kind, tree, uncertainties)
 
 
 def setting_at(owner: type, key: str) -> Setting:
@@ -80,30 +80,30 @@ def setting_at(owner: type, key: str) -> Setting:
     return declared if not rest or declared.section is None else setting_at(declared.section, rest)
 
 
-def taken_doubts(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry a doubt, by their keys; in the tree their values stand alone after that."""
-    doubts: dict[str, Uncertain] = {}
+def taken_uncertainties(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
+    """The numbers of a mapping that carry an uncertainty, by their keys; in the tree their values stand alone after that."""
+    uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
-        return doubts
+        return uncertainties
     for name, (declared, _) in settings_of(owner).items():
         entry = node.content.get(name)
         if entry is None:
             continue
         if declared.section is not None:
-            doubts |= taken_doubts(entry, kind, join(key, name), declared.section, faults)
+            uncertainties |= taken_uncertainties(entry, kind, join(key, name), declared.section, faults)
             continue
         entry = in_one_line(entry, declared)
-        if declared.kind != "value" or not is_doubtful(entry.text):
+        if declared.kind != "value" or not is_uncertain(entry.text):
             continue
-        value, doubt = split_doubt(entry.text)
+        value, uncertainty = split_uncertainty(entry.text)
         if name in kind.bare_units and is_number(value):
             value = f"{value} {kind.bare_units[name]}"
         try:
-            doubts[join(key, name)] = parse_uncertain(f"{value} +- {doubt}", declared.unit)
+            uncertainties[join(key, name)] = parse_uncertain(f"{value} +- {uncertainty}", declared.unit)
         except UnitError as error:
             faults.add_unit(entry, join(key, name), error)
         node.content[name] = Marked(value, entry.where, entry.key_where, value)
-    return doubts
+    return uncertainties
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:

@@ -1,7 +1,7 @@
 """Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) * x_2".
 
-Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number with unit and doubt, a name
-of `constants:`, or the cosine or sine of an angle; the units of all factors and of the channel must give the unit of the sum.
+Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number with unit and uncertainty, a
+name of `constants:`, or the cosine or sine of an angle; the units of all factors and of the channel must give the unit of the sum.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: its value and dimension, the number with doubt behind it, and the factor's derivative by that."""
+    """A factor of a term: its value and dimension, the number with uncertainty behind it, and the factor's derivative by that."""
 
     value: float
     dimension: Dimension
@@ -48,7 +48,7 @@ def read_constants(node: Marked | None, faults: Faults) -> dict[str, Factor]:
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its doubt. UnitError for anything else."""
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for anything else."""
     turn = _TURN.match(text.strip())
     if turn is not None:
         return _turned(turn[1], turn[2], turn[3], name)
@@ -63,7 +63,7 @@ def parse_factor(text: str, name: str) -> Factor:
 
 
 def _turned(sign: str, function: str, angle_text: str, name: str) -> Factor:
-    """The cosine or sine of an angle with its doubt."""
+    """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
     value, slope = (math.cos(angle.value), -math.sin(angle.value)) if function == "cos" else (math.sin(angle.value), math.cos(angle.value))

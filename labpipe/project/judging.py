@@ -14,7 +14,7 @@ from labpipe.records.comparison import Comparison, ConditionMatrices
 from labpipe.records.dataset import PartialOutcome
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit, RuleOutcome
-from labpipe.records.uncertain import parse_uncertain, split_doubt
+from labpipe.records.uncertain import parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
 from labpipe.sections import names_of, section
 
@@ -44,7 +44,7 @@ def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
     """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one; UnitError for a wrong one."""
-    written = written_unit(split_doubt(rule.bound)[0])
+    written = written_unit(split_uncertainty(rule.bound)[0])
     return with_error(in_unit(value, unit, written), None, written) if written else amount_text(value, None, unit)
 
 

@@ -45,7 +45,7 @@ def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ..
 
 
 def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
-    """One row for every point and coefficient: conditions with their units, value with its doubt, repeats, theory [SI]."""
+    """One row for every point and coefficient: conditions with their units, value with its uncertainty, repeats, theory [SI]."""
     rows = []
     for matrix in matrices:
         for point in matrix.points:

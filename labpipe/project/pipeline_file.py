@@ -25,7 +25,7 @@ from labpipe.sections import SECTIONS, PipelineSection, names_of, sections
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSettings, comparison_kind
 
-# Reading the section ``uncertainty:``: how doubts are propagated, and how tests scatter between repeats.
+# Reading the section ``uncertainty:``: how uncertainties are propagated, and how tests scatter between repeats.
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,12 @@ METHODS = ("first-order", "monte-carlo")
 
 @dataclass(frozen=True)
 class UncertaintySettings(Settings):
-    """The ``uncertainty:`` section: how the doubts of given numbers are propagated, for all fits that do not say it themselves."""
+    """The ``uncertainty:`` section: how the uncertainties of given numbers are propagated, for all fits that do not say it themselves."""
 
     coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
-    method: str = setting("choice", "first order, or draws of noise and all doubts beside it", choices=METHODS, default="first-order")
+    method: str = setting(
+        "choice", "first order, or draws of noise and all uncertainties beside it", choices=METHODS, default="first-order"
+    )
     draws: int = setting("integer", "draws of method monte-carlo", default=2000)
     repeatability: tuple[tuple[str, RepeatSettings], ...] = setting(
         "sections",
@@ -145,7 +147,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
             presets["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
     rig = reading.rig
     if rig is not None and rig.mass is not None and _takes_mass(entries):
-        presets |= {"mass": rig.mass, "doubts": () if rig.mass_doubt is None else (("mass", rig.mass_doubt),)}
+        presets |= {"mass": rig.mass, "uncertainties": () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),)}
     plain = Marked({entry: part for entry, part in entries.items() if not section or entry != section[1]}, node.where, node.key_where)
     return read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
 

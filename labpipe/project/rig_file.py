@@ -20,15 +20,15 @@ from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import Doubts, FileKind, Settings, setting
-from labpipe.records.uncertain import ChannelDoubt, Uncertain, doubt_of, parse_uncertain, split_doubt
+from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
+from labpipe.records.uncertain import ChannelUncertainty, Uncertain, parse_uncertain, split_uncertainty, uncertainty_of
 from labpipe.registry import nearest
 
-# The doubts of a channel of a rig file: of its sensitivity, delay, phase and direction.
+# The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
 
 
 @dataclass(frozen=True)
-class DoubtSettings(Settings):
+class UncertaintyOfChain(Settings):
     """Standard uncertainties of a channel's chain beside those of its numbers; how else they are meant stands in brackets."""
 
     gain: str = setting("text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default="")
@@ -37,74 +37,80 @@ class DoubtSettings(Settings):
 
 @dataclass(frozen=True)
 class Written:
-    """What a rig file says of one channel's doubts: *entries* of the file, *sensitivity* and *dof* as texts, *doubts* of its numbers."""
+    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as texts, *uncertainties* of its
+    numbers.
+    """
 
     name: str
     entries: Mapping[str, Marked]
     sensitivity: str
     dof: str
-    doubts: Doubts
-    chain: DoubtSettings | None
+    uncertainties: Uncertainties
+    chain: UncertaintyOfChain | None
 
 
-def channel_doubts(written: Written, node: Marked, key: str, faults: Faults) -> tuple[ChannelDoubt, ...]:
-    """All doubts of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written, Path], Iterator[ChannelDoubt]]] = {
+def channel_uncertainties(written: Written, node: Marked, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
+    """All uncertainties of a channel that are not zero; faults at their entries."""
+    readers: dict[str, Callable[[Written, Path], Iterator[ChannelUncertainty]]] = {
         "sensitivity": _of_sensitivity,
         "delay": _of_delay,
         "dof": _of_direction,
-        "doubt": _of_chain,
+        "uncertainty": _of_chain,
     }
     folder = Path(node.where.rsplit(":", 2)[0]).parent
-    doubts: list[ChannelDoubt] = []
+    uncertainties: list[ChannelUncertainty] = []
     for entry, read in readers.items():
         try:
-            doubts.extend(read(written, folder))
+            uncertainties.extend(read(written, folder))
         except UnitError as error:
             faults.add_unit(written.entries.get(entry, node), join(key, entry), error)
-    return tuple(doubt for doubt in doubts if doubt.doubt.std_error > 0)
+    return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelDoubt]:
-    """Relative doubt of a sensitivity: as typed, or that of the slope of the calibration fit that it names."""
-    text, doubt = split_doubt(written.sensitivity)
+def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:
+    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it names."""
+    text, uncertainty = split_uncertainty(written.sensitivity)
     if "#" in text:
         slope = calibrated_slope(text, folder)
         if slope.std_error:
             number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield ChannelDoubt("gain", doubt_of(number, f"{written.name}.sensitivity {text}", "1"))
-    if doubt:
-        number = _relative(text, doubt)
-        yield ChannelDoubt("gain", doubt_of(number, f"{written.name}.sensitivity {text}", "1"))
+            yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
+    if uncertainty:
+        number = _relative(text, uncertainty)
+        yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
 
 
-def _relative(text: str, doubt: str) -> Uncertain:
-    """A doubt relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
+def _relative(text: str, uncertainty: str) -> Uncertain:
+    """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
-    number = parse_uncertain(f"{value} {unit} +- {doubt}", unit)
+    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
     return Uncertain(1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source)
 
 
-def _of_delay(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001 (one signature for all readers)
-    for name, number in written.doubts:
+def _of_delay(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001 (one signature for all readers)
+    for name, number in written.uncertainties:
         if name == "delay":
-            yield ChannelDoubt("delay", doubt_of(number, f"{written.name}.delay", "s"))
+            yield ChannelUncertainty("delay", uncertainty_of(number, f"{written.name}.delay", "s"))
 
 
-def _of_direction(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001
-    """Doubt of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
-    _, doubt = split_doubt(written.dof)
-    if doubt:
-        yield ChannelDoubt("direction", doubt_of(parse_uncertain(f"0 rad +- {doubt}", "rad"), f"{written.name}.dof", "rad"))
+def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
+    """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
+    _, uncertainty = split_uncertainty(written.dof)
+    if uncertainty:
+        yield ChannelUncertainty(
+            "direction", uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad")
+        )
 
 
-def _of_chain(written: Written, folder: Path) -> Iterator[ChannelDoubt]:  # noqa: ARG001
+def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
     if written.chain is None:
         return
     if written.chain.gain:
-        yield ChannelDoubt("gain", doubt_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"))
+        yield ChannelUncertainty("gain", uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"))
     if written.chain.phase:
-        yield ChannelDoubt("phase", doubt_of(parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"))
+        yield ChannelUncertainty(
+            "phase", uncertainty_of(parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad")
+        )
 
 
 @dataclass(frozen=True)
@@ -182,7 +188,7 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
 # Beside the plain entries of a rig file.
 PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.
-RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "doubt")
+RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "uncertainty", "doubt")
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
 
@@ -195,7 +201,7 @@ class RigSettings(Settings):
     sample_rate: float | None = setting("value", "sampling rate, where no time column or file gives it", unit="Hz", default=None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
-    doubts: Doubts = ()
+    uncertainties: Uncertainties = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,9 +219,11 @@ class ChannelSettings(Settings):
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
-    doubt: DoubtSettings | None = setting("section", "doubt of the whole chain", section=DoubtSettings, default=None)
+    uncertainty: UncertaintyOfChain | None = setting(
+        "section", "uncertainty of the whole chain", section=UncertaintyOfChain, default=None, before="doubt"
+    )
     derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
-    doubts: Doubts = ()
+    uncertainties: Uncertainties = ()
 
 
 def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
@@ -285,7 +293,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         mass=settings.mass,
         description=settings.description,
         derived=derived,
-        mass_doubt=dict(settings.doubts).get("mass"),
+        mass_uncertainty=dict(settings.uncertainties).get("mass"),
     )
 
 
@@ -418,16 +426,18 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     before = len(faults)
     scale, offset = _calibration(settings, node, key, faults)
     limits = _limits(settings, node, key, faults)
-    dof, angle = _direction(split_doubt(settings.dof)[0] or name, node, key, faults)
+    dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults)
-    written = Written(name, node.content, settings.sensitivity, settings.dof, settings.doubts, settings.doubt)
-    # Of a number that cannot be read there is one fault, not a second one of its doubt.
-    doubts = channel_doubts(written, node, key, faults) if len(faults) == before else ()
+    written = Written(name, node.content, settings.sensitivity, settings.dof, settings.uncertainties, settings.uncertainty)
+    # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
+    uncertainties = channel_uncertainties(written, node, key, faults) if len(faults) == before else ()
     if len(faults) > before:
         return None
     sign = -1.0 if settings.invert else 1.0
     role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
-    channel = Channel(name, settings.quantity, role, dof, angle, settings.delay, response, doubts=doubts, position=settings.position)
+    channel = Channel(
+        name, settings.quantity, role, dof, angle, settings.delay, response, uncertainties=uncertainties, position=settings.position
+    )
     return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
 
 
@@ -467,7 +477,7 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
     try:
-        return unit.factor / _sensitivity(split_doubt(settings.sensitivity)[0], unit, si_unit, node), 0.0
+        return unit.factor / _sensitivity(split_uncertainty(settings.sensitivity)[0], unit, si_unit, node), 0.0
     except UnitError as error:
         faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
         return 1.0, 0.0

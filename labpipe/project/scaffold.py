@@ -213,7 +213,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "  film:",
         "    model: dynamic-stiffness",
         "    dynamic_stiffness:",
-        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its doubt: 60 kg +- 0.1 kg",
+        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its uncertainty: 60 kg +- 0.1 kg",
     ]
     return "\n".join(lines) + "\n"
 

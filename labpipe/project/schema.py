@@ -26,7 +26,10 @@ def rig_schema() -> dict[str, Any]:
     schema = _object(RigSettings)
     schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
-    schema["properties"]["constants"] = {**constants, "description": "numbers in sums of channels, with their doubt: m_s: 30 kg +- 0.1 kg"}
+    schema["properties"]["constants"] = {
+        **constants,
+        "description": "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg",
+    }
     factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     listed = _object(ChannelSettings)
     listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {"sum": factors}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,8 +14,8 @@ from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.project.marked_yaml import Marked
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of, takes_doubt
-from labpipe.records.uncertain import is_doubtful, parse_uncertain
+from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of, takes_uncertainty
+from labpipe.records.uncertain import is_uncertain, parse_uncertain
 from labpipe.registry import Registry, nearest
 
 # Collecting the faults of a file, so that one run names them all.
@@ -148,7 +149,7 @@ def named_files(settings: Any, folder: Path) -> Iterator[Path]:
 
 Owner = TypeVar("Owner")
 
-# Kinds of settings that may be given in the long form of a number with its doubt, and the entries of that form.
+# Kinds of settings that may be given in the long form of a number with its uncertainty, and the entries of that form.
 LONG_KINDS = ("value", "mass", "uncertain", "text")
 SIZES = ("std", "limits", "expanded")
 LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
@@ -163,8 +164,9 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of missing entries.
     """
     before = len(faults)
-    entries = faults.mapping(node, key)
     settings = settings_of(owner)
+    node = _under_new_keys(node, key, settings)
+    entries = faults.mapping(node, key)
     if entries:
         faults.unknown_keys(node, key, tuple(settings))
     fields: dict[str, Any] = dict(presets)
@@ -173,7 +175,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
         count = len(faults)
         if name in entries:
             node_of = in_one_line(entries[name], setting)
-            read = _read_doubtful if takes_doubt(owner, setting) and is_doubtful(node_of.text) else read_setting
+            read = _read_uncertain if takes_uncertainty(owner, setting) and is_uncertain(node_of.text) else read_setting
             fields[name] = read(node_of, setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
@@ -183,6 +185,18 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
             unread |= {name, setting.into}
     instance = _instance(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
     return instance if len(faults) == before else None
+
+
+def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
+    """The mapping with the keys of this version; a note for each that it holds under the name of the version before."""
+    if not isinstance(node.content, dict):
+        return node
+    new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}
+    names = {old: new[old] for old in node.content if old in new}
+    for old, name in names.items():
+        told = f"{node.content[old].place}: {join(key, old)} is called '{name}' now; the old key is read in this version for the last time"
+        warnings.warn(told, FutureWarning, stacklevel=2)
+    return replace(node, content={names.get(name, name): entry for name, entry in node.content.items()}) if names else node
 
 
 def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
@@ -213,8 +227,8 @@ def in_one_line(node: Marked, setting: Setting) -> Marked:
     return Marked(text, node.where, node.key_where, text)
 
 
-def _read_doubtful(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    """The text of a number with its doubt, which the settings take apart; None and a fault where it cannot be read."""
+def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
+    """The text of a number with its uncertainty, which the settings take apart; None and a fault where it cannot be read."""
     try:
         parse_uncertain(node.text, setting.unit)
     except UnitError as error:

@@ -376,10 +376,10 @@ class TimeAxisScreen:
         return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
 
 
-def plain_rate(step: float, doubt: float) -> float:
-    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *doubt* [s]: files of one logger have one rate then."""
+def plain_rate(step: float, uncertainty: float) -> float:
+    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *uncertainty* [s]: files of one logger have one rate then."""
     rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 12))
-    return next((rate for rate in rates if abs(1 / rate - step) <= doubt), float(f"{1 / step:.12g}"))
+    return next((rate for rate in rates if abs(1 / rate - step) <= uncertainty), float(f"{1 / step:.12g}"))
 
 
 def _printed_digits(times: FloatArray) -> int:

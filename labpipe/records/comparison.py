@@ -10,7 +10,7 @@ from labpipe.quantities import display_unit, readable_unit, to_display
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget
 
-# What a comparison of tests that differ in a condition gives: its points, its amounts with their doubt, and
+# What a comparison of tests that differ in a condition gives: its points, its amounts with their uncertainty, and
 # a verdict in words.
 
 
@@ -106,7 +106,7 @@ class Comparison:
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
     *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
-    *budgets*: of amounts to whose doubt systematic sources add, each of those that rest on the same data.
+    *budgets*: of amounts to whose uncertainty systematic sources add, each of those that rest on the same data.
     """
 
     name: str
@@ -199,7 +199,7 @@ class ConditionAxis:
 
 @dataclass(frozen=True)
 class Repeated:
-    """One coefficient at one point: the mean of its *repeats* as a parameter, with its doubt.
+    """One coefficient at one point: the mean of its *repeats* as a parameter, with its uncertainty.
 
     scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so large a scatter by the
     standard errors of the fits alone; theory: the value of a theory at the conditions, None without one.

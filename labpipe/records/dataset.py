@@ -20,11 +20,11 @@ class DatasetRow:
     """One parameter of one fit of one test, in SI units.
 
     rig and date of the test decide where the row is kept. std_error by noise alone; full_error: that which the 95 % interval goes with;
-    *combined* and *expanded* uncertainty where doubts were declared. covariance (n,) [unit times unit]: by noise with every estimated
-    parameter of the fit in their order, None for a derived one; changes: of the parameter by one standard uncertainty of every systematic
-    source, by its name. accepted: whether all rules on this test hold, None without rules. conditions: as people wrote them. source:
-    SHA-256 over the digests of the test's files; digest: of its file of fits. failed: why a test has no result; then there is no fit and no
-    parameter.
+    *combined* and *expanded* uncertainty where uncertainties were declared. covariance (n,) [unit times unit]: by noise with every
+    estimated parameter of the fit in their order, None for a derived one; changes: of the parameter by one standard uncertainty of every
+    systematic source, by its name. accepted: whether all rules on this test hold, None without rules. conditions: as people wrote them.
+    source: SHA-256 over the digests of the test's files; digest: of its file of fits. failed: why a test has no result; then there is no
+    fit and no parameter.
     """
 
     rig: str
@@ -189,9 +189,9 @@ def summed(summaries: Iterable[DatasetSummary]) -> DatasetSummary:
 class TestColumns:
     """A parameter in (n,) tests, ordered by date and name.
 
-    values, errors, low, high (n,) [unit]: with the standard error (combined where doubts were declared) and the ends of the 95 % interval,
-    NaN where there is none. amounts: of every condition that is an amount its unit and (n,) values [that unit, SI], NaN where a test has
-    none.
+    values, errors, low, high (n,) [unit]: with the standard error (combined where uncertainties were declared) and the ends of the 95 %
+    interval, NaN where there is none. amounts: of every condition that is an amount its unit and (n,) values [that unit, SI], NaN where a
+    test has none.
     """
 
     __test__ = False

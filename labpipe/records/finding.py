@@ -37,12 +37,12 @@ def of_level(level: str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if finding.level == level)
 
 
-# An estimated or derived parameter that travels with its doubt.
+# An estimated or derived parameter that travels with its uncertainty.
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """Part of a source in the doubt of a parameter: *contribution* as a standard uncertainty, *share* of the variance [1]."""
+    """Part of a source in the uncertainty of a parameter: *contribution* as a standard uncertainty, *share* of the variance [1]."""
 
     source: str
     contribution: float
@@ -53,12 +53,12 @@ class Contribution:
 class Parameter:
     """One estimated or derived parameter in SI units.
 
-    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the
-    two-sided 95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...).
-    *std_error* is what noise alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the
-    doubt of given numbers. *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given
-    numbers, where that is known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times
-    *coverage_factor*, and the *budget* of all sources, noise among them, the largest first.
+    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the two-sided
+    95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...). *std_error* is what noise
+    alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the uncertainty of given numbers.
+    *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given numbers, where that is
+    known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times *coverage_factor*, and the
+    *budget* of all sources, noise among them, the largest first.
     """
 
     name: str

@@ -45,7 +45,7 @@ class FitDetailKind:
 DETAILS = Registry("fit detail", {})
 
 
-# Modes of a structure: shapes with their doubt, and the stabilisation diagram that they were chosen from.
+# Modes of a structure: shapes with their uncertainty, and the stabilisation diagram that they were chosen from.
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ class RingDown(FitDetail):
 
 
 @dataclass(frozen=True)
-class GivenDoubt:
-    """What the doubt of given numbers of one *source* does to the estimates; the same source is the same error in every fit.
+class GivenUncertainty:
+    """What the uncertainty of given numbers of one *source* does to the estimates; the same source is the same error in every fit.
 
     changes (n, n_parameter) [units of the fitted parameters]: n independent errors of one standard deviation each. std_error [unit] of
     the number, 1 of several.
@@ -172,9 +172,9 @@ class GivenDoubt:
     unit: str = "1"
 
 
-def systematic(doubts: Sequence[GivenDoubt], n_parameter: int) -> FloatArray:
+def systematic(uncertainties: Sequence[GivenUncertainty], n_parameter: int) -> FloatArray:
     """Covariance (n_parameter, n_parameter) [units of the fitted parameters] of all given numbers together."""
-    rows = [np.zeros((1, n_parameter)), *(doubt.changes for doubt in doubts)]
+    rows = [np.zeros((1, n_parameter)), *(uncertainty.changes for uncertainty in uncertainties)]
     joint = np.concatenate(rows)
     return joint.T @ joint
 
@@ -193,7 +193,7 @@ class DynamicStiffness(FitDetail):
     """Dynamic stiffness H(w) [N/m] of a floating bearing, force in the row's direction per displacement in the column's, x then y.
 
     form, symmetry: of the model; values (n_parameter,): as they are fitted (of positive shape parameters the logarithm), noise
-    (n_parameter, n_parameter): their covariance by noise alone, doubts: what given numbers add to it.
+    (n_parameter, n_parameter): their covariance by noise alone, uncertainties: what given numbers add to it.
     frequency (n_line,) [Hz], measured (n_line, 2, 2) [N/m]: line by line without a model, variance (n_line, 2, 2) [(N/m)^2] of the complex
     values; *paired*: of two neighbouring lines each, since a line alone has one vector. Empty where lines do not tell H.
     drawn_frequency (n,) [Hz] with fitted (n, 2, 2) and, where there is one, baseline (n, 2, 2) [N/m].
@@ -207,7 +207,7 @@ class DynamicStiffness(FitDetail):
     symmetry: str
     values: FloatArray
     noise: FloatArray
-    doubts: tuple[GivenDoubt, ...]
+    uncertainties: tuple[GivenUncertainty, ...]
     _: KW_ONLY
     frequency: FloatArray
     measured: ComplexArray
@@ -224,7 +224,7 @@ class DynamicStiffness(FitDetail):
 
     def given(self, n_parameter: int) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by what was given, not fitted."""
-        return systematic(self.doubts, n_parameter)
+        return systematic(self.uncertainties, n_parameter)
 
     @property
     def course(self) -> tuple[FloatArray, ComplexArray]:

@@ -69,7 +69,7 @@ class DatasetIndex:
         )
 
 
-# The result of an identification: parameters that travel with their doubt.
+# The result of an identification: parameters that travel with their uncertainty.
 
 # The model of a line through points, of a calibration.
 STRAIGHT_LINE = "straight-line"

@@ -13,14 +13,17 @@ from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding
 from labpipe.records.text import VIEWS, recording_line
-from labpipe.records.uncertain import ChannelDoubt, as_doubts
+from labpipe.records.uncertain import ChannelUncertainty, as_uncertainties
 
-# Sums of channels: f - m a, x_stator - x_shaft, (x_1 + x_2) / 2, with the doubt of the numbers in them.
+# Sums of channels: f - m a, x_stator - x_shaft, (x_1 + x_2) / 2, with the uncertainty of the numbers in them.
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number with its doubt that stands in a sum: *value*, *std_error* [unit], an SI unit; numbers of one *source* have one error."""
+    """A number with its uncertainty that stands in a sum: *value*, *std_error* [unit], an SI unit.
+
+    Numbers of one *source* have one error.
+    """
 
     name: str
     value: float
@@ -33,7 +36,7 @@ class Number:
 class Term:
     """A channel in a sum, times *factor* [SI unit of the sum per SI unit of the channel].
 
-    numbers: those in the factor that have a doubt; derivatives: of the factor by each of them.
+    numbers: those in the factor that have an uncertainty; derivatives: of the factor by each of them.
     """
 
     channel: str
@@ -47,7 +50,7 @@ class Term:
         object.__setattr__(self, "derivatives", tuple(self.derivatives))
 
     def times(self, factor: float) -> Term:
-        """The term times a number without doubt."""
+        """The term times a number without uncertainty."""
         return Term(self.channel, factor * self.factor, self.numbers, tuple(factor * derivative for derivative in self.derivatives))
 
 
@@ -72,7 +75,7 @@ class Channel:
     *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
     (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
     *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
-    *terms*: of a channel that is a sum of others in the recording; none for a measured one. *doubts* of its calibration.
+    *terms*: of a channel that is a sum of others in the recording; none for a measured one. *uncertainties* of its calibration.
     *position* [m] along the axis, if it is known.
     """
 
@@ -84,7 +87,7 @@ class Channel:
     delay: float = 0.0
     response: tuple[tuple[float, float, float], ...] = ()
     terms: tuple[Term, ...] = ()
-    doubts: tuple[ChannelDoubt, ...] = ()
+    uncertainties: tuple[ChannelUncertainty, ...] = ()
     position: float | None = None
 
     def __post_init__(self) -> None:
@@ -95,7 +98,7 @@ class Channel:
         # A file gives lists.
         object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
         object.__setattr__(self, "terms", as_terms(self.terms))
-        object.__setattr__(self, "doubts", as_doubts(self.doubts))
+        object.__setattr__(self, "uncertainties", as_uncertainties(self.uncertainties))
 
     @property
     def unit(self) -> str:

@@ -13,7 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.text import VIEWS, response_line
-from labpipe.records.uncertain import ChannelDoubt, MatrixError, as_doubts
+from labpipe.records.uncertain import ChannelUncertainty, MatrixError, as_uncertainties
 
 # The covariance of an FRF matrix as two small factors per line, made whole only where somebody asks for it.
 
@@ -88,7 +88,7 @@ class HeldCovariance:
         instance.__dict__["covariance"] = value
 
 
-# A measured frequency response matrix with its doubt.
+# A measured frequency response matrix with its uncertainty.
 
 FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "transmissibility": "1", "other": "1"}
 
@@ -97,7 +97,7 @@ FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)",
 class Port:
     """Place and direction of a response or force: channel name, dof label and, if known, direction [rad] from x towards y.
 
-    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere. *doubts* of the channel's
+    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere. *uncertainties* of the channel's
     calibration.
     """
 
@@ -105,11 +105,11 @@ class Port:
     channel: str
     dof: str
     angle: float | None = None
-    doubts: tuple[ChannelDoubt, ...] = ()
+    uncertainties: tuple[ChannelUncertainty, ...] = ()
 
     def __post_init__(self) -> None:
         # A file gives mappings.
-        object.__setattr__(self, "doubts", as_doubts(self.doubts))
+        object.__setattr__(self, "uncertainties", as_uncertainties(self.uncertainties))
 
     def answers_to(self, name: str) -> bool:
         """Whether a user who writes *name* may mean this port (label, channel or dof)."""
@@ -214,7 +214,7 @@ class FrequencyResponse:
         }
         for error in self.errors:
             if error.change.shape != (n_f, n_o, n_i):
-                raise DataError(f"the change of '{self.name}' by {error.doubt.source} has the shape {error.change.shape}")
+                raise DataError(f"the change of '{self.name}' by {error.uncertainty.source} has the shape {error.change.shape}")
         for attribute, (dtype, shape) in shapes.items():
             values = self.__dict__[attribute]
             if isinstance(values, FactoredCovariance):

@@ -38,7 +38,7 @@ class RigChannel:
 class Rig:
     """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None.
 
-    derived: channels that are sums of recorded ones. mass_doubt: the mass with its standard uncertainty, if it has one.
+    derived: channels that are sums of recorded ones. mass_uncertainty: the mass with its standard uncertainty, if it has one.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Rig:
     mass: float | None = None
     description: str = ""
     derived: tuple[Channel, ...] = ()
-    mass_doubt: Uncertain | None = None
+    mass_uncertainty: Uncertain | None = None
 
     @property
     def all_channels(self) -> tuple[Channel, ...]:

@@ -21,7 +21,7 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.records.uncertain import Uncertain, is_doubtful, parse_uncertain
+from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
 # A kind of file that a settings file can name.
@@ -90,7 +90,7 @@ class Setting:
     """Declaration of a settings field: its kind, SI unit, choices, and one line of help.
 
     A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the same dataclass.
-    *needed*: a file must give it, although the dataclass has a default.
+    *needed*: a file must give it, although the dataclass has a default. *before*: its key in the version before, which is still read.
     """
 
     kind: str
@@ -102,6 +102,7 @@ class Setting:
     file_kind: str = ""
     into: str = ""
     needed: bool = False
+    before: str = ""
 
 
 def to_value(value: Any, setting: Setting) -> float:
@@ -383,8 +384,8 @@ def shortened(text: str) -> str:
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
 
 
-# Numbers of settings that carry a doubt, by the names of their fields.
-Doubts = tuple[tuple[str, Uncertain], ...]
+# Numbers of settings that carry an uncertainty, by the names of their fields.
+Uncertainties = tuple[tuple[str, Uncertain], ...]
 
 
 class Settings:
@@ -427,7 +428,7 @@ def _convert(settings: Any) -> None:
             continue
         declared: Setting = field.metadata["setting"]
         try:
-            if takes_doubt(type(settings), declared) and is_doubtful(value):
+            if takes_uncertainty(type(settings), declared) and is_uncertain(value):
                 value = _noted(settings, field.name, parse_uncertain(value, declared.unit))
             object.__setattr__(settings, field.name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
@@ -435,15 +436,15 @@ def _convert(settings: Any) -> None:
 
 
 def _noted(settings: Any, name: str, number: Uncertain) -> float:
-    """The value of a number with a doubt, which is noted among the settings' doubts."""
-    others = tuple(pair for pair in settings.doubts if pair[0] != name)
-    object.__setattr__(settings, "doubts", (*others, (name, number)))
+    """The value of a number with an uncertainty, which is noted among the settings' uncertainties."""
+    others = tuple(pair for pair in settings.uncertainties if pair[0] != name)
+    object.__setattr__(settings, "uncertainties", (*others, (name, number)))
     return number.value
 
 
-def takes_doubt(owner: type, declared: Setting) -> bool:
-    """Whether a number of these settings may carry its doubt: "0.92 kg +- 1 %"; those settings have a field *doubts*."""
-    return declared.kind in ("value", "mass") and any(field.name == "doubts" for field in dataclasses.fields(owner))
+def takes_uncertainty(owner: type, declared: Setting) -> bool:
+    """Whether a number of these settings may carry its uncertainty: "0.92 kg +- 1 %"; those settings have a field *uncertainties*."""
+    return declared.kind in ("value", "mass") and any(field.name == "uncertainties" for field in dataclasses.fields(owner))
 
 
 def setting(
@@ -457,11 +458,14 @@ def setting(
     file_kind: str = "",
     into: str = "",
     needed: bool = False,
+    before: str = "",
 ) -> Any:
     """A dataclass field that carries a Setting of a kind of CONVERTERS; without a default the YAML must give it."""
     if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
-    declared = Setting(kind, help, unit=unit, choices=choices, section=section, file_kind=file_kind, into=into, needed=needed)
+    declared = Setting(
+        kind, help, unit=unit, choices=choices, section=section, file_kind=file_kind, into=into, needed=needed, before=before
+    )
     return dataclasses.field(default=default, metadata={"setting": declared})
 
 

@@ -18,7 +18,8 @@ from labpipe.records.response import Port
 
 @dataclass(frozen=True)
 class UncertainFactor:
-    """A number of the rig file with its doubt: one that stands in sums of channels, or a gain, delay, phase or direction of a channel.
+    """A number of the rig file with its uncertainty: one that stands in sums of channels, or a gain, delay, phase or direction of a
+    channel.
 
     value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) complex [SI units of the channels per unit of the value]: an
     error of the number by d changes the vector z of all channels by d w^power (derivative @ z), w the angular frequency [rad/s].
@@ -50,7 +51,7 @@ class ChannelSpectra:
     covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do not share noise
     covariance_dof  complex degrees of freedom behind each covariance (inf: known)
     line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...; empty where independent
-    factors      numbers with a doubt that stand in derived channels, and doubts of the channels' calibrations
+    factors      numbers with an uncertainty that stand in derived channels, and uncertainties of the channels' calibrations
 
     The channels are forces (role input) and responses (output), then sums of these and their members; a member that is no force or
     response of its own has the role reference, and the covariance is singular between a sum and its members.

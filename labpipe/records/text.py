@@ -36,7 +36,7 @@ def fit_line(fit: Fit) -> str:
 
 
 def fit_text(fit: Fit) -> str:
-    """Statistics, parameters with their doubt, correlations and findings, as a console shows them."""
+    """Statistics, parameters with their uncertainty, correlations and findings, as a console shows them."""
     rows = [parameter_cells(parameter) for parameter in fit.parameters]
     widths = [max(len(row[n]) for row in [HEADER, *rows]) for n in range(len(HEADER))]
     table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in [HEADER, *rows]]
@@ -74,8 +74,8 @@ def parameter_cells(parameter: Parameter) -> tuple[str, ...]:
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
-    value, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
-    return (parameter.name, value, doubt, " to ".join(interval), unit_label(unit), limits)
+    value, uncertainty, *interval = written(to_display(parameter.value, unit), error, *ends)
+    return (parameter.name, value, uncertainty, " to ".join(interval), unit_label(unit), limits)
 
 
 def _with_error(parameter: Parameter) -> str:
@@ -83,11 +83,11 @@ def _with_error(parameter: Parameter) -> str:
 
 
 def response_line(response: FrequencyResponse) -> str:
-    """Form, size, band and doubt of a response."""
+    """Form, size, band and uncertainty of a response."""
     size = f"{len(response.outputs)} x {len(response.inputs)}"
     band = f"{response.n_frequency} lines {response.frequency[0]:g}-{response.frequency[-1]:g} Hz" if response.n_frequency else "no lines"
-    doubt = "with covariance" if response.variance is not None else "without covariance"
-    return f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), {band}, {doubt}>"
+    uncertainty = "with covariance" if response.variance is not None else "without covariance"
+    return f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), {band}, {uncertainty}>"
 
 
 def recording_line(recording: Recording) -> str:

@@ -37,14 +37,14 @@ class Uncertain:
     source: str = ""
 
 
-def split_doubt(text: str) -> tuple[str, str]:
-    """A text and the doubt behind it: "8 V/mm +- 1 %" -> ("8 V/mm", "1 %"); the doubt is empty where there is none."""
-    number, _, doubt = text.replace("±", "+-").partition("+-")
-    return number.strip(), doubt.strip()
+def split_uncertainty(text: str) -> tuple[str, str]:
+    """A text and the uncertainty behind it: "8 V/mm +- 1 %" -> ("8 V/mm", "1 %"); the uncertainty is empty where there is none."""
+    number, _, uncertainty = text.replace("±", "+-").partition("+-")
+    return number.strip(), uncertainty.strip()
 
 
-def is_doubtful(value: Any) -> bool:
-    """Whether a text gives a number with its doubt."""
+def is_uncertain(value: Any) -> bool:
+    """Whether a text gives a number with its uncertainty."""
     return isinstance(value, str) and ("+-" in value or "±" in value)
 
 
@@ -102,7 +102,7 @@ def _qualified(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
     return replace(plain, std_error=plain.std_error / factor, **entries)
 
 
-# Systematic doubts: a number of the rig that is known with a standard uncertainty, the same error in all
+# Systematic uncertainties: a number of the rig that is known with a standard uncertainty, the same error in all
 # that rests on it.
 
 # What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
@@ -113,7 +113,7 @@ COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), 
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Uncertainty:
     """Standard uncertainty of one number [unit]; numbers of one *source* have one error in common.
 
     dof: degrees of freedom behind it, None where it is known; shape: its distribution (normal, rectangular, triangular).
@@ -126,41 +126,44 @@ class Doubt:
     shape: str = "normal"
 
 
-def doubt_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Doubt:
-    """The doubt of a number times *scale* [-]; its own source, if it names one, takes the place of *source*."""
-    return Doubt(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
+def uncertainty_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Uncertainty:
+    """The uncertainty of a number times *scale* [-]; its own source, if it names one, takes the place of *source*."""
+    return Uncertainty(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
 
 
 @dataclass(frozen=True)
-class ChannelDoubt:
-    """Doubt of a channel's calibration. *effect*: 'gain' (relative), 'delay' [s], 'phase' [rad] or 'direction' [rad].
+class ChannelUncertainty:
+    """Uncertainty of a channel's calibration. *effect*: 'gain' (relative), 'delay' [s], 'phase' [rad] or 'direction' [rad].
 
     The error d of the number changes the channel's amplitude X [SI] to X (1 - d), X e^{+jwd}, X e^{+jd}; a direction turns the channel.
     """
 
     effect: str
-    doubt: Doubt
+    uncertainty: Uncertainty
 
 
 @dataclass(frozen=True)
 class MatrixError:
     """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
 
-    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the *doubt*.
+    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the *uncertainty*.
     """
 
-    doubt: Doubt
+    uncertainty: Uncertainty
     change: ComplexArray
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "change", frozen_array(self.change, np.complex128, f"change by {self.doubt.source}", np.shape(self.change))
+            self, "change", frozen_array(self.change, np.complex128, f"change by {self.uncertainty.source}", np.shape(self.change))
         )
 
 
-def as_doubts(entries: Any) -> tuple[ChannelDoubt, ...]:
-    """The doubts of a channel, as they are or from the mappings of a file."""
-    return tuple(entry if isinstance(entry, ChannelDoubt) else ChannelDoubt(entry["effect"], Doubt(**entry["doubt"])) for entry in entries)
+def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
+    """The uncertainties of a channel, as they are or from the mappings of a file."""
+    return tuple(
+        entry if isinstance(entry, ChannelUncertainty) else ChannelUncertainty(entry["effect"], Uncertainty(**entry["uncertainty"]))
+        for entry in entries
+    )
 
 
 # The uncertainty budget of a fit: what noise and every systematic source leave of its parameters.
@@ -168,7 +171,7 @@ def as_doubts(entries: Any) -> tuple[ChannelDoubt, ...]:
 
 @dataclass(frozen=True)
 class Budget:
-    """Doubts of the parameters *names* of a fit, in their units.
+    """Uncertainties of the parameters *names* of a fit, in their units.
 
     random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it, NaN where there
     is none; random_dof behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every
@@ -180,7 +183,7 @@ class Budget:
     names: tuple[str, ...]
     random: FloatArray
     random_dof: float | None
-    sources: tuple[Doubt, ...]
+    sources: tuple[Uncertainty, ...]
     changes: FloatArray
     drawn: FloatArray | None = None
 
@@ -209,7 +212,7 @@ class Budget:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
 
-    def with_sources(self, sources: tuple[Doubt, ...], changes: FloatArray) -> Budget:
+    def with_sources(self, sources: tuple[Uncertainty, ...], changes: FloatArray) -> Budget:
         """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter]; draws did not hold these."""
         return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
 

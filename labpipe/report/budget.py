@@ -1,4 +1,4 @@
-"""The uncertainty budget of a fit in its report: parts of the doubt, shares by source, and what would improve it."""
+"""The uncertainty budget of a fit in its report: parts of the uncertainty, shares by source, and what would improve it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ MOST_BARS, BAR = 12, 0.38
 MANY = 1000
 COMBINED = (
     "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise of this measurement, and "
-    "systematic, from the doubts of the numbers that were given. Expanded: times k, Student's quantile with the effective degrees of "
+    "systematic, from the uncertainties of the numbers that were given. Expanded: times k, Student's quantile with the effective degrees "
+    "of "
     "freedom after Welch and Satterthwaite, for 95 %"
 )
 EXPLAINED = f"{COMBINED} unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all of it."
@@ -119,11 +120,11 @@ def _bars(budget: Budget, names: list[str]) -> Figure:
 
 def _shares_table(budget: Budget, names: list[str]) -> Table:
     sources = _sources(budget, names)
-    doubts = {source.source: source for source in budget.sources}
+    uncertainties = {source.source: source for source in budget.sources}
     rows = []
     for source in sources:
-        doubt = doubts.get(source)
-        size = "this measurement" if doubt is None else _size(doubt.std_error, doubt.unit)
+        uncertainty = uncertainties.get(source)
+        size = "this measurement" if uncertainty is None else _size(uncertainty.std_error, uncertainty.unit)
         shares = (budget.shares(name).get(source, 0.0) for name in names)
         rows.append((source, size, *(f"{100 * share:.1f} %" if share >= 5e-4 else "0" for share in shares)))
     header = ("source", "standard uncertainty", *names)
@@ -151,7 +152,7 @@ def _improvement(told: Mapping[str, Parameter], budget: Budget) -> str:
     after = f"{before * gain:.2g} %" if gain > 0.005 else "noise alone"
     return (
         f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is {source}. "
-        f"Without that doubt it would be {after}; with half of it {before * math.sqrt(1 - 0.75 * share):.2g} %."
+        f"Without that uncertainty it would be {after}; with half of it {before * math.sqrt(1 - 0.75 * share):.2g} %."
     )
 
 

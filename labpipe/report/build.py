@@ -55,17 +55,17 @@ def _failed(identification: Identification) -> tuple[Block, ...]:
 def _judged(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     codes = _by_code(identification, WARNING)
-    doubt = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
+    uncertainty = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
     if not outcomes:
-        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{doubt}", "note")
+        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{uncertainty}", "note")
         return (lead, *_not_to_be_signed(identification))
     failed = sum(not outcome.passed for outcome in outcomes)
     if failed:
-        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{doubt}", "failed")
+        lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail.{uncertainty}", "failed")
     else:
         unchecked = _unchecked(identification)
         said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
-        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{doubt}{said}", "note" if unchecked else "passed")
+        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{uncertainty}{said}", "note" if unchecked else "passed")
     rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
     table = Table(("section", "rule", "found", "outcome"), rows, "Rules of the pipeline")
     return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
@@ -216,7 +216,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     )
 
 
-# From an identification to the document that people read: verdict first, doubt beside every number,
+# From an identification to the document that people read: verdict first, uncertainty beside every number,
 # provenance last.
 
 

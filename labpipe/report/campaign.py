@@ -24,7 +24,7 @@ from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
 
-# One coefficient in many results: its values with their doubt, and the conditions of the tests that they
+# One coefficient in many results: its values with their uncertainty, and the conditions of the tests that they
 # come from.
 
 

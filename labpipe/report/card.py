@@ -70,13 +70,13 @@ def _facts(overview: Overview) -> tuple[Block, ...]:
 
 def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]:
     frequency = response.frequency
-    doubts = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
+    uncertainties = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     rows = (
         ("file", file),
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
         ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
-        ("uncertainty", " and ".join(doubts) or "neither covariance nor coherence: ml needs one, ls does not"),
+        ("uncertainty", " and ".join(uncertainties) or "neither covariance nor coherence: ml needs one, ls does not"),
     )
     ports = tuple(
         _port(kind, port) for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs)) for port in ports_of_kind

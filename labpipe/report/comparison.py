@@ -268,7 +268,7 @@ EXPLAINED = {
         "The bearing's loop as its file states it, on the rig's mass and support, gives a response; the same fits of it, on the same lines "
         "with the same weights, are the prediction for each band; share_k and share_c are the bands whose 95 % interval, by noise and "
         "given numbers, holds it. Unknowns are fitted to all lines of the response at once, weighted by their noise, with the support free "
-        "within its stated uncertainty; their intervals hold the doubts of channels, mass and support. "
+        "within its stated uncertainty; their intervals hold the uncertainties of channels, mass and support. "
         "Neighbouring bands share lines, so they miss together. unstable_poles and sensitivity_peak are those of the bearing file's mass."
     ),
     "bands": (
@@ -279,12 +279,12 @@ EXPLAINED = {
     "sensitivity": (
         "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak "
         "is that of a parabola around the highest line, since the line itself would be too high by its noise. Intervals hold noise and the "
-        "doubts of the channels; what both sides of the sum have in common cancels."
+        "uncertainties of the channels; what both sides of the sum have in common cancels."
     ),
     "certificate": (
         "S = H_after (H_after - H_before)^-1, both against what is added in the loop, and L = S^-1 - 1, without a model; 95 % bands by "
         "the covariance of the lines. With a bearing file its unknowns are fitted to all recorded signals; poles, decrements and margins "
-        "are those of the fitted loop, with intervals to first order in the unknowns, by noise and the doubts of the channels. "
+        "are those of the fitted loop, with intervals to first order in the unknowns, by noise and the uncertainties of the channels. "
         "gain_margin_lower and _upper: factors of the gain "
         "down to and up to the border of stability; phase_margin to either side; disk_margin 1 / max|S - 1/2|. A limit counts as kept, "
         "or as broken, where the probability of it is at least the stated confidence."
@@ -316,8 +316,8 @@ def _amount_row(amount: Parameter) -> tuple[str, ...]:
     unit = shown_unit(amount.unit, amount.value, amount.full_error)
     error = None if amount.full_error is None else difference_in(amount.full_error, unit)
     ends = () if amount.ci95 is None else tuple(to_display(end, unit) for end in amount.ci95)
-    value, doubt, *interval = written(to_display(amount.value, unit), error, *ends)
-    return (amount.name, "not tested" if math.isnan(amount.value) else value, legible(unit), doubt, " to ".join(interval))
+    value, uncertainty, *interval = written(to_display(amount.value, unit), error, *ends)
+    return (amount.name, "not tested" if math.isnan(amount.value) else value, legible(unit), uncertainty, " to ".join(interval))
 
 
 def _point_table(comparison: Comparison) -> Table:

@@ -164,7 +164,7 @@ def path_figure(matrix: ConditionMatrix) -> Figure:
 
 EXPLAINED = (
     "Each point is the weighted mean of its repeats. What noise leaves shrinks with their number, and is enlarged where they scatter more "
-    "than it says; what is common to all of them, such as the doubt of a mass, does not shrink. Bars are 95 % intervals."
+    "than it says; what is common to all of them, such as the uncertainty of a mass, does not shrink. Bars are 95 % intervals."
 )
 PATH_EXPLAINED = (
     "Rest positions are means of the repeats. The slope of the path over the load is a displacement per static force; beside it the same "
@@ -238,7 +238,7 @@ def _coefficient_sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
 
 
 def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
-    """The coefficient at every point with its doubt, the scatter of repeats and the theory."""
+    """The coefficient at every point with its uncertainty, the scatter of repeats and the theory."""
     having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     theory = any(value.theory is not None for _, value in having)
@@ -267,10 +267,10 @@ def _value_cells(value: Repeated, unit: str) -> tuple[str, ...]:
     parameter = value.parameter
     error, scatter = _size(parameter.full_error, unit), _size(value.scatter, unit)
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
-    shown, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
+    shown, uncertainty, *interval = written(to_display(parameter.value, unit), error, *ends)
     return (
         shown,
-        doubt or "none",
+        uncertainty or "none",
         " to ".join(interval) or "none",
         str(value.repeats),
         "" if scatter is None else two_digits(scatter, to_display(parameter.value, unit)),

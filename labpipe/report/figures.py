@@ -201,7 +201,7 @@ def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
     if response.variance is not None:
         relative = np.sqrt(response.variance) / np.abs(response.matrix)
         return over_frequency(Axis("std / |H|", logarithmic=True), _elements(response, relative), 2.0), "its relative standard deviation"
-    return Panel(FREQUENCY, Axis(), (), share=2.0, note="the doubt of this FRF is not known"), "no statement of its doubt"
+    return Panel(FREQUENCY, Axis(), (), share=2.0, note="the uncertainty of this FRF is not known"), "no statement of its uncertainty"
 
 
 def line_figure(fits: Sequence[Fit]) -> Figure:

@@ -159,8 +159,8 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
         blocks.append(Paragraph(f"NOT ACCEPTED: {what}; {index.not_accepted} of {index.tests} tests are not accepted.", "failed"))
     elif not index.failed:
         kinds = len(index.of_level())
-        doubt = f" {kinds} kind(s) of warning below limit how far some numbers can be trusted." if kinds else ""
-        blocks.append(Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold for all {index.tests} tests.{doubt}", "passed"))
+        uncertainty = f" {kinds} kind(s) of warning below limit how far some numbers can be trusted." if kinds else ""
+        blocks.append(Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold for all {index.tests} tests.{uncertainty}", "passed"))
     rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
     caption = "Rules of the pipeline; found: in the first test that fails, else in the first test"
     return (*blocks, Table(("section", "rule", "found", "outcome"), rows, caption)) if rows else tuple(blocks)

@@ -1,4 +1,4 @@
-"""The part of a report that a Monte Carlo study fills: how near the fits come, and how true their doubt is."""
+"""The part of a report that a Monte Carlo study fills: how near the fits come, and how true their uncertainty is."""
 
 from __future__ import annotations
 

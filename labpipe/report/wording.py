@@ -46,12 +46,12 @@ def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, 
     unit = unit or shown_unit(parameter.unit, parameter.value, parameter.full_error)
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
-    value, doubt, *interval = written(to_display(parameter.value, unit), error, *ends)
+    value, uncertainty, *interval = written(to_display(parameter.value, unit), error, *ends)
     return (
         parameter.name,
         value,
         legible(unit),
-        doubt or "none",
+        uncertainty or "none",
         " to ".join(interval) or "none",
         "" if parameter.t_ratio is None or parameter.derived else f"{parameter.t_ratio:.4g}",
         significance(parameter, dof),

@@ -1,6 +1,6 @@
 """Which channels of several recordings stand in the spectra, how sums are made of them, and what their uncertainties do.
 
-What the doubts of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its members.
+What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its members.
 
 An output y_o = sum a_m x_m changes by da x_m, and so does its row of H by da G_m, G_m = x_m / u the response of the member. A force
 u_i = sum a_m x_m changes by da x_m = da G_m u, so that H changes by -H e_i da G_m. All to first order in the error.
@@ -19,8 +19,8 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import Port
 from labpipe.records.spectra import UncertainFactor
-from labpipe.records.uncertain import COURSES, Doubt, MatrixError
-from labpipe.spectra.channels import calibration_factors, doubtful_numbers, turned_channels
+from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
+from labpipe.spectra.channels import calibration_factors, turned_channels, uncertain_numbers
 from labpipe.spectra.ports import Layout, Parts, sensor_response
 from labpipe.spectra.settings import FrfSettings
 
@@ -48,7 +48,7 @@ def _with_role(channel: Channel, is_output: bool) -> Channel:
     return replace(channel, role="output" if is_output else "reference")
 
 
-# What the doubts of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its
+# What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its
 # members.
 
 Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
@@ -56,9 +56,9 @@ Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
 
 @dataclass(frozen=True)
 class _Effect:
-    """An error by one standard uncertainty of *doubt* changes the sum at a port by *slope* w^power times its *member*."""
+    """An error by one standard uncertainty of *uncertainty* changes the sum at a port by *slope* w^power times its *member*."""
 
-    doubt: Doubt
+    uncertainty: Uncertainty
     port: int
     member: str
     slope: complex
@@ -68,7 +68,7 @@ class _Effect:
 def sum_errors(
     sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout, response: tuple[FloatArray, ComplexArray], estimate: Estimate
 ) -> tuple[MatrixError, ...]:
-    """The errors of the FRF matrix by every source in its sums; none where no number in them has a doubt.
+    """The errors of the FRF matrix by every source in its sums; none where no number in them has an uncertainty.
 
     response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form]. *estimate* measures the responses of the
     members to the same forces, in a second pass. Raises as that does. Equation (unc-sum).
@@ -82,18 +82,18 @@ def sum_errors(
     omega = 2 * np.pi * frequency
     motion = (1j * omega) ** -layout.derivatives if layout.derivatives else np.ones(omega.size)
     changes: dict[str, ComplexArray] = {}
-    doubts: dict[str, Doubt] = {}
+    uncertainties: dict[str, Uncertainty] = {}
     for effects, are_outputs in ((of_outputs, True), (of_inputs, False)):
         for effect in effects:
-            source = effect.doubt.source
-            doubts.setdefault(source, effect.doubt)
+            source = effect.uncertainty.source
+            uncertainties.setdefault(source, effect.uncertainty)
             change = changes.setdefault(source, np.zeros(matrix.shape, np.complex128))
-            row = (effect.doubt.std_error * effect.slope * omega**effect.power)[:, None] * rows[effect.member]
+            row = (effect.uncertainty.std_error * effect.slope * omega**effect.power)[:, None] * rows[effect.member]
             if are_outputs:
                 change[:, effect.port, :] += row * motion[:, None]
             else:
                 change -= matrix[:, :, effect.port, None] * row[:, None, :]
-    return tuple(MatrixError(doubts[source], change) for source, change in changes.items())
+    return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())
 
 
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
@@ -104,24 +104,24 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
-                yield _Effect(Doubt(named, number.std_error, number.unit), port, term.channel, complex(slope), 0)
-            for doubted in by_name[term.channel].doubts:
-                if doubted.effect in COURSES:
-                    course, power = COURSES[doubted.effect]
-                    yield _Effect(doubted.doubt, port, term.channel, term.factor * course, power)
+                yield _Effect(Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0)
+            for uncertain in by_name[term.channel].uncertainties:
+                if uncertain.effect in COURSES:
+                    course, power = COURSES[uncertain.effect]
+                    yield _Effect(uncertain.uncertainty, port, term.channel, term.factor * course, power)
 
 
 def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
     """What the directions of recorded channels do to a sum at a port: a member reads something of the channel across it."""
     for number, channel in enumerate(recorded):
-        directions = [doubted.doubt for doubted in channel.doubts if doubted.effect == "direction"]
+        directions = [uncertain.uncertainty for uncertain in channel.uncertainties if uncertain.effect == "direction"]
         if not sensor.terms or not directions:
             continue
         changes = {sensor_channel.name: row for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)}
         for term in sensor.terms:
             for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
                 if change:
-                    yield from (_Effect(doubt, port, read.name, complex(term.factor * change), 0) for doubt in directions)
+                    yield from (_Effect(uncertainty, port, read.name, complex(term.factor * change), 0) for uncertainty in directions)
 
 
 def _member_rows(
@@ -201,10 +201,10 @@ class ChannelLayout:
         return values
 
     def factors(self) -> tuple[UncertainFactor, ...]:
-        """The numbers with a doubt in the sums and the calibrations of channels, with their effect on the vector of all channels."""
+        """The numbers with an uncertainty in the sums and the calibrations of channels, with their effect on the vector of all channels."""
         names = [channel.name for channel in self.channels]
         factors = list(calibration_factors(self.channels, self.sums.astype(np.complex128)))
-        for number, sums in doubtful_numbers(self.channels).items():
+        for number, sums in uncertain_numbers(self.channels).items():
             derivative = np.zeros((len(names), len(names)))
             for channel in sums:
                 for term in channel.terms:

@@ -12,7 +12,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Number, SampleSource
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import UncertainFactor
-from labpipe.records.uncertain import COURSES, ChannelDoubt
+from labpipe.records.uncertain import COURSES, ChannelUncertainty
 
 # Blocks of a recording on their way to the spectra, with checks for missing samples and constant forces.
 
@@ -53,36 +53,46 @@ def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None
     raise DataError(f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint)
 
 
-# What the doubts of channels' calibrations do to the vector of all channels: errors of gain, delay, phase
+# What the uncertainties of channels' calibrations do to the vector of all channels: errors of gain, delay, phase
 # and direction.
 
 FORCE = "force"
 
 
 def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
-    """One factor for each doubt of a recorded channel; numbers of one source have one name, and so one error.
+    """One factor for each uncertainty of a recorded channel; numbers of one source have one name, and so one error.
 
     channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums from recorded channels.
     """
     n_recorded = combined.shape[1]
     return tuple(
-        UncertainFactor(doubt.doubt.source, 0.0, doubt.doubt.std_error, doubt.doubt.unit, derivative, power, doubt.doubt.source)
+        UncertainFactor(
+            uncertainty.uncertainty.source,
+            0.0,
+            uncertainty.uncertainty.std_error,
+            uncertainty.uncertainty.unit,
+            derivative,
+            power,
+            uncertainty.uncertainty.source,
+        )
         for number, channel in enumerate(channels[:n_recorded])
-        for doubt in channel.doubts
-        for derivative, power in [_derivative(channels, combined, number, doubt)]
+        for uncertainty in channel.uncertainties
+        for derivative, power in [_derivative(channels, combined, number, uncertainty)]
         if np.any(derivative)
     )
 
 
-def _derivative(channels: Sequence[Channel], combined: ComplexArray, number: int, doubt: ChannelDoubt) -> tuple[ComplexArray, int]:
+def _derivative(
+    channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
+) -> tuple[ComplexArray, int]:
     """The change of the vector per unit of the error, and the power of the angular frequency that goes with it."""
     n_channel, n_recorded = combined.shape
-    if doubt.effect == "direction":
+    if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)
         change[:, :n_recorded] = turned_channels(channels[:n_recorded], number)
         return combined @ change, 0
     row = np.zeros(n_channel, np.complex128)
-    row[number], power = COURSES[doubt.effect]
+    row[number], power = COURSES[uncertainty.effect]
     return np.outer(combined[:, number], row), power
 
 
@@ -117,7 +127,7 @@ def _angle(channel: Channel) -> float | None:
     return AXIS_ANGLES.get(channel.dof) if channel.angle is None else channel.angle
 
 
-# Sums of channels in recordings: where a sum in time holds, and the doubt of the numbers in it.
+# Sums of channels in recordings: where a sum in time holds, and the uncertainty of the numbers in it.
 
 
 def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
@@ -135,8 +145,8 @@ def _chain(channel: Channel) -> str:
     return f"{1e6 * channel.delay:g} us" + (" and a response table" if channel.response else "")
 
 
-def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]:
-    """The numbers with a doubt in sums of channels, each with the sums that it stands in."""
+def uncertain_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]:
+    """The numbers with an uncertainty in sums of channels, each with the sums that it stands in."""
     used: dict[Number, list[Channel]] = {}
     for channel in channels:
         for number in dict.fromkeys(number for term in channel.terms for number in term.numbers):
@@ -144,15 +154,15 @@ def doubtful_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]]
     return used
 
 
-def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    """Of sums that are inputs or outputs: doubts of their members' directions that no one channel across them propagates."""
+def uncertainty_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
+    """Of sums that are inputs or outputs: uncertainties of their members' directions that no one channel across them propagates."""
     channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
     turned = {name for source in sources for name in _alone(source.channels)}
     members = {channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in turned])}
     return tuple(
         Finding(
-            "number-doubt",
-            f"doubts of the direction of {', '.join(names)} in {name}: no one other channel of the quantity in a known direction "
+            "number-uncertainty",
+            f"uncertainties of the direction of {', '.join(names)} in {name}: no one other channel of the quantity in a known direction "
             "tells what is read across, and they are not in the intervals of the FRF and of its fits",
         )
         for name, names in members.items()
@@ -160,8 +170,10 @@ def doubt_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
 
 
 def _alone(channels: Sequence[Channel]) -> Iterator[str]:
-    """Recorded channels whose direction has a doubt, and that no other one tells the motion across."""
+    """Recorded channels whose direction has an uncertainty, and that no other one tells the motion across."""
     recorded = [channel for channel in channels if not channel.terms]
     for number, channel in enumerate(recorded):
-        if any(doubt.effect == "direction" for doubt in channel.doubts) and not np.any(turned_channels(recorded, number)):
+        if any(uncertainty.effect == "direction" for uncertainty in channel.uncertainties) and not np.any(
+            turned_channels(recorded, number)
+        ):
             yield channel.name

@@ -14,7 +14,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
-from labpipe.spectra.channels import doubt_findings
+from labpipe.spectra.channels import uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
@@ -103,7 +103,7 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
     loop = () if aliasing else loop
-    findings = (*source_findings(sources), *doubt_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
+    findings = (*source_findings(sources), *uncertainty_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
     return FrequencyResponse(

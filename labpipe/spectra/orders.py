@@ -88,7 +88,7 @@ def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, 
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
-    ports = tuple(Port(c.name, c.name, c.dof, c.angle, c.doubts) for c in (source.channels[number] for number in outputs))
+    ports = tuple(Port(c.name, c.name, c.dof, c.angle, c.uncertainties) for c in (source.channels[number] for number in outputs))
     planes = planes_of(ports)
     segments = []
     for time, angle, samples in _segments(source, motion, revolutions):

@@ -339,7 +339,7 @@ def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> ComplexArray 
 def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
     """The systematic errors of the mean: all realisations were measured through the same sums."""
     together = zip(*(response.errors for response in responses), strict=True)
-    return tuple(MatrixError(errors[0].doubt, np.asarray(np.mean([error.change for error in errors], axis=0))) for errors in together)
+    return tuple(MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0))) for errors in together)
 
 
 def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:

@@ -161,7 +161,7 @@ def _ports(keys: list[Key], sensors: tuple[Channel, ...]) -> tuple[Port, ...]:
     ports = []
     for (name, dof, angle, *_), sensor in zip(keys, sensors, strict=True):
         unique = name if names.count(name) == 1 else dof if dofs.count(dof) == 1 else f"{name}@{dof}"
-        ports.append(Port(unique, name, dof, angle, sensor.doubts))
+        ports.append(Port(unique, name, dof, angle, sensor.uncertainties))
     return tuple(ports)
 
 
@@ -328,17 +328,17 @@ def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], co
 
 def _errors(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> tuple[MatrixError, ...]:
     """The systematic errors of all responses; one of several responses is one error in all of them."""
-    doubts = {error.doubt.source: error.doubt for response in responses for error in response.errors}
+    uncertainties = {error.uncertainty.source: error.uncertainty for response in responses for error in response.errors}
     errors = []
-    for source, doubt in doubts.items():
+    for source, uncertainty in uncertainties.items():
         whole = np.zeros((responses[0].n_frequency, len(rows), len(columns)), np.complex128)
         for response in responses:
             o = np.array([rows[port.label] for port in response.outputs])[:, None]
             i = np.array([columns[port.label] for port in response.inputs])
             for error in response.errors:
-                if error.doubt.source == source:
+                if error.uncertainty.source == source:
                     whole[:, o, i] += error.change
-        errors.append(MatrixError(doubt, whole))
+        errors.append(MatrixError(uncertainty, whole))
     return tuple(errors)
 
 

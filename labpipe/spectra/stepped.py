@@ -241,7 +241,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
 
 
 def _of_frequency(frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]) -> ComplexArray:
-    """Covariance (n_line, n, n) that the doubt of the frequency leaves: g g^H var(f), g = dH/df (n_line, n) from neighbouring lines."""
+    """Covariance (n_line, n, n) that the uncertainty of the frequency leaves: g g^H var(f), g = dH/df (n_line, n)."""
     flat = matrix.reshape(frequency.size, -1)
     slope = np.zeros(flat.shape, np.complex128)
     if frequency.size > 1:

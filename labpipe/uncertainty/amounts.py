@@ -13,7 +13,7 @@ from labpipe.estimation.budget import contributed
 from labpipe.estimation.derived import INTERVAL, with_systematic
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, random_part
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 
 # Results of comparisons as parameters with standard error and interval.
 
@@ -47,7 +47,7 @@ def chance(name: str, p_value: float | None) -> Parameter:
     return Parameter(name, math.nan if p_value is None else p_value, "1", derived=True)
 
 
-# Amounts of a comparison with what systematic sources add to their doubt, and the budget of all of them.
+# Amounts of a comparison with what systematic sources add to their uncertainty, and the budget of all of them.
 
 # Share of a combined uncertainty below which the change by a source is rounding: the source cancels.
 CANCELLED = 1e-9
@@ -55,7 +55,7 @@ CANCELLED = 1e-9
 
 def with_budget(
     amounts: Sequence[Parameter],
-    sources: Sequence[Doubt],
+    sources: Sequence[Uncertainty],
     changes: FloatArray,
     dof: float | None = None,
     logarithmic: Collection[str] = (),
@@ -85,7 +85,7 @@ def _as_factor(amount: Parameter) -> Parameter:
     return replace(amount, ci95=(amount.value / reach, amount.value * reach))
 
 
-# Errors that tests have in common: the doubt of one sensor, one mass, which no repetition shows and which a
+# Errors that tests have in common: the uncertainty of one sensor, one mass, which no repetition shows and which a
 # ratio may not carry.
 
 

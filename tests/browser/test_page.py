@@ -194,12 +194,12 @@ def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path
     across = Axis("x", "um")
     series = (curve("orbit", [0.0, 1.0], [0.0, 1.0]), arrow([0.0, 0.0], [0.5, 0.5], 1), level(0.5, name="limit"))
     sense = Panel(across, Axis("y", "um"), series)
-    empty = Panel(across, Axis(), (), note="no doubt is stated")
+    empty = Panel(across, Axis(), (), note="no uncertainty is stated")
     figure = Figure(Chart((sense, empty), 1, 2), "Orbit", "An orbit")
     (tmp_path / "kinds.html").write_bytes(html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False)))
     opened = browser.open(tmp_path / "kinds.html")
     texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
-    assert "limit" in texts and "no doubt is stated" in texts
+    assert "limit" in texts and "no uncertainty is stated" in texts
     head = opened.run("document.querySelector('.head').getBBox().width")
     assert 0 < head < 20 and opened.run("getComputedStyle(document.querySelector('.head')).fill") == "rgb(213, 94, 0)"
     assert opened.said("Runtime.exceptionThrown") == []

@@ -22,7 +22,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 from tests.draws.responses import response_worlds
-from tests.draws.usual import Errors, with_given_off, with_usual_doubts, with_usual_mass
+from tests.draws.usual import Errors, with_given_off, with_usual_mass, with_usual_uncertainties
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ def _free(settings: FitSettings, fit: Fit) -> FitSettings:
 
 
 def measured_tests(pipeline: Pipeline) -> tuple[MeasuredTest, ...]:
-    """What was measured in every test, with doubts of usual size on all sensors."""
+    """What was measured in every test, with uncertainties of usual size on all sensors."""
     with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch)) as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         tests = measure_tests(pipeline, folder, Manner()).tests
-    return tuple(with_usual_doubts(test) for test in tests)
+    return tuple(with_usual_uncertainties(test) for test in tests)
 
 
 def _singles(settings: FitSettings, test: MeasuredTest) -> Iterator[tuple[str, FitSettings, MeasuredTest, str]]:

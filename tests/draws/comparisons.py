@@ -22,7 +22,7 @@ from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.convert import receptance_factor
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.observations import condition_of
@@ -160,7 +160,7 @@ def _truths(settings: Sequence[CompareSettings], cases: Sequence[Case], tests: M
 
 def _true_factor(case: Case, setting_error: float, errors: Errors) -> float:
     """True condition over the one that was set."""
-    return 1 + errors.of(Doubt(f"condition of {case.test}", setting_error, "1"))
+    return 1 + errors.of(Uncertainty(f"condition of {case.test}", setting_error, "1"))
 
 
 def _of_first_test(cases: Sequence[Case]) -> list[Truth | None]:
@@ -183,7 +183,7 @@ def _band(case: Case) -> str:
 def _of_settings(cases: Sequence[Case], sources: Sequence[str]) -> list[Truth | None]:
     """Stiffness and damping of the first test, the stiffness times that of the setting."""
     k, c, mass = (cases[0].fit.parameter(name).value for name in ("k", "c", "m"))
-    between = [lambda errors, name=name: BETWEEN * errors.of(Doubt(name, 1.0, "1")) for name in sources]
+    between = [lambda errors, name=name: BETWEEN * errors.of(Uncertainty(name, 1.0, "1")) for name in sources]
     return [_moved(case, mass, lambda errors, part=part: (k * (1 + part(errors)), c)) for case, part in zip(cases, between, strict=True)]
 
 
@@ -252,7 +252,7 @@ def _in_series(
         stiffness = factors[0] * (course[0] * step**2 + course[1] * step + course[2]).reshape(5, 5)
         bending = np.inf
         if named.shaft is not None:
-            bending = named.shaft.value + errors.of(Doubt("bending shaft", named.shaft.std_error, "N/m"))
+            bending = named.shaft.value + errors.of(Uncertainty("bending shaft", named.shaft.std_error, "N/m"))
         transfer = bent_transfer_matrix(ends[1].shaft, stiffness, frequency, factors[1], bending)
         return np.asarray(transfer[:, place, place] * arms)
 

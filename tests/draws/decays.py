@@ -34,7 +34,7 @@ class DecayWorlds:
         quiet = replace(self.rig, noise=self.rig.noise * QUIET) if rng is None else self.rig
         seed = 1 if rng is None else int(rng.integers(1 << 30))
         (recording,) = decay_runs(quiet, seed, [self.name])
-        gains = np.array([factor_of(port.doubts, np.zeros(1), errors)[0].real for port in self.decays.outputs])
+        gains = np.array([factor_of(port.uncertainties, np.zeros(1), errors)[0].real for port in self.decays.outputs])
         found = free_decays([replace(recording, samples=recording.samples * gains)], FrfSettings("decay"), name=self.name, conditions={})
         return replace(found, outputs=self.decays.outputs)
 

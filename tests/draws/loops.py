@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.estimation.budget import mass_doubt
+from labpipe.estimation.budget import mass_uncertainty
 from labpipe.estimation.fitting import identify
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.certificate import certificate
@@ -26,7 +26,7 @@ from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.convert import receptance_factor
 from labpipe.uncertainty.observations import condition_of
 from labpipe.uncertainty.settings import CompareSettings
@@ -61,11 +61,14 @@ def loop_worlds(pipeline: Pipeline) -> list[LoopWorlds]:
 
 
 def _with_ports(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
-    """The response, doubts of channels at its ports, where worlds take them not only to first order."""
+    """The response, uncertainties of channels at its ports, where worlds take them not only to first order."""
     if not isinstance(test, ChannelSpectra):
         return test
-    response, doubts = per_injection(test), {channel.name: channel.doubts for channel in test.channels}
-    ports = {name: tuple(replace(port, doubts=doubts[port.label]) for port in getattr(response, name)) for name in ("outputs", "inputs")}
+    response, uncertainties = per_injection(test), {channel.name: channel.uncertainties for channel in test.channels}
+    ports = {
+        name: tuple(replace(port, uncertainties=uncertainties[port.label]) for port in getattr(response, name))
+        for name in ("outputs", "inputs")
+    }
     # Spectra of all channels have a covariance of every line's own.
     return replace(response, errors=(), averages=response.covariance_dof + 1, **ports)
 
@@ -96,12 +99,12 @@ def _on_support(view: View, errors: Errors) -> FrequencyResponse:
     response, plant, own = view.response, view.file.levitated(), view.settings
     omega = 2 * np.pi * response.frequency
     stiffness, damping = (
-        getattr(view.support, name).value + errors.of(Doubt(f"{name} of the support", getattr(view.support, name).std_error, ""))
+        getattr(view.support, name).value + errors.of(Uncertainty(f"{name} of the support", getattr(view.support, name).std_error, ""))
         for name in ("stiffness", "damping")
     )
     assert isinstance(own.mass, float)
-    doubted = mass_doubt(own)
-    mass = own.mass - (0.0 if doubted is None else errors.of(doubted))
+    uncertain = mass_uncertainty(own)
+    mass = own.mass - (0.0 if uncertain is None else errors.of(uncertain))
     bearings = own.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     total = stiffness + 1j * omega * damping + bearings - mass * omega**2
     (column,), rows = view.ports[1], view.ports[0]
@@ -110,7 +113,7 @@ def _on_support(view: View, errors: Errors) -> FrequencyResponse:
     # Sensors of known direction beside those of the fit tell what these read across.
     for row in dict.fromkeys([*rows, *(n for n, port in enumerate(response.outputs) if port.angle is not None)]):
         angles = response.outputs[row].angle, force.angle
-        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1] + angle_error(force.doubts, errors))
+        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1] + angle_error(force.uncertainties, errors))
         matrix[:, row, column] = cosine / total * receptance_factor(response.form, response.frequency)
     return replace(response, matrix=matrix)
 

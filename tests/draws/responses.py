@@ -79,10 +79,10 @@ class ResponseWorlds:
         response = self.response
         matrix = self._aimed(errors)
         omega = 2 * np.pi * response.frequency
-        matrix = matrix * np.stack([factor_of(port.doubts, omega, errors) for port in response.outputs], axis=1)[:, :, None]
-        matrix = matrix / np.stack([factor_of(port.doubts, omega, errors) for port in response.inputs], axis=1)[:, None, :]
+        matrix = matrix * np.stack([factor_of(port.uncertainties, omega, errors) for port in response.outputs], axis=1)[:, :, None]
+        matrix = matrix / np.stack([factor_of(port.uncertainties, omega, errors) for port in response.inputs], axis=1)[:, None, :]
         # What sums of channels do to the matrix, to first order.
-        matrix = matrix + sum(errors.of(one.doubt) / one.doubt.std_error * one.change for one in response.errors)
+        matrix = matrix + sum(errors.of(one.uncertainty) / one.uncertainty.std_error * one.change for one in response.errors)
         if rng is None:
             return replace(response, matrix=matrix)
         covariance = response.covariance if self.scatter is None else self.scatter.estimated(self.root, rng)
@@ -92,12 +92,12 @@ class ResponseWorlds:
         """Sensors and forces in the directions that they have, not in those that are written: written = true + error."""
         response = self.response
         matrix = response.matrix
-        of_forces = np.array([angle_error(port.doubts, errors) for port in response.inputs])
+        of_forces = np.array([angle_error(port.uncertainties, errors) for port in response.inputs])
         if self.turned is not None:
             matrix = self.turned(-of_forces)
         else:
             matrix = turned_rows(response.inputs, matrix.swapaxes(1, 2), -of_forces).swapaxes(1, 2)
-        return turned_rows(response.outputs, matrix, -np.array([angle_error(port.doubts, errors) for port in response.outputs]))
+        return turned_rows(response.outputs, matrix, -np.array([angle_error(port.uncertainties, errors) for port in response.outputs]))
 
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
         n_line, n = self.root.shape[:2]

@@ -2,9 +2,9 @@
 
 python -m tests.draws.run [PIPELINE ...] [--draws N] [--seconds S] [--cases N] [--seed S]
 
-Every sensor of a pipeline's rig that the rig file gives no doubt gets one of usual size (gain of a force 0.5 %, of a response 1 %, delay
-2 us, direction 0.5 deg), so does a given mass (0.5 %). A world draws all of them, records what the fitted model would do with noise of
-the measured covariance, and fits it with the numbers as they are written. All fits of a pipeline and its tests share the sensors of a
+Every sensor of a pipeline's rig that the rig file gives no uncertainty gets one of usual size (gain of a force 0.5 %, of a response 1 %,
+delay 2 us, direction 0.5 deg), so does a given mass (0.5 %). A world draws all of them, records what the fitted model would do with noise
+of the measured covariance, and fits it with the numbers as they are written. All fits of a pipeline and its tests share the sensors of a
 world. Comparisons of tests get one truth behind all tests, each at a condition that is off by its setting error; run-ups bearings and
 probes that are off; responses to unbalance bearings that are off; calibrations new points; what is said of a control loop noise, channels,
 mass and support that are off.

@@ -21,13 +21,13 @@ from labpipe.methods.run_ups.misfit import runs_by_speeds
 from labpipe.methods.run_ups.records import DIRECTIONS, TRAINED, RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
 from labpipe.methods.run_ups.section import read_run
-from labpipe.methods.run_ups.settings import ProbeDoubts
+from labpipe.methods.run_ups.settings import ProbeUncertainties
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter
-from labpipe.records.uncertain import Doubt, Uncertain
+from labpipe.records.uncertain import Uncertain, Uncertainty
 from tests.draws.usual import Errors
 
-USUAL = ProbeDoubts(Uncertain(1.0, 0.01), Uncertain(0.0, np.radians(0.5)), Uncertain(0.0, 5e-6), Uncertain(0.0, np.radians(1.0)))
+USUAL = ProbeUncertainties(Uncertain(1.0, 0.01), Uncertain(0.0, np.radians(0.5)), Uncertain(0.0, 5e-6), Uncertain(0.0, np.radians(1.0)))
 TWO_SIDED = 1.959964
 
 
@@ -47,7 +47,7 @@ class RunUpWorlds:
 
     def amounts(self, errors: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
         """Parameters (logarithms) [1], critical and threshold speeds [rad/s] of the joint fit, less what is true in this world."""
-        true = PRIOR * np.array([errors.of(Doubt(f"bearing's {name}", 1.0, "1")) for name in PARAMETERS])
+        true = PRIOR * np.array([errors.of(Uncertainty(f"bearing's {name}", 1.0, "1")) for name in PARAMETERS])
         true[[name in self.known for name in PARAMETERS]] = 0.0
         fit = fit_jointly(self.rig, [self._recorded(run, true, errors, rng) for run in self.runs], known=self.known)
         if fit.rejected:
@@ -105,13 +105,13 @@ def _factors(planes: Sequence[str], speed: np.ndarray, errors: Errors) -> np.nda
     for at, plane in enumerate(planes):
         for axis, direction in enumerate(DIRECTIONS):
             gain, phase, delay = (
-                errors.of(Doubt(f"{plane} {direction}.{effect}", number.std_error, ""))
+                errors.of(Uncertainty(f"{plane} {direction}.{effect}", number.std_error, ""))
                 for effect, number in (("gain", USUAL.gain), ("phase", USUAL.phase), ("delay", USUAL.delay))
                 if number is not None
             )
             factor[:, at, axis] = (1 - gain) * np.exp(1j * (phase + speed * delay))
     assert USUAL.keyphasor is not None
-    turned: np.ndarray = factor * np.exp(1j * errors.of(Doubt("keyphasor", USUAL.keyphasor.std_error, "rad")))
+    turned: np.ndarray = factor * np.exp(1j * errors.of(Uncertainty("keyphasor", USUAL.keyphasor.std_error, "rad")))
     return turned
 
 

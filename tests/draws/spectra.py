@@ -32,7 +32,7 @@ class SpectraWorlds:
         vectors = spectra.vectors.copy()
         for quantity in dict.fromkeys(channel.quantity for channel in spectra.channels):
             self._aim(vectors, quantity, errors)
-        vectors *= np.stack([factor_of(channel.doubts, omega, errors) for channel in spectra.channels], axis=1)[:, None]
+        vectors *= np.stack([factor_of(channel.uncertainties, omega, errors) for channel in spectra.channels], axis=1)[:, None]
         if rng is not None:
             assert not spectra.line_correlation
             parts = rng.standard_normal((2, *vectors.shape)) / np.sqrt(2)
@@ -46,7 +46,7 @@ class SpectraWorlds:
             return
         channels = [self.spectra.channels[n] for n in columns]
         written = np.array([direction(channel) for channel in channels])
-        true = written - np.array([angle_error(channel.doubts, errors) for channel in channels])
+        true = written - np.array([angle_error(channel.uncertainties, errors) for channel in channels])
         old, new = (np.stack([np.cos(angles), np.sin(angles)]) for angles in (written, true))
         turn = np.linalg.solve(new, old) if channels[0].quantity == "force" else np.linalg.solve(old, new).T
         vectors[..., columns] = vectors[..., columns] @ turn.T

@@ -57,10 +57,13 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     Gains of 0.2 %, for which first order holds; with those of usual size, 1 %, the bandwidth is known to a third only.
     """
     rig = (ROOT / "configs/hmb-injection.yaml").read_text()
-    for name, doubt in (("before", "doubt: {gain: 0.2 %}, delay: 0 s +- 1 us"), ("after", "doubt: {gain: 0.2 %, phase: 0.1 deg}")):
+    for name, uncertainty in (
+        ("before", "uncertainty: {gain: 0.2 %}, delay: 0 s +- 1 us"),
+        ("after", "uncertainty: {gain: 0.2 %, phase: 0.1 deg}"),
+    ):
         line = f'{name}: {{column: "{name} [uV]", quantity: voltage, unit: uV, role: output'
         assert line in rig
-        rig = rig.replace(line, f"{line}, {doubt}")
+        rig = rig.replace(line, f"{line}, {uncertainty}")
     (tmp_path / "rig.yaml").write_text(rig)
     pipeline = (PIPELINES / "magnetic-sensitivity.yaml").read_text()
     pipeline = pipeline.replace("../configs/hmb-injection.yaml", "rig.yaml").replace("../", f"{ROOT}/")

@@ -10,7 +10,7 @@ from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.unbalance import UnbalanceRuns, UnbalanceSettings, unbalance_runs
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from tests.draws.usual import Errors
 
 # Of every clearance by itself, and of the oil that all bearings have in common.
@@ -23,7 +23,7 @@ TWO_SIDED = 1.959964
 
 @dataclass(frozen=True)
 class UnbalanceWorlds:
-    """The *settings* about the peaks, with doubts in the rotor's bearings, and what is *stated* of the peaks then."""
+    """The *settings* about the peaks, with uncertainties in the rotor's bearings, and what is *stated* of the peaks then."""
 
     settings: UnbalanceSettings
     stated: UnbalanceRuns
@@ -40,8 +40,8 @@ class UnbalanceWorlds:
         for place in rig.bearings:
             film = place.film("a world")
             off = {
-                "clearance": film.clearance * (1 + errors.of(Doubt(f"{place.name}.clearance", CLEARANCE, "1"))),
-                "viscosity": film.viscosity * (1 + errors.of(Doubt("oil", VISCOSITY, "1"))),
+                "clearance": film.clearance * (1 + errors.of(Uncertainty(f"{place.name}.clearance", CLEARANCE, "1"))),
+                "viscosity": film.viscosity * (1 + errors.of(Uncertainty("oil", VISCOSITY, "1"))),
             }
             rig = rig.with_bearings((place.name,), **off)
         begin = 0.0 if rng is None else self.settings.step * rng.uniform(-0.5, 0.5)
@@ -58,7 +58,7 @@ class UnbalanceWorlds:
 
 def _plain(settings: UnbalanceSettings) -> object:
     assert settings.rig is not None
-    return replace(settings.rig, bearings=tuple(replace(place, doubts=()) for place in settings.rig.bearings))
+    return replace(settings.rig, bearings=tuple(replace(place, uncertainties=()) for place in settings.rig.bearings))
 
 
 def unbalance_worlds(pipeline: Pipeline) -> UnbalanceWorlds | None:

@@ -13,7 +13,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.simulate.linear import BaseRig, relative_transmissibility
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -175,12 +175,12 @@ def test_the_virtual_table_obeys_the_equation_of_motion() -> None:
 def test_the_budget_is_that_of_refits(estimator: str, is_relative: bool) -> None:
     """A gain of 1 % of the mass's sensor acts on T itself, not on T - 1; a mass of +- 1 % on k and c in proportion."""
     exact = relative(LINES) if is_relative else absolute(LINES)
-    gain = ChannelDoubt("gain", Doubt("mass.sensitivity", 0.01, "1"))
-    doubted = replace(response(exact, 1e-3), outputs=(Port("mass", "mass", "z", None, (gain,)),))
+    gain = ChannelUncertainty("gain", Uncertainty("mass.sensitivity", 0.01, "1"))
+    uncertain = replace(response(exact, 1e-3), outputs=(Port("mass", "mass", "z", None, (gain,)),))
     settings = FitSettings("base", mass="2 kg +- 1 %", relative=is_relative, estimator=estimator)
-    (fit,) = identify(doubted, settings)
+    (fit,) = identify(uncertain, settings)
     assert fit.budget is not None
-    ends = [identify(replace(doubted, matrix=doubted.matrix * (1 - error)), settings)[0] for error in (0.001, -0.001)]
+    ends = [identify(replace(uncertain, matrix=uncertain.matrix * (1 - error)), settings)[0] for error in (0.001, -0.001)]
     for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
         expected = 10 * (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
         assert fit.budget.change_by("mass.sensitivity", name) == pytest.approx(expected, abs=0.02 * combined)

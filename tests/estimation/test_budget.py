@@ -14,15 +14,15 @@ from labpipe.project.judging import judge
 from labpipe.project.rules import Rule
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.spectra import FreeDecay, FreeDecays
-from labpipe.records.uncertain import Budget, ChannelDoubt, Doubt, Uncertain
+from labpipe.records.uncertain import Budget, ChannelUncertainty, Uncertain, Uncertainty
 from labpipe.report.budget import budget_blocks
 from labpipe.report.document import Table
 
 K, C, M = 1.35e5, 3.7, 0.79
 BAND = np.arange(60.0, 72.0, 0.1)
-GAIN_F = ChannelDoubt("gain", Doubt("f.sensitivity", 0.005, "1", dof=20.0))
-GAIN_X = ChannelDoubt("gain", Doubt("x.sensitivity", 0.01, "1"))
-DELAY_X = ChannelDoubt("delay", Doubt("x.delay", 2e-6, "s"))
+GAIN_F = ChannelUncertainty("gain", Uncertainty("f.sensitivity", 0.005, "1", dof=20.0))
+GAIN_X = ChannelUncertainty("gain", Uncertainty("x.sensitivity", 0.01, "1"))
+DELAY_X = ChannelUncertainty("delay", Uncertainty("x.delay", 2e-6, "s"))
 
 
 def a_response(rng, noise: float = 1e-3, output=(GAIN_X, DELAY_X), force=(GAIN_F,)) -> FrequencyResponse:
@@ -69,8 +69,11 @@ def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
             assert fit.budget.change_by("mass 0.79 kg", name) == pytest.approx(expected, abs=0.01 * combined)
 
 
-def test_near_resonance_the_mass_is_the_stiffness_s_doubt(rng) -> None:
-    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative doubt and hardly any gain; c takes gains -1 and 1."""
+def test_near_resonance_the_mass_is_the_stiffness_s_uncertainty(rng) -> None:
+    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative uncertainty and hardly any gain.
+
+    C takes gains -1 and 1.
+    """
     (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %"))
     budget = fit.budget
     assert budget is not None
@@ -83,7 +86,7 @@ def test_near_resonance_the_mass_is_the_stiffness_s_doubt(rng) -> None:
     assert sum(budget.shares("c").values()) == pytest.approx(1.0)
 
 
-def test_parameters_hold_the_combined_doubt(rng) -> None:
+def test_parameters_hold_the_combined_uncertainty(rng) -> None:
     (fit,) = identify(a_response(rng), settings("ml"))
     budget = fit.budget
     assert budget is not None
@@ -98,12 +101,12 @@ def test_parameters_hold_the_combined_doubt(rng) -> None:
 
 def test_common_sources_cancel_or_add(rng) -> None:
     """One calibrator of both sensors: force over displacement does not change with it."""
-    both = ChannelDoubt("gain", Doubt("calibrator", 0.01, "1"))
+    both = ChannelUncertainty("gain", Uncertainty("calibrator", 0.01, "1"))
     (fit,) = identify(a_response(rng, output=(both,), force=(both,)), settings("ml"))
     assert fit.budget is None or np.max(np.abs(fit.budget.changes / [p.value for p in fit.parameters])) < 1e-9
 
 
-def test_no_doubts_no_budget(rng) -> None:
+def test_no_uncertainties_no_budget(rng) -> None:
     (fit,) = identify(a_response(rng, output=(), force=()), settings("ml", mass="0.79 kg"))
     assert fit.budget is None
     assert fit.parameter("k").systematic is None
@@ -111,14 +114,14 @@ def test_no_doubts_no_budget(rng) -> None:
 
 def test_effective_degrees_of_freedom_are_welch_and_satterthwaite_s() -> None:
     """GUM G.4.1 with u = 3 (nu 9), 4 (nu 16): u_c = 5, nu_eff = 625 / (81 / 9 + 256 / 16) = 25."""
-    budget = Budget(("k",), np.array([3.0]), 9.0, (Doubt("s", 0.1, "1", dof=16.0),), np.array([[4.0]]))
+    budget = Budget(("k",), np.array([3.0]), 9.0, (Uncertainty("s", 0.1, "1", dof=16.0),), np.array([[4.0]]))
     assert budget.combined == pytest.approx(5.0)
     assert budget.dof == pytest.approx(25.0)
-    known = Budget(("k",), np.array([3.0]), None, (Doubt("s", 0.1, "1"),), np.array([[4.0]]))
+    known = Budget(("k",), np.array([3.0]), None, (Uncertainty("s", 0.1, "1"),), np.array([[4.0]]))
     assert np.isinf(known.dof[0])
 
 
-def test_directions_of_forces_make_cross_terms_doubtful(rng) -> None:
+def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
     """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction changed."""
     w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
     stiffness, damping = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]])
@@ -126,7 +129,7 @@ def test_directions_of_forces_make_cross_terms_doubtful(rng) -> None:
     h = np.linalg.inv(z)
     std = 1e-4 * np.max(np.abs(h))
     noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    turned = ChannelDoubt("direction", Doubt("fx.dof", np.radians(0.5), "rad"))
+    turned = ChannelUncertainty("direction", Uncertainty("fx.dof", np.radians(0.5), "rad"))
 
     def fitted(angle: float):
         outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
@@ -149,7 +152,7 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
     h = np.linalg.inv(stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping)
     std = 1e-4 * np.max(np.abs(h))
     noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    turned = ChannelDoubt("direction", Doubt("x.dof", size, "rad"))
+    turned = ChannelUncertainty("direction", Uncertainty("x.dof", size, "rad"))
 
     def fitted(angle: float):
         outputs = (Port("x", "x", "x", 0.0, (turned,)), Port("y", "y", "y", np.pi / 2))
@@ -167,11 +170,11 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
         assert fit.budget.change_by("x.dof", name) == pytest.approx(expected, abs=0.02 * combined)
 
 
-def test_a_mass_in_the_settings_keeps_its_doubt() -> None:
+def test_a_mass_in_the_settings_keeps_its_uncertainty() -> None:
     given = settings("ml", mass="0.79 kg +- 1 % (k=2)")
     assert given.mass == 0.79
-    assert dict(given.doubts)["mass"] == Uncertain(0.79, pytest.approx(0.00395))
-    assert dataclasses.replace(given, estimator="ls").doubts == given.doubts
+    assert dict(given.uncertainties)["mass"] == Uncertain(0.79, pytest.approx(0.00395))
+    assert dataclasses.replace(given, estimator="ls").uncertainties == given.uncertainties
 
 
 def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
@@ -186,9 +189,9 @@ def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
 
 
 @pytest.mark.long
-def test_a_large_doubt_is_beyond_first_order(rng) -> None:
+def test_a_large_uncertainty_is_beyond_first_order(rng) -> None:
     """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
-    large = ChannelDoubt("gain", Doubt("f.sensitivity", 0.3, "1"))
+    large = ChannelUncertainty("gain", Uncertainty("f.sensitivity", 0.3, "1"))
     (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=200))
     (finding,) = [finding for finding in fit.findings if finding.code == "first-order"]
     assert "c (" in finding.message and fit.budget is not None
@@ -197,7 +200,7 @@ def test_a_large_doubt_is_beyond_first_order(rng) -> None:
 @pytest.mark.parametrize("shape", ["normal", "rectangular", "triangular"])
 def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
     """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000 draws."""
-    draws = np.array([drawn_error(Doubt("s", 1.0, "1", None, shape), rng) for _ in range(20000)])
+    draws = np.array([drawn_error(Uncertainty("s", 1.0, "1", None, shape), rng) for _ in range(20000)])
     assert np.std(draws) == pytest.approx(1.0, abs=0.03)
     expected = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4}[shape]
     assert np.mean(draws**4) / np.mean(draws**2) ** 2 == pytest.approx(expected, abs=0.2)
@@ -205,8 +208,8 @@ def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
         assert np.max(np.abs(draws)) <= {"rectangular": 3**0.5, "triangular": 6**0.5}[shape]
 
 
-def test_a_ring_down_s_stiffness_takes_the_doubt_of_its_mass() -> None:
-    """k = m w_n^2: relative doubts of k and c are that of the mass and of the pole; f_n and zeta have none of it."""
+def test_a_ring_down_s_stiffness_takes_the_uncertainty_of_its_mass() -> None:
+    """k = m w_n^2: relative uncertainties of k and c are that of the mass and of the pole; f_n and zeta have none of it."""
     # One record in a hundred is called coloured by chance, and has no intervals then; this one is not.
     rng = np.random.default_rng(1)
     time = np.arange(4096) / 1024

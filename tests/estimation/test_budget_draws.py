@@ -14,15 +14,15 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 GAIN_F, GAIN_X, DELAY, ANGLE, MASS = 0.005, 0.01, 2e-6, np.radians(0.5), 0.005
 
 
-def doubts_of(name: str, gain: float, *, delay: bool = False, angle: bool = False) -> tuple[ChannelDoubt, ...]:
-    found = [ChannelDoubt("gain", Doubt(f"{name}.sensitivity", gain, "1"))]
-    found += [ChannelDoubt("delay", Doubt(f"{name}.delay", DELAY, "s"))] if delay else []
-    found += [ChannelDoubt("direction", Doubt(f"{name}.dof", ANGLE, "rad"))] if angle else []
+def uncertainties_of(name: str, gain: float, *, delay: bool = False, angle: bool = False) -> tuple[ChannelUncertainty, ...]:
+    found = [ChannelUncertainty("gain", Uncertainty(f"{name}.sensitivity", gain, "1"))]
+    found += [ChannelUncertainty("delay", Uncertainty(f"{name}.delay", DELAY, "s"))] if delay else []
+    found += [ChannelUncertainty("direction", Uncertainty(f"{name}.dof", ANGLE, "rad"))] if angle else []
     return tuple(found)
 
 
@@ -56,7 +56,10 @@ def pedestal(rng, draws: int, mass_known: bool) -> Worlds:
     w = 2 * np.pi * frequency
     h = 1 / (k - m * w**2 + 1j * w * c)
     std = 1e-3 * np.max(np.abs(h))
-    ports = (Port("x", "x", "x", 0.0, doubts_of("x", GAIN_X, delay=True)),), (Port("f", "f", "x", 0.0, doubts_of("f", GAIN_F)),)
+    ports = (
+        (Port("x", "x", "x", 0.0, uncertainties_of("x", GAIN_X, delay=True)),),
+        (Port("f", "f", "x", 0.0, uncertainties_of("f", GAIN_F)),),
+    )
     worlds = Worlds(("k", "c") if mass_known else ("k", "c", "m"), np.array([k, c] if mass_known else [k, c, m]))
     for _ in range(draws):
         noise = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
@@ -79,8 +82,8 @@ def rotor(rng, draws: int) -> Worlds:
     inverse = np.linalg.inv(stiffness + 1j * w * damping - m * w**2 * np.eye(2))
     std = 5e-4 * np.max(np.abs(inverse))
     names = tuple(f"{letter}_{axes}" for letter in "kc" for axes in ("xx", "xy", "yx", "yy"))
-    outputs = tuple(Port(n, n, n, a, doubts_of(n, GAIN_X)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
-    inputs = tuple(Port(f"f{n}", f"f{n}", n, a, doubts_of(f"f{n}", GAIN_F, angle=True)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
+    outputs = tuple(Port(n, n, n, a, uncertainties_of(n, GAIN_X)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
+    inputs = tuple(Port(f"f{n}", f"f{n}", n, a, uncertainties_of(f"f{n}", GAIN_F, angle=True)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
     worlds = Worlds(names, np.concatenate([stiffness.reshape(-1), damping.reshape(-1)]))
     for _ in range(draws):
         turned = np.array([0.0, np.pi / 2]) + ANGLE * rng.standard_normal(2)
@@ -127,7 +130,7 @@ def relative_change(rng, k: float, mass: str) -> float:
     h = 1 / (k - 0.79 * w**2 + 1j * w * 3.7)
     std = 1e-3 * np.max(np.abs(h))
     noise = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
-    ports = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0, doubts_of("f", GAIN_F)),)
+    ports = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0, uncertainties_of("f", GAIN_F)),)
     covariance = uncorrelated(np.full((w.size, 1, 1), std**2))
     response = FrequencyResponse(frequency, (h + noise)[:, None, None], *ports, covariance=covariance)
     (fit,) = identify(response, FitSettings("sdof", mass=mass, name="p"))

@@ -23,7 +23,7 @@ STATED = replace(ML, fit=plain)
 EQUATIONS = replace(LS, fit=least_squares)
 """
 # Short blocks of random data; a model that lacks a mode; a mode seen from another point, with a mass that is not known; a given mass and
-# a sensor in doubt.
+# a sensor in uncertainty.
 FITTED = """
 import json, sys
 from dataclasses import replace

@@ -235,9 +235,9 @@ def test_a_key_that_an_estimator_has_no_use_for_is_refused_at_its_line(estimator
     ("model", "keys", "message"),
     [
         ("mdof", {"lumped_mass": True}, "'lumped_mass' is for a mass that is estimated; mass: estimate"),
-        ("base", {"mass": "estimate", "doubts": (), "share": 2}, "'share' needs the mass"),
-        ("base", {"mass": "estimate", "doubts": (), "subtract": {"damping": "1 N.s/m"}}, "'subtract' needs the mass"),
-        ("sdof", {"mass": 0.92, "doubts": (), "monte_carlo": 200}, "'monte_carlo' has nothing to draw"),
+        ("base", {"mass": "estimate", "uncertainties": (), "share": 2}, "'share' needs the mass"),
+        ("base", {"mass": "estimate", "uncertainties": (), "subtract": {"damping": "1 N.s/m"}}, "'subtract' needs the mass"),
+        ("sdof", {"mass": 0.92, "uncertainties": (), "monte_carlo": 200}, "'monte_carlo' has nothing to draw"),
         ("modal", {"mass": ("1 kg", "2 kg")}, "a modal fit takes one mass"),
     ],
 )

@@ -99,7 +99,7 @@ def test_edges_of_a_single_band_belong_to_it(sdof_response) -> None:
     assert (fit.lines, fit.equations, fit.dof) == (9, 18, 16)
 
 
-def test_support_is_subtracted_and_the_rest_shared_with_its_doubt(sdof_response) -> None:
+def test_support_is_subtracted_and_the_rest_shared_with_its_uncertainty(sdof_response) -> None:
     response = sdof_response(1e-6, np.random.default_rng(2))
     (total,) = identify(response, SDOF)
     support = Support(Uncertain(34.5e3, 200.0), Uncertain(1.0, 0.2))

@@ -51,9 +51,9 @@ def test_a_mass_30_percent_off_is_named_though_the_curve_is_followed(estimator: 
     )
     (finding,) = findings(fit, "mass")
     mass, error = map(float, re.findall(r"comes out as ([\d.]+) \+- ([\d.]+) kg", finding.message)[0])
-    stiffness, doubt, before = map(float, re.findall(r"k is then ([\d.]+) \+- ([\d.]+) kN/m instead of ([\d.]+)", finding.message)[0])
+    stiffness, uncertainty, before = map(float, re.findall(r"k is then ([\d.]+) \+- ([\d.]+) kN/m instead of ([\d.]+)", finding.message)[0])
     assert abs(mass - MASS) < 4 * error < 0.02
-    assert abs(stiffness - STIFFNESS / 1e3) < 4 * doubt < 1
+    assert abs(stiffness - STIFFNESS / 1e3) < 4 * uncertainty < 1
     assert before == pytest.approx(fit.parameter("k").value / 1e3, rel=1e-4)
 
 

@@ -54,7 +54,7 @@ def test_three_per_cent_of_stiffness_is_named_at_the_highest_level() -> None:
     assert re.search(r"stiffness by \+3\.00 \+- 0\.28 %", message)
 
 
-def test_correlated_estimates_are_held_against_their_joint_doubt() -> None:
+def test_correlated_estimates_are_held_against_their_joint_uncertainty() -> None:
     """Both a standard error and a half up: along the long axis of a correlation of 0.99 that is chance, across it is not.
 
     z^2 of the change (1.5, +-1.5) sqrt(2) standard errors of the difference: 2 * 2.25 / (2 (1 +- 0.99)).

@@ -8,7 +8,7 @@ import pytest
 from labpipe.estimation.budget import across_ports, changes_by, matrix_errors
 from labpipe.estimation.measured import Measured
 from labpipe.records.response import Port
-from labpipe.records.uncertain import ChannelDoubt, Doubt, MatrixError
+from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertainty
 
 OMEGA = np.array([10.0, 25.0, 40.0])
 PLANE = np.array([[[3 + 1j, 0.5], [-0.7j, 2]], [[1, 2 - 1j], [0.3, 1j]], [[2j, 1], [1, 1]]])
@@ -27,10 +27,10 @@ def seen(outputs: np.ndarray = OUTPUTS, forces: np.ndarray = FORCES) -> np.ndarr
 
 
 def measured(effect: str, std_error: float, port: str, **more: object) -> Measured:
-    """The matrix, with a doubt of the second output or of the second force."""
-    doubt = (ChannelDoubt(effect, Doubt("number", std_error, "1")),)
-    outputs = tuple(Port(name, name, name, a, doubt if port == name else ()) for name, a in zip(("a", "b"), OUTPUTS, strict=True))
-    forces = tuple(Port(name, name, name, a, doubt if port == name else ()) for name, a in zip(("f", "g"), FORCES, strict=True))
+    """The matrix, with an uncertainty of the second output or of the second force."""
+    uncertainty = (ChannelUncertainty(effect, Uncertainty("number", std_error, "1")),)
+    outputs = tuple(Port(name, name, name, a, uncertainty if port == name else ()) for name, a in zip(("a", "b"), OUTPUTS, strict=True))
+    forces = tuple(Port(name, name, name, a, uncertainty if port == name else ()) for name, a in zip(("f", "g"), FORCES, strict=True))
     known = {"covariance": None, "noise_dof": np.inf, "noise_lines": 1.0, "outputs": outputs, "inputs": forces}
     return Measured(omega=OMEGA, matrix=seen(), **known, **more)
 
@@ -57,7 +57,7 @@ def test_a_direction_written_too_large_turns_its_row_or_column_back(port: str) -
 
 
 def test_numbers_of_one_source_err_together() -> None:
-    both = measured("gain", 0.01, "b", errors=(MatrixError(Doubt("number", 0.01, "1"), np.ones((3, 2, 2))),))
+    both = measured("gain", 0.01, "b", errors=(MatrixError(Uncertainty("number", 0.01, "1"), np.ones((3, 2, 2))),))
     (alone,), (error,) = matrix_errors(measured("gain", 0.01, "b")), matrix_errors(both)
     np.testing.assert_allclose(error.change, alone.change + 1, rtol=1e-15)
 
@@ -75,7 +75,7 @@ def test_ports_that_do_not_tell_the_plane() -> None:
 
 def test_changes_are_central_differences() -> None:
     """Of a sum, its square and its exponential, over a thousandth of the error to either side: 3, 0 and sinh(3 h) / h with h = 1e-3."""
-    one = MatrixError(Doubt("number", 0.01, "1"), np.ones((3, 1, 1)))
-    ((doubt, change),) = changes_by((one,), lambda by: np.array([np.sum(by).real, np.sum(by).real ** 2, np.exp(np.sum(by).real)]))
-    assert doubt.source == "number"
+    one = MatrixError(Uncertainty("number", 0.01, "1"), np.ones((3, 1, 1)))
+    ((uncertainty, change),) = changes_by((one,), lambda by: np.array([np.sum(by).real, np.sum(by).real ** 2, np.exp(np.sum(by).real)]))
+    assert uncertainty.source == "number"
     np.testing.assert_allclose(change, [3, 0, np.sinh(3e-3) / 1e-3], rtol=1e-9, atol=1e-15)

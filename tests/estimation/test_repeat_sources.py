@@ -22,15 +22,15 @@ REMOUNTING = RepeatSource("remounting", "k", 0.01, "mounting", 4.0)
 DRIFT = RepeatSource("drift", "k", 0.005)
 
 
-def fitted(doubts=()) -> Fit:
-    (fit,) = identify(a_response(np.random.default_rng(3), output=doubts, force=()), FitSettings("sdof", name="peak", mass=0.79))
+def fitted(uncertainties=()) -> Fit:
+    (fit,) = identify(a_response(np.random.default_rng(3), output=uncertainties, force=()), FitSettings("sdof", name="peak", mass=0.79))
     return fit
 
 
-@pytest.mark.parametrize("doubts", [(), (GAIN_X,)])
-def test_sources_add_in_squares_and_share_their_degrees_of_freedom(doubts) -> None:
+@pytest.mark.parametrize("uncertainties", [(), (GAIN_X,)])
+def test_sources_add_in_squares_and_share_their_degrees_of_freedom(uncertainties) -> None:
     """u_c^2 = u_noise^2 + u_gain^2 + (1 % k)^2 + (0.5 % k)^2; Welch and Satterthwaite with 4 degrees behind the largest."""
-    before = fitted(doubts)
+    before = fitted(uncertainties)
     fit = with_repeat_sources(before, [REMOUNTING, DRIFT], "a", {"mounting": 3}, 0.95)
     k, was = fit.parameter("k"), before.parameter("k")
     known = was.systematic or 0.0

@@ -1,4 +1,4 @@
-"""Lines that share noise: sums over chosen pairs by hand, and every estimator's doubt grows by the same factor."""
+"""Lines that share noise: sums over chosen pairs by hand, and every estimator's uncertainty grows by the same factor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.estimation.linear_models import sdof
 from labpipe.estimation.measured import measured_part
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import WeightDoubt, weight_doubt
+from labpipe.estimation.weights import WeightUncertainty, weight_uncertainty
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
 SHARED = (0.4, 0.1)
@@ -86,12 +86,12 @@ def test_bootstrap_scatters_as_much(response: FrequencyResponse) -> None:
 
 def test_the_residual_test_counts_independent_lines(response: FrequencyResponse) -> None:
     measured = measured_part(response, [0], [0], np.ones(100, bool))
-    doubt = weight_doubt(measured, 198)
+    uncertainty = weight_uncertainty(measured, 198)
     g = measured.shared_power
-    assert doubt == WeightDoubt(1.0, measured.shared_noise, np.inf, g)
-    assert doubt.p_value(1.2, 198) == pytest.approx(stats.chi2.sf(1.2 * 198 / g, 198 / g), rel=1e-12)
+    assert uncertainty == WeightUncertainty(1.0, measured.shared_noise, np.inf, g)
+    assert uncertainty.p_value(1.2, 198) == pytest.approx(stats.chi2.sf(1.2 * 198 / g, 198 / g), rel=1e-12)
     # An F distribution of mean 1 whose variance is that of both parts; estimates of 30 degrees of freedom share as the noise does.
-    estimated = weight_doubt(replace(measured, noise_dof=30.0), 198)
+    estimated = weight_uncertainty(replace(measured, noise_dof=30.0), 198)
     a, d1, d2 = 29.0, 198 / g, estimated.residual_dof
     spread = 30 * (g * a + measured.shared_noise) / ((a**2 - 1) * 100)
     assert stats.f(d1, d2).std() ** 2 / stats.f(d1, d2).mean() ** 2 == pytest.approx(spread * 200 / 198, rel=1e-9)

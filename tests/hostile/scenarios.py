@@ -52,7 +52,7 @@ CAMPAIGN = {
     "bearing.yaml": shown("bearings/nsk-6208.yaml"),
     "sensor.csv": SENSOR,
     "line.csv": CALIBRATION,
-    "rig.yaml": RIG.replace("role: output, dof: y", "role: output, dof: x, response: sensor.csv, doubt: {gain: 1 %}")
+    "rig.yaml": RIG.replace("role: output, dof: y", "role: output, dof: x, response: sensor.csv, uncertainty: {gain: 1 %}")
     .replace("dof: y", "dof: x")
     .replace("unit: N", "unit: kN")
     .replace("[N]", "[kN]")

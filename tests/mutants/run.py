@@ -239,13 +239,13 @@ def main() -> int:
             os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
             outcomes[outcome] += 1
             print(f"{number} {module}:{place}\n    {outcome} ({time.monotonic() - began:.0f} s)", flush=True)
-        doubtful = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
+        uncertain = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
     missed = outcomes[SURVIVES] + outcomes[LATE]
     print(f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since they hang")
     print(f"{outcomes[SURVIVES]} survive; {outcomes[LATE]} were not noticed within their time")
-    if doubtful:
-        print(f"{doubtful} fails on the code as it is: what it noticed does not count")
-    return 1 if missed or doubtful else 0
+    if uncertain:
+        print(f"{uncertain} fails on the code as it is: what it noticed does not count")
+    return 1 if missed or uncertain else 0
 
 
 def mutants(modules: Sequence[str], rng: random.Random, number: int) -> Iterator[tuple[str, str, str]]:

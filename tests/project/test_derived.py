@@ -70,7 +70,9 @@ def test_a_sum_is_read_as_an_engineer_writes_it(tmp_path: Path, quantity: str, t
         ("f - cos(60 deg +- 2 deg) * 30 kg * a", "cos(60 deg in s", math.radians(2), 30 * math.sin(math.radians(60))),
     ],
 )
-def test_the_doubt_of_a_number_is_kept_with_its_derivative(tmp_path: Path, text: str, name: str, error: float, derivative: float) -> None:
+def test_the_uncertainty_of_a_number_is_kept_with_its_derivative(
+    tmp_path: Path, text: str, name: str, error: float, derivative: float
+) -> None:
     """d(sum)/d(number), by hand."""
     term = terms(tmp_path, "force", text)["a"]
     assert [number.std_error for number in term.numbers] == pytest.approx([error])
@@ -79,7 +81,7 @@ def test_the_doubt_of_a_number_is_kept_with_its_derivative(tmp_path: Path, text:
 
 
 def test_sums_of_sums_are_written_out(tmp_path: Path) -> None:
-    """d = x1 - x2, e = 3 m_s a + 2 kN/mm d: the doubt of m_s is in a, once."""
+    """d = x1 - x2, e = 3 m_s a + 2 kN/mm d: the uncertainty of m_s is in a, once."""
     derived = rig(
         tmp_path, "d: {quantity: displacement, derived: x1 - x2}", "e: {quantity: force, derived: '3 * m_s * a + 2 kN/mm * d', dof: x}"
     ).derived
@@ -170,12 +172,12 @@ def seal_recordings(**changes: object) -> list[Recording]:
     assert isinstance(virtual, FloatingRig)
     none = ((0.0, 0.0), (0.0, 0.0))
     virtual = replace(virtual, baseline_stiffness=none, baseline_damping=none, noise=FloatingNoise(0, 0, 0, 0), runout=(), unbalance=0.0)
-    doubt = Number("m_s", 60.0, 0.5, "kg")
+    uncertainty = Number("m_s", 60.0, 0.5, "kg")
     made = []
     for run in recordings(virtual, 1, ["seal-plus", "seal-minus"]):
         kept = [replace(channel, role="reference", **changes) if channel.name[0] in "fa" else channel for channel in run.channels]
         sums = [
-            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (doubt,), (-1.0,))))
+            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))))
             for axis in "xy"
         ]
         forces = run.samples[:, :2] - 60 * run.samples[:, 4:6]
@@ -192,7 +194,7 @@ def test_an_acceleration_of_a_moving_mass_serves_as_a_force() -> None:
     np.testing.assert_allclose(np.linalg.inv(response.matrix), film, rtol=1e-6)
     # A mass of the stator that is off by d leaves -d (j w)^2 of its own motion, which is that of the film less the shaft's.
     (error,) = response.errors
-    assert (error.doubt.source, error.doubt.std_error) == ("m_s, 60 kg", 0.5)
+    assert (error.uncertainty.source, error.uncertainty.std_error) == ("m_s, 60 kg", 0.5)
 
 
 def test_a_sum_in_time_of_channels_with_different_delays_is_refused() -> None:

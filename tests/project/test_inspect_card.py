@@ -74,7 +74,7 @@ def test_the_card_names_what_a_rig_file_contradicts(run: Path, labpipe) -> None:
     assert "no column &#x27;force&#x27;" in (run / "card.html").read_text()
 
 
-def test_the_card_of_a_response_shows_magnitude_phase_and_doubt(tmp_path: Path, labpipe, root: Path, monkeypatch) -> None:
+def test_the_card_of_a_response_shows_magnitude_phase_and_uncertainty(tmp_path: Path, labpipe, root: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     labpipe("frf", "-c", root / "pipelines/pedestal.yaml", "-o", "out")
     (response,) = (tmp_path / "out").glob("*.frf.parquet")

@@ -65,7 +65,7 @@ def test_what_is_no_value(text: str, what: str, hint: str) -> None:
     assert fault("value", text, "Hz") == (what, hint)
 
 
-# values with their doubt
+# values with their uncertainty
 
 
 @given(NUMBERS, NUMBERS, st.sampled_from(["+-", "±"]), st.booleans())
@@ -81,7 +81,7 @@ def test_a_share_is_of_the_size_of_the_value(size: float, negative: bool, percen
     assert found.std_error == pytest.approx(size * percent / 100, rel=1e-12) and found.std_error >= 0
 
 
-def test_without_a_stated_doubt_a_value_is_exact() -> None:
+def test_without_a_stated_uncertainty_a_value_is_exact() -> None:
     assert read("uncertain", "134.5 kN/m", "N/m") == Uncertain(134500.0)
     assert read("uncertain", "134.5 kN/m +- 0.4 kN/m", "N/m") == Uncertain(134500.0, pytest.approx(400.0))
 
@@ -95,7 +95,7 @@ def test_without_a_stated_doubt_a_value_is_exact() -> None:
         ("3 N +- much", "'much' is not a value with a unit"),
     ],
 )
-def test_a_doubt_that_cannot_be(text: str, what: str) -> None:
+def test_an_uncertainty_that_cannot_be(text: str, what: str) -> None:
     assert fault("uncertain", text, "N")[0] == what
 
 

@@ -61,7 +61,7 @@ def decays(seed: int) -> FreeDecays:
 
 
 def fit(seed: int, *names: str, **parts: Any) -> Fit:
-    """A fit with parameters of these names, and doubt of all of them but the last."""
+    """A fit with parameters of these names, and uncertainty of all of them but the last."""
     rng = np.random.default_rng(seed)
     errors: list[Any] = [*np.abs(spread(rng, len(names) - 1)), None] if len(names) > 1 else [1.0]
     parameters = tuple(

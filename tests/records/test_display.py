@@ -57,10 +57,10 @@ def test_what_is_not_finite_is_not_determined(value: float) -> None:
 
 @given(value=SIGNED, error=SIZES)
 def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_the_last_place(value: float, error: float) -> None:
-    shown, doubt = written(value, error)
+    shown, uncertainty = written(value, error)
     place = 10.0 ** (int(f"{error:.1e}".partition("e")[2]) - 1)
-    assert float(doubt) == pytest.approx(float(f"{error:.1e}"), rel=ROUNDING)
-    assert abs(float(doubt) - error) <= place * (0.5 + ROUNDING)
+    assert float(uncertainty) == pytest.approx(float(f"{error:.1e}"), rel=ROUNDING)
+    assert abs(float(uncertainty) - error) <= place * (0.5 + ROUNDING)
     assert abs(float(shown) - value) <= max(place * (0.5 + 1e-6), abs(value) * 5.1e-12)
     assert shown != "-0" and len(shown) < 20
 
@@ -68,8 +68,8 @@ def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_t
 @given(value=SIGNED, error=SIZES)
 def test_value_and_uncertainty_end_at_one_place_and_share_a_power(value: float, error: float) -> None:
     assume(abs(value) < 1e10 * error)  # Beyond twelve digits the uncertainty has a power of its own.
-    shown, doubt = written(value, error)
-    (mantissa, _, power), (small, _, other) = shown.partition("e"), doubt.partition("e")
+    shown, uncertainty = written(value, error)
+    (mantissa, _, power), (small, _, other) = shown.partition("e"), uncertainty.partition("e")
     assert power == other and len(mantissa.partition(".")[2]) == len(small.partition(".")[2])
 
 
@@ -127,7 +127,7 @@ def test_one_text() -> None:
     ("value", "unit", "text"),
     [(1.38e-5, "m", "13.8 um"), (8.7617e5, "Pa", "876.17 kPa"), (16.0, "1", "16"), (2.147e8, "N/m", "214.7 MN/m"), (0.0, "N", "0 N")],
 )
-def test_amounts_without_a_doubt_have_the_unit_that_suits_them(value: float, unit: str, text: str) -> None:
+def test_amounts_without_an_uncertainty_have_the_unit_that_suits_them(value: float, unit: str, text: str) -> None:
     assert plain_text(value, unit) == text
 
 

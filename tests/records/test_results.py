@@ -1,4 +1,4 @@
-"""Records of results: their doubt, their names, and what they say when a name is not there."""
+"""Records of results: their uncertainty, their names, and what they say when a name is not there."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_parameter_goes_by_its_name() -> None:
         FIT.parameter("m")
 
 
-def test_a_parameter_without_doubt_says_none_rather_than_nought() -> None:
+def test_a_parameter_without_uncertainty_says_none_rather_than_nought() -> None:
     assert (C.std_error, C.t_ratio, C.ci95, C.significant, C.vif, C.std_error_inflated) == (None,) * 6
     assert not C.derived and not C.at_bound
 

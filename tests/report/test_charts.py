@@ -123,8 +123,8 @@ def test_a_heat_map_has_texts_colours_and_a_scale(heat_map: Chart) -> None:
 
 
 def test_a_panel_without_series_says_why() -> None:
-    (axes,) = chart_canvas(stacked([Panel(Axis("frequency", "Hz"), Axis(), (), note="no doubt is stated")], 2.0)).axes
-    assert [text.get_text() for text in axes.texts] == ["no doubt is stated"]
+    (axes,) = chart_canvas(stacked([Panel(Axis("frequency", "Hz"), Axis(), (), note="no uncertainty is stated")], 2.0)).axes
+    assert [text.get_text() for text in axes.texts] == ["no uncertainty is stated"]
 
 
 @pytest.mark.parametrize("kind", DRAWINGS.names())

@@ -14,7 +14,7 @@ from labpipe.methods.floating_bearing.virtual_rig import FLOATING_RIG, FloatingR
 from labpipe.project.virtual_rig_file import load_virtual_rig
 from labpipe.records.recording import Channel, Number, Recording, Term
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra, shared_noise
 from labpipe.spectra.measurement import measure
@@ -110,13 +110,13 @@ def test_runs_share_their_noise_only_where_it_is_the_same() -> None:
 
 def with_sums(recordings: Sequence[Recording], **changes: float) -> list[Recording]:
     """e = f - 60 kg a beside the channels, the probes known to be late by 100 us."""
-    doubt = Number("m_s", 60.0, 0.5, "kg")
+    uncertainty = Number("m_s", 60.0, 0.5, "kg")
     made = []
     for run in recordings:
         kept = [replace(channel, delay=1e-4) if channel.name[0] == "d" else channel for channel in run.channels]
         kept = [replace(channel, role="reference") if channel.name[0] == "f" else channel for channel in kept]
         sums = [
-            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (doubt,), (-1.0,))))
+            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))))
             for axis in "xy"
         ]
         # What lies in the columns of the sums is not used.
@@ -144,17 +144,17 @@ def test_delays_are_taken_out_and_sums_made_line_by_line() -> None:
 
 
 @pytest.mark.parametrize("effect", ["gain", "delay", "phase", "direction"])
-def test_doubts_of_calibrations_change_the_vector_as_they_are_declared(effect: str) -> None:
+def test_uncertainties_of_calibrations_change_the_vector_as_they_are_declared(effect: str) -> None:
     """A recording whose d_x has the error gives another vector; the factor's derivative takes it back, to second order.
 
     By a thousandth: a gain of 1.001, 1 us, 1 mrad of phase, and d_x pointing 1 mrad towards y.
     """
     size = {"gain": 1e-3, "delay": 1e-6, "phase": 1e-3, "direction": 1e-3}[effect]
     runs = recordings(quiet(seal()), 1, ["seal-plus", "seal-minus"])
-    doubt = ChannelDoubt(effect, Doubt("probe", size, "1"))
+    uncertainty = ChannelUncertainty(effect, Uncertainty("probe", size, "1"))
     marked = []
     for run in runs:
-        channels = [replace(one, doubts=(doubt,)) if one.name == "d_x" else one for one in run.channels]
+        channels = [replace(one, uncertainties=(uncertainty,)) if one.name == "d_x" else one for one in run.channels]
         twice = Channel("s", "displacement", "output", "s", terms=(Term("d_x", -2.0),))
         marked.append(replace(run, channels=(*channels, twice), samples=np.column_stack([run.samples, run.samples[:, :1]])))
     exact = channel_spectra(marked, PERIODIC)
@@ -180,8 +180,11 @@ def test_a_force_that_points_elsewhere_pushes_across_too() -> None:
     """Forces add up: f_x at the angle -d, written as 0, acts as f_x cos d along x and -f_x sin d along y, which is left out."""
     angle = 1e-3
     runs = recordings(quiet(seal()), 1, ["seal-plus", "seal-minus"])
-    doubt = ChannelDoubt("direction", Doubt("shaker", angle, "rad"))
-    marked = [replace(run, channels=tuple(replace(c, doubts=(doubt,)) if c.name == "f_x" else c for c in run.channels)) for run in runs]
+    uncertainty = ChannelUncertainty("direction", Uncertainty("shaker", angle, "rad"))
+    marked = [
+        replace(run, channels=tuple(replace(c, uncertainties=(uncertainty,)) if c.name == "f_x" else c for c in run.channels))
+        for run in runs
+    ]
     found = channel_spectra(marked, PERIODIC)
     (factor,) = found.factors
     f_x, f_y = found.columns("force", "input")

@@ -66,5 +66,5 @@ def test_intervals_hold_the_truth(rng: np.random.Generator, case: tuple[float, f
         errors = np.array([(p.value - value, p.std_error) for p in parameters], float)
         # The standard error of a standard deviation.
         assert errors[:, 0].std() / np.sqrt(np.mean(errors[:, 1] ** 2)) == pytest.approx(1.0, abs=0.1 + 3 / np.sqrt(2 * runs))
-    doubted = sum(any(finding.code == "model-mismatch" for finding in fit.findings) for fit in fits)
-    assert doubted <= 1 + 0.02 * runs
+    uncertain = sum(any(finding.code == "model-mismatch" for finding in fit.findings) for fit in fits)
+    assert uncertain <= 1 + 0.02 * runs

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.uncertain import Doubt, MatrixError
+from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra.ports import joined
 
 FREQUENCY = np.array([1.0, 2.0, 3.0])
@@ -44,10 +44,10 @@ def test_errors_of_one_number_are_one_error_in_all_files() -> None:
     """The gain of the force is that of both files, the error of a sum in one of them that of its own element."""
 
     def error(source: str, value: complex) -> MatrixError:
-        return MatrixError(Doubt(source, 0.01, "1"), np.full((3, 1, 1), value))
+        return MatrixError(Uncertainty(source, 0.01, "1"), np.full((3, 1, 1), value))
 
     parts = [part("a", "f", 1, errors=(error("gain", 2), error("sum", 5))), part("b", "f", 1, errors=(error("gain", 3j),))]
-    found = {one.doubt.source: one.change for one in joined(parts).errors}
+    found = {one.uncertainty.source: one.change for one in joined(parts).errors}
     np.testing.assert_array_equal(found["gain"][1], [[2], [3j]])
     np.testing.assert_array_equal(found["sum"][1], [[5], [0]])
     # A file by itself is the whole matrix.

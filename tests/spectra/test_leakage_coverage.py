@@ -64,5 +64,5 @@ def test_fits_of_short_blocks_are_what_they_say(rng: np.random.Generator, lines:
 
 
 def test_a_gain_that_changes_over_the_band_is_seen(rng: np.random.Generator) -> None:
-    doubted = [fit for fit in (fitted(rng, 8.0, 0.03) for _ in range(6)) if any(f.code == "model-mismatch" for f in fit.findings)]
-    assert len(doubted) >= 5
+    uncertain = [fit for fit in (fitted(rng, 8.0, 0.03) for _ in range(6)) if any(f.code == "model-mismatch" for f in fit.findings)]
+    assert len(uncertain) >= 5

@@ -1,4 +1,4 @@
-"""measure: recordings of a known system -> its FRF, with the doubt it has."""
+"""measure: recordings of a known system -> its FRF, with the uncertainty it has."""
 
 from __future__ import annotations
 

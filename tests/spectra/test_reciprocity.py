@@ -1,4 +1,4 @@
-"""Reciprocity judged against simulated doubt; the covariance of a dynamic stiffness."""
+"""Reciprocity judged against simulated uncertainty; the covariance of a dynamic stiffness."""
 
 from __future__ import annotations
 

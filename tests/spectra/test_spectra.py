@@ -58,7 +58,7 @@ def same(one: ChannelSpectra, other: ChannelSpectra) -> bool:
 
 
 def test_spectra_are_those_of_the_recordings(lab: Path) -> None:
-    """The file holds what the functions give for the calibrated recordings, and the factor with its doubt."""
+    """The file holds what the functions give for the calibrated recordings, and the factor with its uncertainty."""
     stored = labpipe.read(lab / "out/seal.spectra.parquet")
     recordings = [labpipe.read(lab / f"seal-{end}.parquet", rig=lab / "rig.yaml") for end in ("plus", "minus")]
     settings = labpipe.FrfSettings("periodic", period="1 s", skip=0, band="10-100 Hz", result="spectra")

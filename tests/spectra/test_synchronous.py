@@ -70,7 +70,7 @@ def test_the_tacho_follows_a_speed_that_changes(rng: np.random.Generator) -> Non
 
 
 @pytest.mark.parametrize("way", ["remove", "mask"])
-def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_doubt(rng: np.random.Generator, way: str) -> None:
+def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_uncertainty(rng: np.random.Generator, way: str) -> None:
     recording = run(rng, even(50.0), (5.0, 0.5, 0.2))
     lines = MaskSettings(speed=50.0, harmonics=3) if way == "mask" else ShaftLines(speed=50.0, harmonics=3)
     settings = FrfSettings(excitation="random", block=1.0, band=(40.0, 160.0), **{way: lines})

@@ -16,7 +16,7 @@ from labpipe.estimation.budget import with_sources
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.records.comparison import Comparison
 from labpipe.records.identification import Fit
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
 from labpipe.uncertainty.bandwise import TwoTests, bandwise, holm
@@ -62,7 +62,7 @@ def test_the_p_value_is_welch_s(rng: np.random.Generator) -> None:
 
 def test_what_the_support_adds_to_both_is_no_part_of_the_difference() -> None:
     """60 N/m are each test's own, 80 N/m come from the support under both: the difference has 60 sqrt(2) N/m."""
-    support = Doubt("stiffness of the support", 160.0, "N/m")
+    support = Uncertainty("stiffness of the support", 160.0, "N/m")
 
     def on_it(k: float, test: str) -> tuple[Fit, ...]:
         return tuple(with_sources(fit, [(support, np.array([-80.0, 0.0]))]) for fit in made([(k, 5.0)], test, [(60.0, 1.0)]))

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from labpipe.records.identification import Fit
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings
@@ -19,10 +19,10 @@ from tests.uncertainty.conftest import a_fit
 
 
 def with_gain(fit: Fit, gain: float, source: str = "force sensor") -> Fit:
-    """The fit with a relative doubt of its k by one source."""
+    """The fit with a relative uncertainty of its k by one source."""
     k = fit.parameter("k")
     change = -gain * k.value
-    budget = Budget(("k",), np.array([k.std_error]), 30.0, (Doubt(source, gain, "1"),), np.array([[change]]))
+    budget = Budget(("k",), np.array([k.std_error]), 30.0, (Uncertainty(source, gain, "1"),), np.array([[change]]))
     whole = float(np.hypot(k.std_error, change))
     return dataclasses.replace(fit, parameters=(dataclasses.replace(k, std_error_inflated=whole, systematic=abs(change)),), budget=budget)
 
@@ -53,7 +53,7 @@ def test_different_sensors_do_not_cancel() -> None:
     assert found.std_error == pytest.approx(1.05 * np.sqrt(2) * 0.02, rel=1e-3)
 
 
-def test_a_trend_keeps_its_slope_and_its_level_takes_the_doubt() -> None:
+def test_a_trend_keeps_its_slope_and_its_level_takes_the_uncertainty() -> None:
     """A common gain moves level and slope by 2 % of themselves: level 1.5e6, slope 1e6 / kN (closed form for a line through the tests)."""
     fits, conditions = gained([1e6, 2e6, 1e6, 2e6])
     settings = CompareSettings(kind="trend", fit="axial", over="load", name="t")

@@ -85,7 +85,7 @@ def test_repeats_that_scatter_more_than_their_errors_are_told(campaign, rng) -> 
 
 
 def test_settings_with_one_mean_leave_no_scatter_of_it(campaign) -> None:
-    """Both settings have the values 1 and 3: MSB is zero, so is the mean's error where no sensor is doubtful."""
+    """Both settings have the values 1 and 3: MSB is zero, so is the mean's error where no sensor is uncertain."""
     tests = [(value, 1.0, {"mounting": name}) for name in "ab" for value in (1.0, 3.0)]
     assert repeatability(campaign(SETTINGS, tests)).amount("mean").std_error == 0.0
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.records.identification import Fit
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.matrix import STIFFNESS, _shaken
 from labpipe.uncertainty.settings import EquilibriumSettings
 from tests.uncertainty.conftest import a_fit
@@ -49,7 +49,7 @@ def test_an_error_in_common_does_not_shrink_with_repeats() -> None:
     def fit(number: int, source: str) -> Fit:
         plain = a_fit(f"test {number}", values)
         changes = -0.02 * np.array([[plain.parameter(name).value for name in STIFFNESS]])
-        budget = Budget(STIFFNESS, np.full(4, 0.01), None, (Doubt(source, 0.02, "1"),), changes)
+        budget = Budget(STIFFNESS, np.full(4, 0.01), None, (Uncertainty(source, 0.02, "1"),), changes)
         combined = [
             replace(parameter, std_error_inflated=float(np.hypot(0.01, change)), systematic=abs(float(change)))
             for parameter, change in zip(plain.parameters, changes[0], strict=True)

@@ -114,7 +114,7 @@ def test_the_report_begins_with_the_matrix_and_draws_tests_on_demand(result: Pat
     assert not (folder / "two.md").exists()
 
 
-def test_tables_hold_conditions_values_and_doubts(result: Path) -> None:
+def test_tables_hold_conditions_values_and_uncertainties(result: Path) -> None:
     (matrix,) = read_identification(result).sections["matrix"]
     table = matrix_table((matrix,))
     assert len(table) == 4 * 8

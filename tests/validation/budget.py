@@ -13,7 +13,7 @@ from labpipe.estimation.derived import Estimated, propagated
 from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.draws import drawn_error
 from labpipe.methods.calibration.line import fit_line
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.weighted import components
 from tests.validation import printed_readings as readings
 from tests.validation.claims import Claim, Method, within, worst
@@ -22,19 +22,19 @@ from tests.validation.gaps import gaps
 MEASUREMENT = "printed measurement"
 LENGTH, DIFFERENCE, EXPANSION, TEMPERATURE = 50.000623e-3, 215e-9, 11.5e-6, -0.1
 # As printed in table H.1; from their unrounded half widths (1e-6 / K, 0.05 K) the expanded uncertainty would be 92.5 nm.
-DOUBTS = {
-    "standard": Doubt("standard", 25e-9, "m", dof=18.0),
-    "comparison": Doubt("comparison", 9.7e-9, "m", dof=25.6),
-    "expansion difference": Doubt("expansion difference", 0.58e-6, "1/K", dof=50.0, shape="rectangular"),
-    "temperature difference": Doubt("temperature difference", 0.029, "K", dof=2.0, shape="rectangular"),
+UNCERTAINTIES = {
+    "standard": Uncertainty("standard", 25e-9, "m", dof=18.0),
+    "comparison": Uncertainty("comparison", 9.7e-9, "m", dof=25.6),
+    "expansion difference": Uncertainty("expansion difference", 0.58e-6, "1/K", dof=50.0, shape="rectangular"),
+    "temperature difference": Uncertainty("temperature difference", 0.029, "K", dof=2.0, shape="rectangular"),
 }
 
 
 def end_gauge() -> list[Claim]:
     """l = l_s + d - l_s (da theta + a_s dtheta); half a printed digit each."""
     slopes = (1.0, 1.0, -LENGTH * TEMPERATURE, -LENGTH * EXPANSION)
-    changes = np.array([[slope * doubt.std_error] for slope, doubt in zip(slopes, DOUBTS.values(), strict=True)])
-    budget = Budget(("l",), np.zeros(1), None, tuple(DOUBTS.values()), changes)
+    changes = np.array([[slope * uncertainty.std_error] for slope, uncertainty in zip(slopes, UNCERTAINTIES.values(), strict=True)])
+    budget = Budget(("l",), np.zeros(1), None, tuple(UNCERTAINTIES.values()), changes)
     u, source = 1e9 * budget.combined[0], "GUM H.1"
     return [
         within("u_c of an end gauge", u, 32.0, 0.5, "nm", MEASUREMENT, source),
@@ -51,7 +51,7 @@ def second_order() -> float:
     expansion = EXPANSION + 2e-6 * rng.uniform(-1, 1, draws)
     length, difference = (scale * rng.standard_normal(draws) for scale in (25e-9, 9.7e-9))
     da, dtheta = (
-        np.array([drawn_error(DOUBTS[name], np.random.default_rng(seed)) for seed in range(2000)])[rng.integers(0, 2000, draws)]
+        np.array([drawn_error(UNCERTAINTIES[name], np.random.default_rng(seed)) for seed in range(2000)])[rng.integers(0, 2000, draws)]
         for name in ("expansion difference", "temperature difference")
     )
     return float(np.std(length + difference - LENGTH * (da * theta + expansion * dtheta)))

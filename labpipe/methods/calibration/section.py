@@ -40,7 +40,7 @@ class CalibrationSettings(Settings):
     path: Path = Path()
 
 
-# calibrate: tables of set and measured values -> straight lines with their doubt, and the range in which
+# calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in which
 # they hold.
 
 

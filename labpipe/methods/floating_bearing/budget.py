@@ -9,15 +9,15 @@ import numpy as np
 
 from labpipe.methods.floating_bearing.values import Valued
 from labpipe.records.finding import Parameter
-from labpipe.records.fit_details import GivenDoubt
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.fit_details import GivenUncertainty
+from labpipe.records.uncertain import Budget, Uncertainty
 
 # Share of a variance below which an independent error is not listed by itself and stays with the noise.
 UNSEEN = 1e-3
 
 
-def budgeted(valued: Sequence[Valued], doubts: Sequence[GivenDoubt], dof: int) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The parameters with their systematic part, and the budget; none without doubts that count.
+def budgeted(valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """The parameters with their systematic part, and the budget; none without uncertainties that count.
 
     A source of several independent errors, the noise of a baseline, is listed as so many, since they are common to all fits on it.
     """
@@ -25,12 +25,12 @@ def budgeted(valued: Sequence[Valued], doubts: Sequence[GivenDoubt], dof: int) -
     slopes = np.stack([quantity.slopes for quantity in valued])
     whole = np.array([parameter.full_error or np.nan for parameter in parameters])
     sources, changes = [], []
-    for doubt in doubts:
-        for number, row in enumerate(doubt.changes, start=1):
+    for uncertainty in uncertainties:
+        for number, row in enumerate(uncertainty.changes, start=1):
             change = slopes @ row
             if np.nanmax(change**2 / whole**2) > UNSEEN:
-                name = doubt.source if len(doubt.changes) == 1 else f"{doubt.source} ({number})"
-                sources.append(Doubt(name, doubt.std_error, doubt.unit))
+                name = uncertainty.source if len(uncertainty.changes) == 1 else f"{uncertainty.source} ({number})"
+                sources.append(Uncertainty(name, uncertainty.std_error, uncertainty.unit))
                 changes.append(change)
     if not sources:
         return parameters, None

@@ -10,9 +10,9 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing.given import Given
 from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, Noise
 from labpipe.methods.floating_bearing.stator import Stator, shown_stiffness
-from labpipe.methods.floating_bearing.values import LIMIT, Doubted, Whirl, effective
+from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Whirl, effective
 from labpipe.records.finding import Finding, Parameter, note
-from labpipe.records.fit_details import DynamicStiffness, GivenDoubt
+from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty
 
 # What is drawn of a fitted dynamic stiffness: H line by line with its noise, the model and the baseline
 # over frequency.
@@ -21,7 +21,9 @@ from labpipe.records.fit_details import DynamicStiffness, GivenDoubt
 N_DRAWN = 60
 
 
-def shown_course(balance: Balance, found: Doubted, doubts: tuple[GivenDoubt, ...], given: Given, sense: float) -> DynamicStiffness:
+def shown_course(
+    balance: Balance, found: FittedStiffness, uncertainties: tuple[GivenUncertainty, ...], given: Given, sense: float
+) -> DynamicStiffness:
     """The record of a fit for figures and for later fits that take it as their baseline."""
     lines, variance = shown_stiffness(balance, found.model.stiffness(found.values, balance.omega))
     omega = np.linspace(balance.omega[0], balance.omega[-1], N_DRAWN)
@@ -35,7 +37,7 @@ def shown_course(balance: Balance, found: Doubted, doubts: tuple[GivenDoubt, ...
         found.model.symmetry,
         found.values,
         found.noise,
-        doubts,
+        uncertainties,
         frequency=lines.omega / (2 * np.pi),
         measured=lines.stiffness,
         variance=variance,
@@ -157,20 +159,20 @@ def effective_forces(stator: Stator) -> bool:
     return any(term.channel in accelerations for number in forces for term in channels[number].terms)
 
 
-def given_notes(given: Given, doubts: tuple[GivenDoubt, ...], found: Doubted) -> tuple[str, ...]:
+def given_notes(given: Given, uncertainties: tuple[GivenUncertainty, ...], found: FittedStiffness) -> tuple[str, ...]:
     """Which given numbers the intervals hold, and how much of the variance is theirs."""
-    if not doubts:
+    if not uncertainties:
         numbers = [name for name, there in (("the mass of the stator", given.mass), ("the baseline", given.baseline)) if there is not None]
         stated = f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact" if numbers else ""
-        return (f"dynamic-stiffness: {stated}: give the doubt where there is one (60 kg +- 0.6 kg).",) if stated else ()
+        return (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",) if stated else ()
     names = found.model.names
     lines = []
-    for doubt in doubts:
-        share = np.sqrt(np.sum(doubt.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny))
+    for uncertainty in uncertainties:
+        share = np.sqrt(np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny))
         most = int(np.argmax(share))
         size = f"{share[most]:.2g} times the standard error of noise in {names[most]}" if share[most] > CANCELS else CANCELLED
-        lines.append(f"{doubt.source}: {size}")
-    return (f"dynamic-stiffness: the intervals hold the doubt of given numbers, common to all lines and runs. {'; '.join(lines)}.",)
+        lines.append(f"{uncertainty.source}: {size}")
+    return (f"dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines and runs. {'; '.join(lines)}.",)
 
 
 def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding, ...]:

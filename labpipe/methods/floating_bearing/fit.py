@@ -46,22 +46,22 @@ from labpipe.methods.floating_bearing.given import (
     Given,
     balance_of,
     errors_by_given,
-    given_doubts,
     given_errors,
+    given_uncertainties,
     response_of,
     smoothed_channels,
 )
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, GivenErrors, Noise, estimate
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.floating_bearing.stator import LineStiffness, Stator, line_stiffness, motion_note, other_excitations, stator_of
-from labpipe.methods.floating_bearing.values import Bearing, Doubted, Shaft, coefficients, derived_values, dimensionless
+from labpipe.methods.floating_bearing.values import Bearing, FittedStiffness, Shaft, coefficients, derived_values, dimensionless
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.fit_details import DynamicStiffness, GivenDoubt, OtherExcitation, systematic
+from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty, OtherExcitation, systematic
 from labpipe.records.identification import Candidate, Fit, Goodness
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Uncertain, split_doubt
+from labpipe.records.uncertain import Uncertain, split_uncertainty
 from labpipe.registry import nearest
 
 # Where a baseline comes from: the fit of an earlier test, or given numbers.
@@ -94,7 +94,7 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 
 def baseline_of(fit: Fit) -> Baseline:
-    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become doubts of this one.
+    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties of this one.
 
     A residual beyond the noise counts as noise here as in the intervals of that fit.
     """
@@ -104,7 +104,7 @@ def baseline_of(fit: Fit) -> Baseline:
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
     values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
     changes = _excess(fit.gof) * (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
-    return Baseline(fitted_model(shown), shown.values, (GivenDoubt(label, changes), *shown.doubts), fit.name, fit.test)
+    return Baseline(fitted_model(shown), shown.values, (GivenUncertainty(label, changes), *shown.uncertainties), fit.name, fit.test)
 
 
 def _excess(gof: Goodness) -> float:
@@ -130,8 +130,8 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
         return own.known
     stiffness, damping = own.baseline_stiffness or NONE, own.baseline_damping or NONE
     pairs = (("stiffness of the baseline", stiffness, "N/m"), ("damping of the baseline", damping, "N.s/m"))
-    doubts = tuple(
-        GivenDoubt(
+    uncertainties = tuple(
+        GivenUncertainty(
             number.source or f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}",
             number.std_error * np.eye(2)[place][None],
             std_error=number.std_error,
@@ -140,7 +140,7 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
         for place, (name, number, unit) in enumerate(pairs)
         if number.std_error > 0
     )
-    return Baseline(StiffnessModel(FORMS["kc"], "isotropic"), np.array([stiffness.value, damping.value]), doubts, "given numbers")
+    return Baseline(StiffnessModel(FORMS["kc"], "isotropic"), np.array([stiffness.value, damping.value]), uncertainties, "given numbers")
 
 
 # ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line
@@ -226,7 +226,7 @@ def compared(
     noise: Noise,
     forms: Sequence[str],
     known: Estimate | None = None,
-    doubtful: GivenErrors | None = None,
+    uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
     """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out. Equation (ds-bic)."""
     estimates: dict[str, Estimate] = {}
@@ -234,7 +234,7 @@ def compared(
         try:
             fits = known is not None and form == known.model.form.name
             estimates[form] = (
-                known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, doubtful)
+                known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
             )
         except FitError:
             continue
@@ -278,7 +278,7 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
     return tuple(findings)
 
 
-# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the doubt of noise
+# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of noise
 # and of given numbers.
 
 BANDS_BY_DEFAULT = 10
@@ -293,7 +293,7 @@ class Solved:
     """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors, and compared forms."""
 
     best: Estimate
-    doubts: tuple[GivenDoubt, ...]
+    uncertainties: tuple[GivenUncertainty, ...]
     amplification: FloatArray | None
     excitations: tuple[OtherExcitation, ...] = ()
     candidates: tuple[Candidate, ...] = ()
@@ -326,16 +326,16 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     solved = _solved_fit(stator, given, balance, settings, noise)
     likely = settings.estimates.likelihood
     best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
-    of_given = systematic(solved.doubts, best.values.size)
-    doubted = Doubted(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
+    of_given = systematic(solved.uncertainties, best.values.size)
+    uncertain = FittedStiffness(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
     shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
-    main = coefficients(doubted, inflation_factors(best.design))
+    main = coefficients(uncertain, inflation_factors(best.design))
     # A baseline is no bearing of a shaft.
-    others, turning = ((), None) if given.absolute else derived_values(doubted, stator.omega, shaft)
+    others, turning = ((), None) if given.absolute else derived_values(uncertain, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.doubts, best.dof)
+    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof)
     fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
@@ -346,8 +346,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
     )
-    notes = (*given_notes(given, solved.doubts, doubted), motion_note(stator), *(() if likely else (LS_NOTE,)))
-    shown = shown_course(balance, doubted, solved.doubts, given, shaft.sense)
+    notes = (*given_notes(given, solved.uncertainties, uncertain), motion_note(stator), *(() if likely else (LS_NOTE,)))
+    shown = shown_course(balance, uncertain, solved.uncertainties, given, shaft.sense)
     shown = replace(shown, excitations=solved.excitations)
     return replace(fit, findings=(*findings, *spectra.findings), notes=notes, details=(shown,), budget=budget if fit.converged else None)
 
@@ -376,7 +376,7 @@ def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: 
     if given is not None or condition not in spectra.conditions:
         return given
     try:
-        return parse_value(split_doubt(str(spectra.conditions[condition]))[0], unit)
+        return parse_value(split_uncertainty(str(spectra.conditions[condition]))[0], unit)
     except UnitError as error:
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}") from None
 
@@ -387,24 +387,24 @@ def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSet
     if not settings.estimates.likelihood:
         best, respond = least_squares(balance, StiffnessModel(_form(section, balance.omega), section.symmetry))
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
-        return Solved(best, given_doubts(errors, respond), None)
+        return Solved(best, given_uncertainties(errors, respond), None)
     best, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
     problem = ErrorsInVariables(balance, best.model)
     stiffness, state, columns = best.model.stiffness(best.values, stator.omega), problem.at(best.values), problem.columns(best.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
-    doubts = given_doubts(errors, response_of(state, columns))
+    uncertainties = given_uncertainties(errors, response_of(state, columns))
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
-    return Solved(best, doubts, amplification, other_excitations(stator, best, columns), candidates)
+    return Solved(best, uncertainties, amplification, other_excitations(stator, best, columns), candidates)
 
 
-def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, doubtful: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
+def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
     """The estimate of the form that is given, or with `compare` and without one that of the best form."""
     section: DynamicStiffnessSettings = settings.model_settings
     model = StiffnessModel(_form(section, balance.omega), section.symmetry)
     if not settings.compare:
-        return estimate(balance, model, noise, doubtful), ()
-    of_form = None if section.form is None else estimate(balance, model, noise, doubtful)
-    candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, doubtful)
+        return estimate(balance, model, noise, uncertain), ()
+    of_form = None if section.form is None else estimate(balance, model, noise, uncertain)
+    candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, uncertain)
     if not candidates:
         raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
     return (of_form or estimates[candidates[0].name]), candidates

@@ -1,4 +1,4 @@
-"""What is given, not estimated: the stator's mass and the baseline (hoses, stingers), each with its doubt and where that comes from.
+"""What is given, not estimated: the stator's mass and the baseline (hoses, stingers), each with its uncertainty and where that comes from.
 
 F - M_s A - Z_b X_s = H D with the absolute motion X_s = -A / w^2 of the stator. To subtract Z_b from H instead is wrong by Z_b X_r D^-1
 as soon as the shaft moves.
@@ -15,8 +15,8 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.floating_bearing.forms import StiffnessModel
 from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times
 from labpipe.methods.floating_bearing.stator import Stator
-from labpipe.records.fit_details import GivenDoubt
-from labpipe.records.uncertain import Doubt, Uncertain, doubt_of
+from labpipe.records.fit_details import GivenUncertainty
+from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 
 MASS = "mass of the stator"
 
@@ -25,11 +25,11 @@ Respond = Callable[[ComplexArray], FloatArray]
 
 @dataclass(frozen=True)
 class Baseline:
-    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a *model*, with *doubts*."""
+    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a *model*, with *uncertainties*."""
 
     model: StiffnessModel
     values: FloatArray
-    doubts: tuple[GivenDoubt, ...]
+    uncertainties: tuple[GivenUncertainty, ...]
     name: str = ""
     test: str = ""
 
@@ -102,7 +102,7 @@ def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, sta
     return stator.channels - (stator.covariance @ pulled[..., None])[..., 0]
 
 
-def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray) -> list[tuple[Doubt, ComplexArray]]:
+def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray) -> list[tuple[Uncertainty, ComplexArray]]:
     """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for n independent ones.
 
     stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels with as little noise as may be.
@@ -110,30 +110,31 @@ def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: C
     axes = clean @ stator.to_axes.T
     omega = stator.omega[:, None, None]
     acceleration = axes[..., 4:] if stator.accelerated else -(omega**2) * axes[..., 2:4]
-    errors: list[tuple[Doubt, ComplexArray]] = []
+    errors: list[tuple[Uncertainty, ComplexArray]] = []
     if given.mass is not None and given.mass.std_error > 0:
-        errors.append((doubt_of(given.mass, mass_source(given.mass), "kg"), -given.mass.std_error * acceleration[None]))
+        errors.append((uncertainty_of(given.mass, mass_source(given.mass), "kg"), -given.mass.std_error * acceleration[None]))
     if given.baseline is not None:
         slopes = given.baseline.model.jacobian(given.baseline.values, stator.omega) / omega**2
         by_value = times(slopes[:, :, None], acceleration)
         errors.extend(
-            (Doubt(doubt.source, doubt.std_error, doubt.unit), np.tensordot(doubt.changes, by_value, 1)) for doubt in given.baseline.doubts
+            (Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit), np.tensordot(uncertainty.changes, by_value, 1))
+            for uncertainty in given.baseline.uncertainties
         )
     to_balance = projection(stator, given) @ stator.to_axes
     rows = (to_balance[:, :2] - stiffness @ to_balance[:, 2:])[:, None]
     for factor in stator.spectra.factors:
         error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((Doubt(factor.source, factor.std_error, factor.unit), factor.std_error * error[None]))
+            errors.append((Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None]))
     return _joined(errors)
 
 
-def _joined(errors: Sequence[tuple[Doubt, ComplexArray]]) -> list[tuple[Doubt, ComplexArray]]:
+def _joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
     """Errors of one source added with their signs, each source once."""
-    sources: dict[str, tuple[Doubt, ComplexArray]] = {}
-    for doubt, error in errors:
-        source = sources.get(doubt.source)
-        sources[doubt.source] = (doubt, error) if source is None else (source[0], source[1] + error)
+    sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
+    for uncertainty, error in errors:
+        source = sources.get(uncertainty.source)
+        sources[uncertainty.source] = (uncertainty, error) if source is None else (source[0], source[1] + error)
     return list(sources.values())
 
 
@@ -144,9 +145,12 @@ def errors_by_given(stator: Stator, given: Given, model: StiffnessModel, values:
     return np.concatenate([np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)])
 
 
-def given_doubts(errors: Sequence[tuple[Doubt, ComplexArray]], respond: Respond) -> tuple[GivenDoubt, ...]:
+def given_uncertainties(errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond) -> tuple[GivenUncertainty, ...]:
     """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
-    return tuple(GivenDoubt(doubt.source, respond(error), std_error=doubt.std_error, unit=doubt.unit) for doubt, error in errors)
+    return tuple(
+        GivenUncertainty(uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit)
+        for uncertainty, error in errors
+    )
 
 
 def response_of(state: Whitened, columns: FloatArray) -> Respond:
@@ -165,5 +169,5 @@ def response_of(state: Whitened, columns: FloatArray) -> Respond:
 
 
 def mass_source(mass: Uncertain) -> str:
-    """The same number with the same doubt is the same error, in whichever fit it stands."""
+    """The same number with the same uncertainty is the same error, in whichever fit it stands."""
     return f"{MASS}, {mass.value:g} kg +- {mass.std_error:g} kg"

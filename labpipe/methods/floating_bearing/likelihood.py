@@ -235,8 +235,8 @@ LEAST_SPREAD = 1.25
 class Estimate:
     """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter, n_parameter) [their units].
 
-    squares: 2 V [1] corrected for estimated covariances and doubtful given numbers, chi-square with *dof* if the model is right; p_value of
-    it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
+    squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if the model is right; p_value
+    of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
     """
 
     model: StiffnessModel
@@ -321,10 +321,10 @@ def checked(balance: Balance, noise: Noise) -> None:
         )
 
 
-def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: GivenErrors | None = None) -> Estimate:
+def estimate(balance: Balance, model: StiffnessModel, noise: Noise, uncertain: GivenErrors | None = None) -> Estimate:
     """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
 
-    *doubtful* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their doubt.
+    *uncertain* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their uncertainty.
     Equation (ds-explained).
     """
     n = len(model.names)
@@ -336,8 +336,8 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: Gi
     best = _lowest(problem)
     squares = 2 * problem.chi2(best.values)
     jacobian = problem.columns(best.values)
-    if doubtful is not None:
-        squares -= _explained(problem, best.values, jacobian, doubtful, noise.excess)
+    if uncertain is not None:
+        squares -= _explained(problem, best.values, jacobian, uncertain, noise.excess)
     squares /= noise.excess
     design = triangle_of(jacobian)
     covariance = noise.inflation * inverse_information(jacobian)
@@ -345,13 +345,13 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise, doubtful: Gi
     return Estimate(model, best.values, covariance, squares, dof, p_value, best.converged, best.steps, design)
 
 
-def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, doubtful: GivenErrors, excess: float) -> float:
+def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, excess: float) -> float:
     """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one.
 
     min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can follow.
     """
     state = problem.at(values)
-    errors = doubtful(problem.model, values, state)
+    errors = uncertain(problem.model, values, state)
     if not len(errors):
         return 0.0
     scale = np.linalg.norm(jacobian, axis=0)

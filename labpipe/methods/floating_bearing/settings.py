@@ -32,7 +32,9 @@ class DynamicStiffnessSettings(Settings):
     _: KW_ONLY
     symmetry: str = setting("choice", "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms", choices=SYMMETRIES, default="none")
     motion: str = setting("choice", "that it acts on: against the shaft, or absolute (baseline)", choices=MOTIONS, default="relative")
-    stator_mass: Uncertain | None = setting("uncertain", "mass of the stator with its doubt; default: `mass`", unit="kg", default=None)
+    stator_mass: Uncertain | None = setting(
+        "uncertain", "mass of the stator with its uncertainty; default: `mass`", unit="kg", default=None
+    )
     baseline: str = setting("text", "an earlier fit of what holds the stator, or its test", default="")
     baseline_stiffness: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N/m", default=None)
     baseline_damping: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None)

@@ -216,7 +216,7 @@ SAME = 1 + 1e-9
 
 
 @dataclass(frozen=True)
-class Doubted:
+class FittedStiffness:
     """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter, n_parameter) [their units]."""
 
     model: StiffnessModel
@@ -252,7 +252,7 @@ class Valued:
     slopes: FloatArray
 
 
-def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Valued, ...]:
+def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
     """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry ties to them."""
     model = found.model
     plain = [
@@ -263,7 +263,7 @@ def coefficients(found: Doubted, vifs: FloatArray) -> tuple[Valued, ...]:
     return (*plain, *shaped, *(_tied(valued) for valued in plain if model.symmetry == "seal"))
 
 
-def _estimated(found: Doubted, number: int, name: str, unit: str, vif: float) -> Valued:
+def _estimated(found: FittedStiffness, number: int, name: str, unit: str, vif: float) -> Valued:
     noise, whole = (float(np.sqrt(matrix[number, number])) for matrix in (found.noise, found.whole))
     shown = _wide(estimated(name, unit, float(found.values[number]), noise, found.dof, vif), noise, whole)
     return Valued(shown, np.eye(found.values.size)[number])
@@ -274,7 +274,7 @@ def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
     return widened(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
 
 
-def _shape(found: Doubted, number: int, vif: float) -> Valued:
+def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
     """A shape parameter; the interval of one that is positive is that of its logarithm."""
     declared, place = found.model.form.shape[number], found.model.n_linear + number
     inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
@@ -309,19 +309,19 @@ def _parts(name: str) -> list[str]:
     return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
 
 
-def derived_values(found: Doubted, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Valued, ...], Whirl | None]:
+def derived_values(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Valued, ...], Whirl | None]:
     """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself; omega (n_line,) [rad/s] of the fit."""
     turning = _whirl_of(found)
     parts = [*_whirl_values(found, turning, shaft), *_crossover(found, omega, shaft), *_synchronous(found, omega, shaft)]
     return tuple(parts), turning
 
 
-def _whirl_of(found: Doubted) -> Whirl | None:
+def _whirl_of(found: FittedStiffness) -> Whirl | None:
     full = found.model.symmetry != "direct" and found.model.form.name in FORMS_WITH_WHIRL
     return whirl(found.model, found.values, found.whole) if full else None
 
 
-def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
+def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -> list[Valued]:
     """Whirl frequency ratio and onset speed; none where there is no whirl."""
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
@@ -335,7 +335,7 @@ def _whirl_values(found: Doubted, turning: Whirl | None, shaft: Shaft) -> list[V
     return values
 
 
-def _onset(found: Doubted, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Valued:
+def _onset(found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Valued:
     """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl; k in series with the shaft's stiffness."""
     mass = shaft.rotor_mass
     assert mass is not None
@@ -355,13 +355,15 @@ def _inflated(noise: float, whole: float) -> float | None:
     return whole if whole > SAME * noise else None
 
 
-def _derived(found: Doubted, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None) -> Valued:
+def _derived(
+    found: FittedStiffness, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None
+) -> Valued:
     noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
     shown = replace(derived(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
     return Valued(shown, slopes)
 
 
-def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     if found.model.symmetry == "direct":
         return []
     found_at = crossover(found.model, found.values, found.whole, omega, shaft.sense)
@@ -373,7 +375,7 @@ def _crossover(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     return [_derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))]
 
 
-def _synchronous(found: Doubted, omega: FloatArray, shaft: Shaft) -> list[Valued]:
+def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K and C."""
     if not shaft.speed or found.model.form.name == "kc":
         return []

@@ -16,7 +16,7 @@ from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, condition_number, correlation, determination, estimated, inflation_factors, widened
-from labpipe.estimation.weights import has_noise, weight_doubt
+from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
@@ -143,10 +143,10 @@ def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | N
 def _candidate(measured: Measured, problem: _Problem, minimum: Minimum) -> Candidate:
     n = minimum.values.size
     dof = measured.n_equation - n
-    doubt = weight_doubt(measured, dof)
-    squares = problem.chi2(minimum.values) / doubt.excess
+    uncertainty = weight_uncertainty(measured, dof)
+    squares = problem.chi2(minimum.values) / uncertainty.excess
     bic = squares + n * float(np.log(measured.n_equation))
-    chi2_p = doubt.p_value(squares / dof, dof)
+    chi2_p = uncertainty.p_value(squares / dof, dof)
     return Candidate(f"order {problem.block.order}", n, squares, dof, squares + 2 * n, bic=bic, chi2_p=chi2_p)
 
 
@@ -160,7 +160,7 @@ def _reported(
 ) -> Fit:
     best = _candidate(measured, problem, minimum)
     jacobian = problem.jacobian(minimum.values)
-    covariance = weight_doubt(measured, best.dof).inflation * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p is not None and best.chi2_p < MISMATCH_P else 1.0
     design = triangle_of(jacobian)
     values, slopes = problem.block.reported(minimum.values)

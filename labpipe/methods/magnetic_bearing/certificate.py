@@ -39,7 +39,7 @@ from labpipe.methods.magnetic_bearing.stability import (
 from labpipe.records.comparison import Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.uncertain import Budget, Doubt, MatrixError
+from labpipe.records.uncertain import Budget, MatrixError, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
@@ -70,7 +70,7 @@ class ClosedLoop:
     amounts: dict[str, float]
     covariance: FloatArray
     unstable: int
-    sources: tuple[Doubt, ...] = ()
+    sources: tuple[Uncertainty, ...] = ()
     changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     bent: tuple[str, ...] = ()
 
@@ -295,7 +295,7 @@ def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple
         amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
-    return with_budget(amounts, [error.doubt for error in matrix.errors], np.array(changes).T, dof)
+    return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
 
 
 def _fitted(
@@ -346,9 +346,9 @@ def _observation(own: CertificateSettings, response: FrequencyResponse, file: Ma
         if not own.before:
             return matrix_errors(measured)
         # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
-        doubts = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
         per = per_added(changed)
-        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in doubts]
+        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in uncertainties]
 
     return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
 

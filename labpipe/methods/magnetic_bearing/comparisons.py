@@ -91,12 +91,12 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
-    """The comparison with a finding on the directions of its *ports* that have a doubt: nothing tells what they read across."""
+    """The comparison with a finding on the directions of its *ports* that have an uncertainty: nothing tells what they read across."""
     names = directions_left_out(ports)
     if not names:
         return comparison
-    message = f"doubts of the directions of {', '.join(names)} are not propagated: no other channel tells the motion across"
-    return replace(comparison, findings=(*comparison.findings, Finding("number-doubt", message)))
+    message = f"uncertainties of the directions of {', '.join(names)} are not propagated: no other channel tells the motion across"
+    return replace(comparison, findings=(*comparison.findings, Finding("number-uncertainty", message)))
 
 
 PREDICTION = ComparisonKind(

@@ -23,9 +23,9 @@ from labpipe.methods.magnetic_bearing.settings import MagnetSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.fit_details import RobustPlant, systematic
 from labpipe.records.identification import Fit, FittedCurve, Goodness
-from labpipe.records.settings import ESTIMATE, Doubts
+from labpipe.records.settings import ESTIMATE, Uncertainties
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Doubt, Uncertain, doubt_of
+from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 
 # Hand-over to robust control design: the levitated rotor as state space, and the smallest band that covers
 # the measured scatter.
@@ -139,7 +139,7 @@ def noise_findings(rotor: Levitation) -> tuple[Finding, ...]:
     return (note("few-averages", message),)
 
 
-def fit_notes(rotor: Levitation, best: MagnetEstimate, doubts: Doubts) -> tuple[str, ...]:
+def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
     """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise would give."""
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
@@ -159,8 +159,8 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, doubts: Doubts) -> tuple[
     plain = zip(best.model.names, unweighted(rotor, best.model), best.model.units, strict=True)
     listed = ", ".join(f"{name} {number(float(value))} {unit}" for name, value, unit in plain if not name.startswith("c"))
     notes.append(f"magnet: least squares that takes currents and displacements for free of noise gives {listed}; it is not to be used.")
-    if "mass" not in dict(doubts):
-        notes.append("magnet: the mass counts as exact, and all results are in proportion to it: give its doubt (4 kg +- 5 g).")
+    if "mass" not in dict(uncertainties):
+        notes.append("magnet: the mass counts as exact, and all results are in proportion to it: give its uncertainty (4 kg +- 5 g).")
     return tuple(notes)
 
 
@@ -223,8 +223,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     model = magnet_model(rotor.labels, rotor.bearing, rotor.mass, magnet_settings.coupling, magnet_settings.passive_damping, between)
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     factor = float(np.sqrt(best.reduced)) if best.p_value < MISMATCH_P else 1.0
-    whole = factor**2 * best.covariance + systematic(best.doubts, best.values.size)
-    parameters, budget = budgeted(_valued(best, whole), best.doubts, best.dof)
+    whole = factor**2 * best.covariance + systematic(best.uncertainties, best.values.size)
+    parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
     if not best.converged:
         parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
     gof = _goodness(rotor, model, best)
@@ -262,7 +262,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         converged=best.converged,
         iterations=best.steps,
         findings=findings,
-        notes=fit_notes(rotor, best, settings.doubts),
+        notes=fit_notes(rotor, best, settings.uncertainties),
         curve=curve,
         details=() if plant is None else (plant,),
         budget=budget if best.converged else None,
@@ -275,19 +275,19 @@ def _matrix(mass: object) -> FloatArray:
     return np.diag(values) if values.ndim == 1 else values
 
 
-def _given(rotor: Levitation, settings: FitSettings, mass: FloatArray | float) -> list[tuple[Doubt, FloatArray]]:
-    """Doubts of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix by one standard deviation."""
+def _given(rotor: Levitation, settings: FitSettings, mass: FloatArray | float) -> list[tuple[Uncertainty, FloatArray]]:
+    """Uncertainties of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
-    given: list[tuple[Doubt, FloatArray]] = []
-    of_mass = dict(settings.doubts).get("mass")
+    given: list[tuple[Uncertainty, FloatArray]] = []
+    of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
         source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
-        given.append((doubt_of(of_mass, source, "kg"), _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass))
+        given.append((uncertainty_of(of_mass, source, "kg"), _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass))
     if magnet_settings.inertia is not None and magnet_settings.inertia.std_error > 0:
         larger = replace(magnet_settings, inertia=Uncertain(magnet_settings.inertia.value + magnet_settings.inertia.std_error))
         change = _mass_of(rotor, larger, mass) - rotor.mass
         source = f"moment of inertia, {magnet_settings.inertia.value:g} kg.m^2 +- {magnet_settings.inertia.std_error:g} kg.m^2"
-        given.append((doubt_of(magnet_settings.inertia, source, "kg.m^2"), change))
+        given.append((uncertainty_of(magnet_settings.inertia, source, "kg.m^2"), change))
     return given
 
 

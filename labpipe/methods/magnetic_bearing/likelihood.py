@@ -20,8 +20,8 @@ from labpipe.estimation.descent import minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.methods.floating_bearing.likelihood import Noise, inverse_information
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
-from labpipe.records.fit_details import GivenDoubt
-from labpipe.records.uncertain import Doubt
+from labpipe.records.fit_details import GivenUncertainty
+from labpipe.records.uncertain import Uncertainty
 
 # Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
 # channels free of noise.
@@ -143,7 +143,7 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# The most likely K_i and K_s, what noise leaves of them, and what the doubts of given numbers do to them.
+# The most likely K_i and K_s, what noise leaves of them, and what the uncertainties of given numbers do to them.
 
 NEAR, MOST_STEPS = 1e-4, 60
 # Relative noise below which a covariance is rounding.
@@ -154,7 +154,7 @@ NOISE_FREE = 1e-20
 class MagnetEstimate:
     """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for an estimated covariance.
 
-    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; doubts: what given numbers do.
+    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; uncertainties: what given numbers do.
     """
 
     model: MagnetModel
@@ -166,7 +166,7 @@ class MagnetEstimate:
     converged: bool
     steps: int
     design: FloatArray
-    doubts: tuple[GivenDoubt, ...] = ()
+    uncertainties: tuple[GivenUncertainty, ...] = ()
     amplification: FloatArray | None = None
 
     @property
@@ -180,8 +180,8 @@ def noise_of(rotor: Levitation) -> Noise:
     return Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
 
 
-def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Doubt, FloatArray]] = ()) -> MagnetEstimate:
-    """The most likely parameters; *given*: doubts of the mass matrix with its change (n, n) [kg] by one standard deviation.
+def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()) -> MagnetEstimate:
+    """The most likely parameters; *given*: uncertainties of the mass matrix with its change (n, n) [kg] by one standard deviation.
 
     FitError for too few lines, a covariance from too few periods, channels without noise.
     """
@@ -198,8 +198,8 @@ def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
     squares = 2 * problem.chi2(best.values) / noise.excess
-    doubts = _doubts(problem, best.values, jacobian, given)
-    squares -= _explained(problem, best.values, jacobian, doubts, given, noise.excess) if doubts else 0.0
+    uncertainties = _uncertainties(problem, best.values, jacobian, given)
+    squares -= _explained(problem, best.values, jacobian, uncertainties, given, noise.excess) if uncertainties else 0.0
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -211,7 +211,7 @@ def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple
         converged=best.converged,
         steps=best.steps,
         design=triangle_of(jacobian),
-        doubts=doubts,
+        uncertainties=uncertainties,
         amplification=problem.size * np.sqrt(2 * np.diag(information)),
     )
 
@@ -228,8 +228,8 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
 
 
 def errors_by_given(
-    problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Doubt, FloatArray]]
-) -> list[tuple[Doubt, ComplexArray]]:
+    problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
+) -> list[tuple[Uncertainty, ComplexArray]]:
     """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each source once.
 
     The mass, and numbers of the rig that stand in sums of channels or calibrate them.
@@ -239,42 +239,42 @@ def errors_by_given(
     axes = smoothed @ rotor.to_axes.T
     rows = model.rows(values, rotor.omega)
     errors = []
-    for doubt, change in given:
+    for uncertainty, change in given:
         changed = model.rows(values, rotor.omega, model.mass + change) - rows
-        errors.append((doubt, (changed[:, None] @ axes[..., None])[..., 0]))
+        errors.append((uncertainty, (changed[:, None] @ axes[..., None])[..., 0]))
     to_balance, w = (rows @ rotor.to_axes)[:, None], rotor.omega[:, None, None]
     for factor in rotor.spectra.factors:
         error = w**factor.power * (to_balance @ (smoothed @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((Doubt(factor.source, factor.std_error, factor.unit), factor.std_error * error))
-    sources: dict[str, tuple[Doubt, ComplexArray]] = {}
-    for doubt, error in errors:
-        source = sources.get(doubt.source)
-        sources[doubt.source] = (doubt, error) if source is None else (source[0], source[1] + error)
+            errors.append((Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error))
+    sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
+    for uncertainty, error in errors:
+        source = sources.get(uncertainty.source)
+        sources[uncertainty.source] = (uncertainty, error) if source is None else (source[0], source[1] + error)
     return list(sources.values())
 
 
-def _doubts(
-    problem: MagnetLikelihood, values: FloatArray, jacobian: FloatArray, given: Sequence[tuple[Doubt, FloatArray]]
-) -> tuple[GivenDoubt, ...]:
+def _uncertainties(
+    problem: MagnetLikelihood, values: FloatArray, jacobian: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
+) -> tuple[GivenUncertainty, ...]:
     """dp = -J^+ L^-1 de of every source."""
     state = problem.at(values)
     scale = np.linalg.norm(jacobian, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     gain = -np.linalg.pinv(jacobian / scale) / scale[:, None]
-    doubts = []
-    for doubt, error in errors_by_given(problem, values, given):
+    uncertainties = []
+    for uncertainty, error in errors_by_given(problem, values, given):
         changes = real_rows(state.whiten(error).reshape(1, -1)) @ gain.T
-        doubts.append(GivenDoubt(doubt.source, changes, std_error=doubt.std_error, unit=doubt.unit))
-    return tuple(doubts)
+        uncertainties.append(GivenUncertainty(uncertainty.source, changes, std_error=uncertainty.std_error, unit=uncertainty.unit))
+    return tuple(uncertainties)
 
 
 def _explained(
     problem: MagnetLikelihood,
     values: FloatArray,
     jacobian: FloatArray,
-    doubts: Sequence[GivenDoubt],
-    given: Sequence[tuple[Doubt, FloatArray]],
+    uncertainties: Sequence[GivenUncertainty],
+    given: Sequence[tuple[Uncertainty, FloatArray]],
     excess: float,
 ) -> float:
     """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one."""
@@ -282,7 +282,7 @@ def _explained(
     white = np.stack([state.whiten(error).reshape(-1) for _, error in errors_by_given(problem, values, given)])
     changes = real_rows(white)
     # What the parameters can follow is theirs already.
-    changes = changes + np.concatenate([doubt.changes for doubt in doubts]) @ jacobian.T
+    changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T
     along = 2 * changes @ problem.residual(values) / excess
     stiff = np.eye(len(changes)) + 2 * changes @ changes.T / excess
     return float(excess * along @ np.linalg.solve(stiff, along))

@@ -13,10 +13,10 @@ from labpipe.estimation.descent import Minimum, linearised, minimise
 from labpipe.estimation.diagnostics import COLLINEAR_CONDITION
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import correlation, explained, steps_by, student_limit
-from labpipe.estimation.weights import has_noise, weight_doubt
+from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
 # The end of a loop's fit at the edge of what a bearing can have: an unknown that fits best at zero.
@@ -113,7 +113,7 @@ class LoopMinimum:
     residual: FloatArray
     jacobian: FloatArray
     inverse: FloatArray
-    sources: tuple[Doubt, ...]
+    sources: tuple[Uncertainty, ...]
     changes: FloatArray
 
     @classmethod
@@ -133,8 +133,8 @@ class LoopMinimum:
         scale = np.sqrt(excess)
         # At the edge of what a bearing can have, the residual still has a part that the unknowns would take away.
         across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
-        by_doubts = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
-        return float(self.residual @ self.residual) / excess - by_doubts
+        by_uncertainties = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
+        return float(self.residual @ self.residual) / excess - by_uncertainties
 
     @property
     def steps(self) -> FloatArray:
@@ -143,7 +143,7 @@ class LoopMinimum:
         return np.vstack([steps_by(self.changes, self.jacobian, self.inverse), self.inverse[n:]])
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the support's doubt adds."""
+        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the support's uncertainty adds."""
         of_support = self.inverse[:, len(self.problem.unknowns) :]
         return np.asarray(inflation * (self.inverse - of_support @ of_support.T))
 
@@ -297,23 +297,23 @@ def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str,
 def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     equations = sum(observation.measured.n_equation - observation.nuisance for observation in problem.observations)
     dof = equations - len(problem.unknowns)
-    doubt = weight_doubt(_weighed(problem.observations[0]), dof)
+    uncertainty = weight_uncertainty(_weighed(problem.observations[0]), dof)
     at_end = LoopMinimum.of(problem, minimum.values)
-    reduced = at_end.chi2(doubt.excess) / dof
+    reduced = at_end.chi2(uncertainty.excess) / dof
     lines = sum(observation.measured.omega.size for observation in problem.observations)
     identifiable = _identifiable(problem, at_end.jacobian) if problem.unknowns else (1.0, ())
     whole = LoopFit(
         parameters=_last_step(problem, minimum),
         correlations=(),
         chi2_reduced=reduced,
-        chi2_p=doubt.p_value(reduced, dof),
+        chi2_p=uncertainty.p_value(reduced, dof),
         lines=lines,
         condition_number=identifiable[0],
         alike=identifiable[1],
         converged=minimum.converged,
         at_zero=tuple(entry.name for entry, share in zip(problem.unknowns, minimum.values, strict=False) if share == ZERO),
     )
-    return _with_errors(whole, at_end, doubt.inflation, dof) if whole.usable else whole
+    return _with_errors(whole, at_end, uncertainty.inflation, dof) if whole.usable else whole
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
@@ -366,7 +366,7 @@ def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: f
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
-def _by_name(sources: Sequence[Doubt], changes: FloatArray) -> tuple[list[Doubt], FloatArray]:
+def _by_name(sources: Sequence[Uncertainty], changes: FloatArray) -> tuple[list[Uncertainty], FloatArray]:
     """Sources of one name as one, their changes (n_source, n) added up."""
     first = {source.source: source for source in reversed(sources)}
     rows = [changes[[origin.source == name for origin in sources]].sum(axis=0) for name in first]
@@ -418,7 +418,7 @@ def _edge_findings(fit: LoopFit) -> list[Finding]:
         return []
     names = " and ".join(fit.at_zero)
     what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
-    return [Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their doubts")]
+    return [Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their uncertainties")]
 
 
 def _bent_findings(fit: LoopFit) -> list[Finding]:

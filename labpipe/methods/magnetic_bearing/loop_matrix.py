@@ -14,7 +14,7 @@ from labpipe.estimation.measured import chosen_ports
 from labpipe.methods.magnetic_bearing.loop_problem import merged, response_errors
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Doubt, MatrixError
+from labpipe.records.uncertain import MatrixError, Uncertainty
 
 # Spectra of all channels as responses to the injections: signals of several quantities, none of them taken
 # as free of noise.
@@ -26,7 +26,7 @@ ONE_INJECTION = 1e6
 def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
     """H = Y R^-1 of the runs, Y the channels of role output and R those of role input, dH = (dY - H dR) R^-1.
 
-    Doubts of channels and of sums go the same way, but for directions that no other channel tells, which stay at their ports.
+    Uncertainties of channels and of sums go the same way, but for directions that no other channel tells, which stay at their ports.
     ConfigError where there is not one run per injection, or where the runs do not tell them apart. Equation (comp-injection).
     """
     inputs, outputs = ([n for n, channel in enumerate(spectra.channels) if channel.role == role] for role in ("input", "output"))
@@ -71,21 +71,23 @@ def _errors(
 ) -> tuple[MatrixError, ...]:
     """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their sums."""
     outputs, inputs = places
-    doubts = {doubted.doubt.source: doubted.doubt for channel in spectra.channels for doubted in channel.doubts}
+    uncertainties = {
+        uncertain.uncertainty.source: uncertain.uncertainty for channel in spectra.channels for uncertain in channel.uncertainties
+    }
     omega = 2 * np.pi * spectra.frequency
     errors = []
     for factor in spectra.factors:
         moved = spectra.vectors @ factor.derivative.T * (factor.std_error * omega**factor.power)[:, None, None]
         change = (moved[:, :, outputs].swapaxes(1, 2) - matrix @ moved[:, :, inputs].swapaxes(1, 2)) @ inverse
-        doubt = doubts.get(factor.source, Doubt(factor.source, factor.std_error, factor.unit))
-        errors.append(MatrixError(doubt, change))
+        uncertainty = uncertainties.get(factor.source, Uncertainty(factor.source, factor.std_error, factor.unit))
+        errors.append(MatrixError(uncertainty, change))
     return merged(errors)
 
 
 def _port(spectra: ChannelSpectra, number: int) -> Port:
     channel = spectra.channels[number]
     factor_sources = {factor.source for factor in spectra.factors}
-    left = tuple(doubted for doubted in channel.doubts if doubted.doubt.source not in factor_sources)
+    left = tuple(uncertain for uncertain in channel.uncertainties if uncertain.uncertainty.source not in factor_sources)
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.estimation.budget import across_ports, mass_doubt, matrix_errors, support_doubts, turned
+from labpipe.estimation.budget import across_ports, mass_uncertainty, matrix_errors, support_uncertainties, turned
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
@@ -22,7 +22,7 @@ from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.settings import settings_of
-from labpipe.records.uncertain import Doubt, MatrixError
+from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
@@ -114,7 +114,7 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     return replace(changed, magnet=replace(file.magnet, **magnet)) if magnet and file.magnet is not None else changed  # type: ignore[arg-type]
 
 
-# Systematic errors of a recorded loop: what the doubts of its channels and of sums of channels do to its
+# Systematic errors of a recorded loop: what the uncertainties of its channels and of sums of channels do to its
 # responses.
 
 
@@ -143,14 +143,14 @@ def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     """The errors with those of one source added up."""
     by_source: dict[str, MatrixError] = {}
     for error in errors:
-        before = by_source.get(error.doubt.source)
-        by_source[error.doubt.source] = error if before is None else replace(before, change=before.change + error.change)
+        before = by_source.get(error.uncertainty.source)
+        by_source[error.uncertainty.source] = error if before is None else replace(before, change=before.change + error.change)
     return tuple(by_source.values())
 
 
 def directions_left_out(ports: Iterable[Port]) -> list[str]:
-    """Labels of the ports whose direction has a doubt."""
-    return list(dict.fromkeys(port.label for port in ports if any(doubted.effect == "direction" for doubted in port.doubts)))
+    """Labels of the ports whose direction has an uncertainty."""
+    return list(dict.fromkeys(port.label for port in ports if any(uncertain.effect == "direction" for uncertain in port.uncertainties)))
 
 
 # Measured responses of a control loop beside the prediction of a bearing file: the residual over its
@@ -220,28 +220,28 @@ class LoopProblem:
             support[which] += error * float(deviation)
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
-    def changes(self, u: FloatArray) -> tuple[tuple[Doubt, ...], FloatArray]:
+    def changes(self, u: FloatArray) -> tuple[tuple[Uncertainty, ...], FloatArray]:
         """All sources but the support, and the change (n_source, n_equation) [1] of the residual by one standard uncertainty of each.
 
         A source of several responses changes all of them.
         """
-        doubts: dict[str, Doubt] = {}
+        uncertainties: dict[str, Uncertainty] = {}
         parts: list[dict[str, FloatArray]] = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
             errors = merged(observation.errors(*self._at(observation, u)))
-            doubts = {**{error.doubt.source: error.doubt for error in errors}, **doubts}
-            parts.append({error.doubt.source: whitened(weight, error.change) for error in errors})
+            uncertainties = {**{error.uncertainty.source: error.uncertainty for error in errors}, **uncertainties}
+            parts.append({error.uncertainty.source: whitened(weight, error.change) for error in errors})
         sizes = [observation.measured.n_equation for observation in self.observations]
         rows = [
             np.concatenate([*(part.get(source, np.zeros(n)) for part, n in zip(parts, sizes, strict=True)), np.zeros(len(self.support))])
-            for source in doubts
+            for source in uncertainties
         ]
-        return tuple(doubts.values()), np.array(rows).reshape(len(doubts), sum(sizes) + len(self.support))
+        return tuple(uncertainties.values()), np.array(rows).reshape(len(uncertainties), sum(sizes) + len(self.support))
 
     @property
-    def support_sources(self) -> tuple[Doubt, ...]:
-        """Doubts of the support, in the order of its deviations."""
-        return tuple(doubt for _, doubt in support_doubts(self.observations[0].support))
+    def support_sources(self) -> tuple[Uncertainty, ...]:
+        """Uncertainties of the support, in the order of its deviations."""
+        return tuple(uncertainty for _, uncertainty in support_uncertainties(self.observations[0].support))
 
     def jacobian(self, u: FloatArray) -> FloatArray:
         """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by one-sided ones."""
@@ -365,7 +365,7 @@ def view_errors(view: View, measured: Measured, file: MagneticFile, support: tup
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     errors = [*matrix_errors(measured), *_direction_errors(measured, total)]
-    mass = mass_doubt(view.settings)
+    mass = mass_uncertainty(view.settings)
     if mass is not None:
         errors.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
     return merged(errors)
@@ -375,18 +375,18 @@ def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[Matri
     """What directions that are written too large do to measured less predicted cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
     across = across_ports(measured.outputs)
     for number, port in enumerate(measured.outputs):
-        for error in _doubts_of_direction(port):
+        for error in _uncertainties_of_direction(port):
             if across is not None and np.any(across[number]):
                 yield MatrixError(error, error.std_error * turned(measured.matrix, number, across, of_forces=False))
             else:
                 yield MatrixError(error, error.std_error * _sines(measured, port) / total)
     for force in measured.inputs:
-        for error in _doubts_of_direction(force):
+        for error in _uncertainties_of_direction(force):
             yield MatrixError(error, -error.std_error * _sines(measured, force) / total)
 
 
-def _doubts_of_direction(port: Port) -> list[Doubt]:
-    return [doubted.doubt for doubted in port.doubts if doubted.effect == "direction" and port.angle is not None]
+def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
+    return [uncertain.uncertainty for uncertain in port.uncertainties if uncertain.effect == "direction" and port.angle is not None]
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:

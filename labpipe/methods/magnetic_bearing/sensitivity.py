@@ -416,7 +416,7 @@ def _measured_amounts(
         amounts.append(with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile))
         changes.append(peak.changes / highest)
     dof = COMPLEX_PARTS * measured.response.covariance_dof
-    return with_budget(amounts, [error.doubt for error in measured.errors], np.array(changes).T, dof if np.isfinite(dof) else None)
+    return with_budget(amounts, [error.uncertainty for error in measured.errors], np.array(changes).T, dof if np.isfinite(dof) else None)
 
 
 def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray) -> tuple[Parameter, ...]:

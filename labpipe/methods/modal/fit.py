@@ -147,7 +147,7 @@ def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tup
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
-    """A warning for every modal mass that is negative by more than its doubt: at a driving point no structure has one."""
+    """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no structure has one."""
     negative = [
         parameter
         for parameter in parameters
@@ -332,7 +332,7 @@ def _parameters(settings: FitSettings, sides: _Sides, estimate: ModalEstimate, r
 
 
 def _sources(settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate) -> list[Source]:
-    """What the sensors, sums of channels and a given mass make doubtful."""
+    """What the sensors, sums of channels and a given mass make uncertain."""
     parameters = partial(_parameters, settings, sides, estimate)
     of_matrix = modal_sources(sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real")
     return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]

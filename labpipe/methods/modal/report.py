@@ -1,4 +1,4 @@
-"""The figures and tables of modal fits: the stabilisation diagram, the shapes with their doubt, and their likeness."""
+"""The figures and tables of modal fits: the stabilisation diagram, the shapes with their uncertainty, and their likeness."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.response import Port
 
-# Mode shapes with their doubt, their likeness and their phase.
+# Mode shapes with their uncertainty, their likeness and their phase.
 
 
 def shape_record(

@@ -13,7 +13,7 @@ from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
-from labpipe.estimation.weights import has_noise, singular_lines, weight_doubt, whitener
+from labpipe.estimation.weights import has_noise, singular_lines, weight_uncertainty, whitener
 from labpipe.methods.modal.likelihood import Refined, ResidualTerms
 
 # Largest number of entries of the Jacobian.
@@ -171,15 +171,15 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:
-        weights, doubt = whitener(regular(measured)), weight_doubt(measured, dof)
+        weights, uncertainty = whitener(regular(measured)), weight_uncertainty(measured, dof)
     except FitError as error:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
     problem = OutputError(measured, model, weights)
     minimum = minimise(problem, start)
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
-    reduced = problem.chi2(minimum.values) / dof / doubt.excess
-    again = _refined(model, minimum, doubt.inflation * inverse, refined)
-    return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, doubt.p_value(reduced, dof))
+    reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
+    again = _refined(model, minimum, uncertainty.inflation * inverse, refined)
+    return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, uncertainty.p_value(reduced, dof))
 
 
 def regular(measured: Measured) -> Measured:

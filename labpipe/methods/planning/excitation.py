@@ -39,7 +39,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.records.settings import settings_of
-from labpipe.records.uncertain import SHAPES, Budget, Uncertain, split_doubt
+from labpipe.records.uncertain import SHAPES, Budget, Uncertain, split_uncertainty
 from labpipe.registry import nearest
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
@@ -157,7 +157,7 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
 
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
-    """Name of the one force that is moved from test to test, and the doubt of its direction as it is written; None where none is."""
+    """Name of the one force that is moved from test to test, and the uncertainty of its direction as it is written; None where none is."""
     settings = evaluation.settings
     if evaluation.side_by_side:
         return None
@@ -170,8 +170,8 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
     if len(forces) > 1:
         return None
     written = load_marked(evaluation.rig_path).content["channels"].content[forces[0].name].content.get("dof")
-    doubt = "" if written is None else split_doubt(written.text)[1]
-    return forces[0].name, f" +- {doubt}" if doubt else ""
+    uncertainty = "" if written is None else split_uncertainty(written.text)[1]
+    return forces[0].name, f" +- {uncertainty}" if uncertainty else ""
 
 
 def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
@@ -181,7 +181,7 @@ def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
 
 def _fit(evaluation: Evaluation) -> dict[str, Any]:
     settings = evaluation.settings
-    number = dict(settings.doubts).get("mass") or (None if settings.mass is None else Uncertain(settings.mass))
+    number = dict(settings.uncertainties).get("mass") or (None if settings.mass is None else Uncertain(settings.mass))
     if not evaluation.side_by_side:
         mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
         return {"model": settings.model, **mass}
@@ -195,7 +195,7 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def uncertain_text(number: Uncertain, unit: str) -> str:
-    """A number as people write it, with its doubt: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
+    """A number as people write it, with its uncertainty: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
     if not number.std_error:
         return f"{number.value!r} {unit}"
     qualities = [number.shape] if number.shape != "normal" else []
@@ -216,12 +216,12 @@ def rig_path(file: PlanFile) -> Path | None:
 
 
 def rehearsal(file: PlanFile) -> Rehearse | None:
-    """What gives the budget of tests; None where nothing but noise is in doubt. ConfigError for a rig without the channels."""
+    """What gives the budget of tests; None where nothing but noise is uncertain. ConfigError for a rig without the channels."""
     settings: PlanSettings = file.settings
     if settings.sensors is not None:
         check_rig(settings.sensors, settings, settings.shakers or settings.kind.axes)
-    of_sensors = settings.sensors is not None and any(channel.channel.doubts for channel in settings.sensors.channels)
-    if not of_sensors and not settings.doubts:
+    of_sensors = settings.sensors is not None and any(channel.channel.uncertainties for channel in settings.sensors.channels)
+    if not of_sensors and not settings.uncertainties:
         return None
 
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
@@ -302,7 +302,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
 
 
 def _expected(file: PlanFile) -> Expected:
-    """Values by name: those of `expected`, the others from the earlier result, with its doubts, then from theory."""
+    """Values by name: those of `expected`, the others from the earlier result, with its uncertainties, then from theory."""
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
     typed = dict(settings.expected)
@@ -314,14 +314,14 @@ def _expected(file: PlanFile) -> Expected:
     if name not in fits or (not settings.fit and len(fits) > 1):
         raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
     coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
-    return Expected(theory | coefficients | typed, earlier_doubts(fits[name], typed))
+    return Expected(theory | coefficients | typed, earlier_uncertainties(fits[name], typed))
 
 
 def _is_coefficient(parameter: Parameter) -> bool:
     return not parameter.derived and parameter.name[0] in "kcm"
 
 
-def earlier_doubts(fit: Fit, typed: Container[str] = ()) -> Earlier:
+def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*; NaN where it states no errors."""
     estimated = [p for p in fit.parameters if not p.derived]
     kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]

@@ -137,7 +137,7 @@ LEAST_GAIN, MOST_ERROR = 0.8, 1.25
 
 @dataclass(frozen=True)
 class Earlier:
-    """The doubts of an earlier result of coefficients *names* (n,).
+    """The uncertainties of an earlier result of coefficients *names* (n,).
 
     noise (n, n) [squared SI units]: covariance by noise; sources: names of its systematic errors, changes (n_source, n) [SI units] of
     the coefficients by one standard uncertainty of each.
@@ -165,7 +165,8 @@ class Earlier:
         return whole
 
     def known(self, model: PlannedModel, duration: float, common: Sequence[str] = ()) -> EarlierInformation:
-        """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as well, which add no doubt here.
+        """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as well, which add no uncertainty
+        here.
 
         ConfigError where the result states no errors.
         """
@@ -184,7 +185,7 @@ class Earlier:
 
 @dataclass(frozen=True)
 class Expected:
-    """Expected coefficients by name [SI], and the doubt of those that an earlier result gives."""
+    """Expected coefficients by name [SI], and the uncertainty of those that an earlier result gives."""
 
     values: Mapping[str, float]
     earlier: Earlier | None = None
@@ -235,7 +236,7 @@ def _rate(rig: Rig, truth: Rig, campaign: Campaign) -> FloatArray:
 
 
 def spread_notes(found: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
-    """What the doubt of the expectation means for the plan; *predicted* (n,) [1] errors, *gain* [1] over flat."""
+    """What the uncertainty of the expectation means for the plan; *predicted* (n,) [1] errors, *gain* [1] over flat."""
     notes = []
     low, high = found.gain
     if low < LEAST_GAIN * gain or np.any(found.errors[1] > MOST_ERROR * predicted):

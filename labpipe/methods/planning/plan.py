@@ -133,7 +133,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
         tests = flats[LEAST_CREST].tests
         first = rehearse(rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests))
     if first is None and np.any(np.isfinite(goals.expanded)):
-        what = "nothing but noise is in doubt, so that no expanded uncertainty is known"
+        what = "nothing but noise is uncertain, so that no expanded uncertainty is known"
         raise ConfigError(what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal")
     if settings.combine_earlier:
         assert expected.earlier is not None
@@ -157,7 +157,7 @@ def _scheme(settings: PlanSettings) -> str:
 
 
 def _with_budget(plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None) -> Plan:
-    """The plan with what the doubts of sensors and mass add, and what of the goals they leave."""
+    """The plan with what the uncertainties of sensors and mass add, and what of the goals they leave."""
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
     if timed.known is not None and earlier is not None:

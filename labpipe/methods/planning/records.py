@@ -15,9 +15,9 @@ class PlannedCoefficient:
 
     error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat multisine of equal peak and
     time. goal: the relative error that is wanted, None for none. error_range: of *error* over draws from the covariance of an earlier
-    result, None where what is expected has no doubt, or a draw leaves the coefficient undetermined. systematic: what numbers of the rig
-    and the mass add, None without doubts; then there are the combined and the expanded uncertainty, coverage_factor times the former, and
-    the *budget*, noise among the sources. goal_expanded: the relative expanded uncertainty that is wanted.
+    result, None where what is expected has no uncertainty, or a draw leaves the coefficient undetermined. systematic: what numbers of the
+    rig and the mass add, None without uncertainties; then there are the combined and the expanded uncertainty, coverage_factor times the
+    former, and the *budget*, noise among the sources. goal_expanded: the relative expanded uncertainty that is wanted.
     """
 
     name: str

@@ -18,7 +18,8 @@ RANGE = "over draws of the expected values (95 %)"
 BUDGET = ("coefficient", "goal, expanded", "random", "systematic", "combined", "expanded", "largest shares of the variance")
 SOURCES, SHOWN = 3, 0.005
 BUDGETED = (
-    "Random is what noise leaves, systematic what the doubts of the rig file's numbers and of the mass do to first order, by the budget of "
+    "Random is what noise leaves, systematic what the uncertainties of the rig file's numbers and of the mass do to first order, by the "
+    "budget of "
     "the plan's pipeline on the expected responses. Longer measuring lowers the random part alone."
 )
 TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")

@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Doubts, Settings, setting
+from labpipe.records.settings import Settings, Uncertainties, setting
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -103,7 +103,11 @@ class PlanSettings(Settings):
     )
     mass: float | None = setting("value", "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", unit="kg", default=None)
     rig: str = setting(
-        "file", "rig file of the recordings, whose doubts count; default: none, SI columns", default="", file_kind="rig", into="sensors"
+        "file",
+        "rig file of the recordings, whose uncertainties count; default: none, SI columns",
+        default="",
+        file_kind="rig",
+        into="sensors",
     )
     noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
     noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
@@ -121,7 +125,7 @@ class PlanSettings(Settings):
     speed: float | None = setting("value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None)
     mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
     skip: int = setting("integer", "transient periods before the measured ones, in every test", default=1)
-    doubts: Doubts = ()
+    uncertainties: Uncertainties = ()
     sensors: Rig | None = None
 
     def __post_init__(self) -> None:
@@ -133,9 +137,9 @@ class PlanSettings(Settings):
             raise ConfigError(
                 "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
             )
-        for name, _ in self.doubts:
+        for name, _ in self.uncertainties:
             if name != "mass":
-                raise ConfigError(f"a doubt of '{name}' is not planned with", hint="the mass may carry one", field=name)
+                raise ConfigError(f"an uncertainty of '{name}' is not planned with", hint="the mass may carry one", field=name)
         self._check_expected()
         for name, values in self.goal:
             if len(values) != 1 or values[0] <= 0:

@@ -258,7 +258,7 @@ def plan_states(settings: StatePlanSettings, title: str, folder: Path) -> tuple[
 
 
 def _common(bearing: BearingFile, name: str) -> Common:
-    """A number of the bearing file, with its doubt as what is known before."""
+    """A number of the bearing file, with its uncertainty as what is known before."""
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
         numbers = tuple(key for key, (declaration, _) in declared.items() if declaration.kind == "value" and key not in ("load", "speed"))
@@ -266,8 +266,8 @@ def _common(bearing: BearingFile, name: str) -> Common:
     value = getattr(bearing.settings(), name)
     if not value:
         raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
-    doubt = bearing.doubts.get(name)
-    return Common(name, float(value), declared[name][0].unit, None if doubt is None else doubt.std_error)
+    uncertainty = bearing.uncertainties.get(name)
+    return Common(name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error)
 
 
 def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]) -> list[BearingState]:

@@ -6,7 +6,8 @@ Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on ev
 orthogonal to each other, so that the average is what the rig does, and its covariance by the scatter, a_c^2 / (P - 1), that of white noise
 in every sensor. What evaluates a recording, and its uncertainty budget, then give what is expected of the real one.
 
-Predicted uncertainty budgets: what the doubts of sensors, mass and directions add to the noise of a planned test, however long it is.
+Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a planned test, however long it
+is.
 
 The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the fit that will evaluate the
 test. Where an earlier result counts beside it, with information I_0 and changes c_0 of its own, they are (I_0 + I)^-1 (I_0 c_0 + I c).
@@ -32,7 +33,7 @@ from labpipe.methods.planning.settings import EXPANDED, PlanSettings
 from labpipe.records.finding import Contribution
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.registry import nearest
 
 # A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter
@@ -90,7 +91,7 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
     return np.array([np.cos(angle), np.sin(angle)], complex)
 
 
-# Predicted uncertainty budgets: what the doubts of sensors, mass and directions add to the noise of a
+# Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
 # planned test, however long it is.
 
 COVERAGE = 0.95
@@ -99,7 +100,7 @@ LASTING = 0.81
 # Share of the variance that a goal leaves to noise, at least, where a source is to be calibrated for it.
 FOR_NOISE = 0.1
 
-# From tests with their whole periods to the budget of their evaluation; None where nothing is in doubt.
+# From tests with their whole periods to the budget of their evaluation; None where nothing is uncertain.
 Rehearse = Callable[[Rig, Sequence[Multisines], Sequence[int]], Budget | None]
 
 
@@ -237,7 +238,7 @@ def _listed(budget: Budget, changes: FloatArray) -> str:
     return ", ".join(budget.sources[number].source for number in order[:count])
 
 
-def _size(source: Doubt, share: float) -> str:
+def _size(source: Uncertainty, share: float) -> str:
     """A standard uncertainty times a share, in per cent where it is relative; what has to be reached is rounded down."""
     size = source.std_error * share
     unit = "%" if source.unit == "1" else shown_unit(source.unit, size)

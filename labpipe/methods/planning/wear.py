@@ -117,7 +117,9 @@ class WearPlanSettings(Settings):
             )
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
-                raise ConfigError(f"{name} has no doubt", hint="90 um +- 2 %; what is certain belongs into the rotor file", field=name)
+                raise ConfigError(
+                    f"{name} has no uncertainty", hint="90 um +- 2 %; what is certain belongs into the rotor file", field=name
+                )
         self._check_rig()
 
     def _check_rig(self) -> None:
@@ -359,7 +361,7 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 
 
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
-    """Micrometres and degrees; of the others their doubt."""
+    """Micrometres and degrees; of the others their uncertainty."""
     return np.array(
         [1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE))]
     )

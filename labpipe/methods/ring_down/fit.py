@@ -25,7 +25,7 @@ from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
 from labpipe.records.spectra import FreeDecays
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 
 # The logarithmic decrement as it is read off a screen, for comparison: from the peaks, one per period.
 
@@ -143,7 +143,7 @@ def pole_correlation(fitted: Decayed) -> FloatArray:
     return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
-# What the doubts of sensors and of a given mass do to decays: the law over the amplitude goes as one over
+# What the uncertainties of sensors and of a given mass do to decays: the law over the amplitude goes as one over
 # the sensor's gain.
 
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
@@ -154,25 +154,25 @@ def decay_sources(parameters: Sequence[Parameter], settings: FitSettings, ports:
 
     An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large. Poles do not know it.
     """
-    doubts: dict[str, Doubt] = {}
+    uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, FloatArray] = {}
     for mode, port in ports.items():
         scaled = np.array(
             [parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for parameter in parameters]
         )
-        for doubted in port.doubts:
-            if doubted.effect == "gain":
-                source = doubted.doubt.source
-                doubts.setdefault(source, doubted.doubt)
-                changes[source] = changes.get(source, np.zeros(len(parameters))) + doubted.doubt.std_error * scaled
-    return [*mass_source(parameters, settings), *((doubts[source], change) for source, change in changes.items())]
+        for uncertain in port.uncertainties:
+            if uncertain.effect == "gain":
+                source = uncertain.uncertainty.source
+                uncertainties.setdefault(source, uncertain.uncertainty)
+                changes[source] = changes.get(source, np.zeros(len(parameters))) + uncertain.uncertainty.std_error * scaled
+    return [*mass_source(parameters, settings), *((uncertainties[source], change) for source, change in changes.items())]
 
 
 # Findings and notes of a fit of free decays.
 
 
 def depends_on_amplitude(law: FittedLaw) -> bool:
-    """Whether a slope of the law differs from zero beyond doubt, and the law is no worse than its noise allows to tell."""
+    """Whether a slope of the law differs significantly from zero, and the law is no worse than its noise allows to tell."""
     errors = np.sqrt(np.diag(law.covariance))
     slopes = np.array([law.law.zeta_slope, law.law.frequency_slope])
     ratios = np.divide(np.abs(slopes), errors[1:3], out=np.zeros(2), where=errors[1:3] > 0)

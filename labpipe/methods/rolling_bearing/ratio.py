@@ -205,9 +205,9 @@ def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Ri
     part = FrequencyResponse(
         response.frequency[lines],
         response.matrix[lines][:, row, None][:, :, column, None],
-        # Fits of the theory's curve give values alone: no doubt of a sensor need be propagated in each of them.
-        (replace(response.outputs[row], doubts=()),),
-        (replace(response.inputs[column], doubts=()),),
+        # Fits of the theory's curve give values alone: no uncertainty of a sensor need be propagated in each of them.
+        (replace(response.outputs[row], uncertainties=()),),
+        (replace(response.inputs[column], uncertainties=()),),
         form=response.form,
         covariance=covariance,
         averages=response.averages,

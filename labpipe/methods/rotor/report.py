@@ -199,19 +199,19 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
         (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
         wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
         peaks = (
-            _with_doubt(UM * forward, UM, case, "forward_peak"),
-            _with_doubt(at, 1.0, case, "forward_speed"),
-            _with_doubt(UM * backward, UM, case, "backward_peak"),
-            _with_doubt(back_at, 1.0, case, "backward_speed"),
+            _with_uncertainty(UM * forward, UM, case, "forward_peak"),
+            _with_uncertainty(at, 1.0, case, "forward_speed"),
+            _with_uncertainty(UM * backward, UM, case, "backward_peak"),
+            _with_uncertainty(back_at, 1.0, case, "backward_speed"),
         )
         rows.append((case.name, *wear, *peaks, f"{backward / forward:.3f}"))
     caption = f"Largest radii over {len(runs.speed)} speeds from {runs.speed[0]:g} to {runs.speed[-1]:g} Hz, and backward over forward"
     if any(case.changes for case in runs.cases):
-        caption += "; standard uncertainties by the doubts of the bearings' numbers and the step of the speeds"
+        caption += "; standard uncertainties by the uncertainties of the bearings' numbers and the step of the speeds"
     return (Paragraph(EXPLAINED), Table(HEADER, tuple(rows), caption, tuple(range(1, 8))), unbalance_figure(runs))
 
 
-def _with_doubt(value: float, factor: float, case: UnbalanceCase, name: str) -> str:
+def _with_uncertainty(value: float, factor: float, case: UnbalanceCase, name: str) -> str:
     """A value [shown unit] with its standard uncertainty, *factor* of it [shown unit per SI unit], where it has one."""
     error = case.error(name)
     return f"{value:.4g}" if error is None else with_error(value, factor * error)

@@ -12,28 +12,28 @@ from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
-class DoubtfulBearing:
-    """A bearing with one number a standard uncertainty *above* its value, and *below* it; *doubt* of the number."""
+class UncertainBearing:
+    """A bearing with one number a standard uncertainty *above* its value, and *below* it; *uncertainty* of the number."""
 
-    doubt: Doubt
+    uncertainty: Uncertainty
     above: Bearing
     below: Bearing
 
 
 @dataclass(frozen=True)
 class BearingPlace:
-    """A bearing on a node of the rotor; *kind*: that of its file; *doubts* of the numbers in its entry."""
+    """A bearing on a node of the rotor; *kind*: that of its file; *uncertainties* of the numbers in its entry."""
 
     name: str
     node: int
     bearing: Bearing
     kind: str = "journal-bearing"
-    doubts: tuple[DoubtfulBearing, ...] = ()
+    uncertainties: tuple[UncertainBearing, ...] = ()
 
     @property
     def is_film(self) -> bool:
@@ -41,18 +41,22 @@ class BearingPlace:
         return isinstance(self.bearing, JournalBearing)
 
     def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
-        """The place with other numbers in its oil film, doubtful or not; a number that is changed has no doubt any more."""
+        """The place with other numbers in its oil film, uncertain or not; a number that is changed has no uncertainty any more."""
 
         def changed(bearing: Bearing) -> JournalBearing:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
-        doubts = [DoubtfulBearing(one.doubt, changed(one.above), changed(one.below)) for one in self.doubts]
-        return replace(self, bearing=changed(self.bearing), doubts=tuple(one for one in doubts if one.above != one.below))
+        uncertainties = [UncertainBearing(one.uncertainty, changed(one.above), changed(one.below)) for one in self.uncertainties]
+        return replace(self, bearing=changed(self.bearing), uncertainties=tuple(one for one in uncertainties if one.above != one.below))
 
     def with_error(self, source: str, sign: int) -> BearingPlace:
         """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1); unchanged without one."""
         return next(
-            (replace(self, bearing=one.above if sign > 0 else one.below, doubts=()) for one in self.doubts if one.doubt.source == source),
+            (
+                replace(self, bearing=one.above if sign > 0 else one.below, uncertainties=())
+                for one in self.uncertainties
+                if one.uncertainty.source == source
+            ),
             self,
         )
 
@@ -160,13 +164,13 @@ class RotorRig:
         return replace(self, speed=speed)
 
     @property
-    def sources(self) -> tuple[Doubt, ...]:
-        """The doubts in the bearings' entries, each source once."""
-        doubts: dict[str, Doubt] = {}
+    def sources(self) -> tuple[Uncertainty, ...]:
+        """The uncertainties in the bearings' entries, each source once."""
+        uncertainties: dict[str, Uncertainty] = {}
         for place in self.bearings:
-            for bearing_doubt in place.doubts:
-                doubts.setdefault(bearing_doubt.doubt.source, bearing_doubt.doubt)
-        return tuple(doubts.values())
+            for bearing_uncertainty in place.uncertainties:
+                uncertainties.setdefault(bearing_uncertainty.uncertainty.source, bearing_uncertainty.uncertainty)
+        return tuple(uncertainties.values())
 
     def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
         """The rig with all numbers of a *source* a standard uncertainty above, and below."""

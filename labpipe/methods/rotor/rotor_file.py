@@ -10,13 +10,13 @@ from typing import Any, TypeVar
 
 from labpipe.bearings.kinds import Bearing
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.rig import BearingPlace, DoubtfulBearing, RotorRig, Unbalance
+from labpipe.methods.rotor.rig import BearingPlace, RotorRig, Unbalance, UncertainBearing
 from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
-from labpipe.project.bearing_file import kind_of, setting_at, taken_doubts
+from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
 from labpipe.records.settings import FileKind, Setting, Settings, setting
-from labpipe.records.uncertain import doubt_of
+from labpipe.records.uncertain import uncertainty_of
 from labpipe.registry import nearest
 
 # What the entries of a rotor file hold: shaft elements, discs, sleeves, loads, unbalances, materials,
@@ -285,7 +285,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
             faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
     # Load and speed come with every question to the bearing; until then they are any number above zero.
     owner = kind.on_rotor or kind.settings
-    doubts = taken_doubts(plain, kind, "", owner, faults)
+    uncertainties = taken_uncertainties(plain, kind, "", owner, faults)
 
     def mounted() -> tuple[str, Bearing | None]:
         settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
@@ -296,14 +296,14 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     name, bearing = mounted()
     if bearing is None or node is None:
         return None
-    doubtful = []
-    for entry_name, uncertain in doubts.items():
+    places = []
+    for entry_name, uncertain in uncertainties.items():
         unit = setting_at(owner, entry_name).unit
         ends = [_at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted) for sign in (1.0, -1.0, 0.0)]
         if ends[0] is None or ends[1] is None:
             return None
-        doubtful.append(DoubtfulBearing(doubt_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1]))
-    return BearingPlace(name, node, bearing, entries["kind"].text, tuple(doubtful))
+        places.append(UncertainBearing(uncertainty_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1]))
+    return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 
 def _at_end(plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]) -> Bearing | None:

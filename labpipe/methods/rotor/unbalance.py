@@ -32,7 +32,7 @@ class PeakChange:
 class UnbalanceCase:
     """One state of the bearing: wear *depth* [m] at *angle* [rad]; radii [m] of the forward and the backward circle at every speed.
 
-    changes: of the largest of them by the doubts of the bearings' numbers.
+    changes: of the largest of them by the uncertainties of the bearings' numbers.
     """
 
     name: str

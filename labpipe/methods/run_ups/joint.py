@@ -30,7 +30,7 @@ from labpipe.methods.run_ups.film_family import BOUND, PARAMETERS, PRIOR, FilmFa
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_speeds, sources_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, searched_over
-from labpipe.records.uncertain import Doubt, Uncertain
+from labpipe.records.uncertain import Uncertain, Uncertainty
 
 # The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and
 # priors.
@@ -110,7 +110,7 @@ class RunUpProblem(Generic[Family]):
         measured = [self._response(group, values)[1] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
 
-    def residual_changes(self, sources: Sequence[Doubt]) -> FloatArray:
+    def residual_changes(self, sources: Sequence[Uncertainty]) -> FloatArray:
         """Changes (n_source, n_datum) [-] of the residual of responses and thresholds by one standard uncertainty of each source."""
         names = [source.source for source in sources]
         by_group = [group.residual_changes(names) for group in self.groups]
@@ -188,7 +188,7 @@ class JointFit:
     loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
     against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
     prior_dominated: combinations that the priors determine, as text; known: parameters that were not estimated. systematic (n_source,
-    12): changes by one standard uncertainty of each of the *sources*, doubts of the probes; chi2 is without what these explain.
+    12): changes by one standard uncertainty of each of the *sources*, uncertainties of the probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -207,7 +207,7 @@ class JointFit:
     prior_dominated: tuple[str, ...]
     steps: int
     known: tuple[str, ...] = ()
-    sources: tuple[Doubt, ...] = ()
+    sources: tuple[Uncertainty, ...] = ()
     systematic: FloatArray = field(default_factory=lambda: np.zeros((0, len(PARAMETERS))))
 
     @property
@@ -241,7 +241,7 @@ class JointFit:
 
     @property
     def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the doubts of the probes."""
+        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the uncertainties of the probes."""
         return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
 
     def parameter(self, name: str) -> Uncertain:

@@ -8,8 +8,8 @@ Near a critical speed all outputs are dominated by the same two modes and have o
 
 fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan & Koerner 1963). The largest
 displacement of the fitted orbit gives the speed; its error is that of refits under the stated noise, together with what two points fewer
-and the doubts of the probes change. Polynomials through the amplitudes alone miss the peak by one to two per cent at steps of 100 rpm,
-twenty times their own errors.
+and the uncertainties of the probes change. Polynomials through the amplitudes alone miss the peak by one to two per cent at steps of 100
+rpm, twenty times their own errors.
 """
 
 from __future__ import annotations
@@ -223,23 +223,23 @@ def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str,
         amplitude_error=deviation,
         phase_error=deviation / size,
         unbalance=dict(unbalance),
-        doubts=tuple(_probe_errors(track)),
+        uncertainties=tuple(_probe_errors(track)),
     )
 
 
 def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
-    """The doubts of the probes of all planes: a probe at theta + d reads what one at theta does and d times what is across it."""
+    """The uncertainties of the probes of all planes: a probe at theta + d reads what one at theta does and d times what is across it."""
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
         for row, column in enumerate(plane.columns):
             along = plane.directions[row]
             across = np.array([-along[1], along[0]])
-            for doubted in track.ports[column].doubts:
-                slope, power = COURSES.get(doubted.effect, (0.0, 0))
-                read = -across if doubted.effect == "direction" else slope * along
+            for uncertain in track.ports[column].uncertainties:
+                slope, power = COURSES.get(uncertain.effect, (0.0, 0))
+                read = -across if uncertain.effect == "direction" else slope * along
                 matrix = np.zeros((len(track.planes), 2, 2), np.complex128)
                 matrix[at] = np.outer(to_plane[:, row], read)
-                yield ProbeError(doubted.doubt, matrix, power)
+                yield ProbeError(uncertain.uncertainty, matrix, power)
 
 
 def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:

@@ -140,7 +140,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The parameter with its *combined* error [1] in parts: of noise and priors, and of every doubt of the probes, the largest first."""
+    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of the probes, largest first."""
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))

@@ -20,7 +20,7 @@ from labpipe.methods.rotor.pinned import CondensedRotor
 from labpipe.methods.run_ups.film_family import COEFFICIENTS, as_eight, as_matrices
 from labpipe.methods.run_ups.records import RankRow, RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RunUpRotor
-from labpipe.records.uncertain import Doubt
+from labpipe.records.uncertain import Uncertainty
 
 # Weighted residuals of run-ups with analytic slopes, and the rank of a set of run-ups.
 
@@ -95,14 +95,14 @@ class LoadRuns:
         return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
 
 
-def sources_of(groups: Iterable[LoadRuns]) -> tuple[Doubt, ...]:
-    """The doubts of the probes of all runs, each source once."""
-    doubts: dict[str, Doubt] = {}
+def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
+    """The uncertainties of the probes of all runs, each source once."""
+    uncertainties: dict[str, Uncertainty] = {}
     for group in groups:
         for run in group.runs:
-            for error in run.run.doubts:
-                doubts.setdefault(error.doubt.source, error.doubt)
-    return tuple(doubts.values())
+            for error in run.run.uncertainties:
+                uncertainties.setdefault(error.uncertainty.source, error.uncertainty)
+    return tuple(uncertainties.values())
 
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:

@@ -31,9 +31,9 @@ LEAST_DAMPING = 1e-9
 class PointFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
-    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the doubts of probes; at_bound (n_speed, 8): there the standard error
-    is NaN; rank, condition (n_speed,): of the data alone; chi2, n_datum, n_effective: sum of squares, real data, and parameters that the
-    data determine.
+    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes; at_bound (n_speed, 8): there the standard
+    error is NaN; rank, condition (n_speed,): of the data alone; chi2, n_datum, n_effective: sum of squares, real data, and parameters that
+    the data determine.
     """
 
     load: float

@@ -45,7 +45,7 @@ from labpipe.methods.run_ups.joint import (
 from labpipe.methods.run_ups.misfit import LoadRuns, rank_of, runs_by_load, sources_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor, largest_displacement, searched_over
-from labpipe.records.uncertain import Doubt, Uncertain
+from labpipe.records.uncertain import Uncertain, Uncertainty
 
 # Smooth fields over load and speed with a Gaussian process prior, and the film's family times such fields.
 
@@ -147,7 +147,7 @@ class ProcessFit:
 
     chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
     the data, in units of the priors; n_determined: combinations that the data determine better than the priors do. systematic (n_source,
-    n_parameter): changes by one standard uncertainty of each of the *sources*, doubts of probes; chi2 is without what these explain.
+    n_parameter): changes by one standard uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -162,7 +162,7 @@ class ProcessFit:
     condition: float
     n_determined: int
     steps: int
-    sources: tuple[Doubt, ...]
+    sources: tuple[Uncertainty, ...]
     systematic: FloatArray
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.uncertain import Doubt, Uncertain
+from labpipe.records.uncertain import Uncertain, Uncertainty
 
 # A run-up: the 1x response of a rotor over speed at several planes, its excitation and the static load on
 # its bearing.
@@ -33,16 +33,17 @@ class Shaker:
 class ProbeError:
     """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X = (x, y).
 
-    doubt: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the number], w the frequency of the response.
+    uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the number], w the frequency of the
+    response.
     """
 
-    doubt: Doubt
+    uncertainty: Uncertainty
     matrix: ComplexArray
     power: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "matrix", frozen_array(self.matrix, np.complex128, f"matrix of {self.doubt.source}", np.shape(self.matrix))
+            self, "matrix", frozen_array(self.matrix, np.complex128, f"matrix of {self.uncertainty.source}", np.shape(self.matrix))
         )
 
 
@@ -53,7 +54,7 @@ class RunUp:
     speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from x(t) = Re(X exp(j w t)), w
     the frequency of the excitation; amplitude_error [m] and phase_error [rad], like response: standard errors. unbalance [kg m] by
     plane, complex with its angle from x at time zero; shaker: what excited the rotor instead; threshold [rad/s]: of instability, where
-    it was measured. doubts: of the probes' calibration. DataError where these do not fit together.
+    it was measured. uncertainties: of the probes' calibration. DataError where these do not fit together.
     """
 
     name: str
@@ -67,7 +68,7 @@ class RunUp:
     unbalance: Mapping[str, complex] = field(default_factory=dict)
     shaker: Shaker | None = None
     threshold: Uncertain | None = None
-    doubts: tuple[ProbeError, ...] = ()
+    uncertainties: tuple[ProbeError, ...] = ()
 
     def __post_init__(self) -> None:
         n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)
@@ -102,10 +103,10 @@ class RunUp:
         """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source; one source errs as one."""
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
         changes: dict[str, ComplexArray] = {}
-        for error in self.doubts:
-            course = error.doubt.std_error * omega**error.power
+        for error in self.uncertainties:
+            course = error.uncertainty.std_error * omega**error.power
             change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
-            changes[error.doubt.source] = changes.get(error.doubt.source, np.zeros_like(self.response)) + change
+            changes[error.uncertainty.source] = changes.get(error.uncertainty.source, np.zeros_like(self.response)) + change
         return changes
 
     @property

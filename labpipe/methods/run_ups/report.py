@@ -178,11 +178,11 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
     return [Table(("run", "measured (source)", "original (source)", "enhanced (source)"), tuple(rows), caption, (1, 2, 3))]
 
 
-def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
+def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
     """Rank, condition, bounds and chi-square of every method; undetermined combinations; recommended experiment."""
     fitted = [method for method in result.methods if method.rank is not None]
     header = ("method", "verdict", "rank", "condition", "at a bound", "data", "effective parameters", "chi² per datum")
-    rows = tuple(_doubt_row(method) for method in fitted)
+    rows = tuple(_uncertainty_row(method) for method in fitted)
     caption = "Identifiability by method; rank and condition of (a) and (b): the worst point of eight unknowns each"
     blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
     for method in fitted:
@@ -193,7 +193,7 @@ def doubt_blocks(result: RunUpResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _doubt_row(method: RunUpMethod) -> tuple[str, ...]:
+def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
     return (
         SHORT.get(method.name, method.title),
         method.verdict,
@@ -419,7 +419,7 @@ def run_up_sections(result: RunUpResult, _identification: Identification) -> tup
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
         Section("Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))),
-        Section("Identifiability of the coefficients", _doubt(result)),
+        Section("Identifiability of the coefficients", _uncertainty(result)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
         Section("Response of every run", tuple(bode_figure(result, run) for run in result.runs)),
@@ -453,12 +453,12 @@ def _notes(owners: Sequence[RunUpMethod | MetamodelResult]) -> dict[str, list[st
     return notes
 
 
-def _doubt(result: RunUpResult) -> tuple[Block, ...]:
+def _uncertainty(result: RunUpResult) -> tuple[Block, ...]:
     searches: list[Block] = []
     for method in result.methods:
         searches += [convergence_figure(method, search) for search in method.convergence]
         searches += [spread_figure(method, spread) for spread in method.spreads]
-    return (*doubt_blocks(result), *searches)
+    return (*uncertainty_blocks(result), *searches)
 
 
 def _coefficients(result: RunUpResult) -> tuple[Block, ...]:

@@ -73,8 +73,8 @@ def metamodels(
         model = _fitted(name, grid, joint, settings.seed)
         rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
-        doubt = (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
-        predictions = tuple(_prediction(model, rig, run, settings.plane, doubt) for run in runs)
+        uncertainty = (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
+        predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
         results.append(
             MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
         )
@@ -109,12 +109,12 @@ def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
     return carried_beyond(partial(model.predict, load), *model.speeds)
 
 
-def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, doubt: tuple[str, ...]) -> RunPrediction:
+def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]) -> RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     remark = caution(model, run.load)
-    notes = (*doubt, *((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
+    notes = (*uncertainty, *((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
     eight = model.predict(run.load, run.speed)
-    error = None if doubt else model.std_error(run.load, run.speed)
+    error = None if uncertainty else model.std_error(run.load, run.speed)
     return predict(run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
 
 
@@ -205,7 +205,7 @@ def _ranks(rig: RunUpRotor, trained: Sequence[RunUp]) -> dict[str, Any]:
 
 def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]) -> RunUpResult:
     findings = [
-        *(finding for method in result.methods for finding in _doubts(method, result.runs)),
+        *(finding for method in result.methods for finding in _uncertainties(method, result.runs)),
         *(note("no-critical-speed", reason) for reason in reasons),
         *(note("residual", f"{item.run.name}: '{item.settings.subtract}' is subtracted") for item in read if item.settings.subtract),
         *_advice(result),
@@ -213,7 +213,7 @@ def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[R
     return replace(result, findings=tuple(findings))
 
 
-def _doubts(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
+def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Finding]:
     """Findings on a method: undetermined, rejected, at a bound, extrapolated."""
     findings = []
     if method.verdict == "not determined":

@@ -78,10 +78,10 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     if rotor is None or settings is None or len(faults) > before:
         return None
     (entry, place), *_ = bearings
-    if place.doubts:
-        names = ", ".join(one.doubt.source for one in place.doubts)
+    if place.uncertainties:
+        names = ", ".join(one.uncertainty.source for one in place.uncertainties)
         hint = "leave it out: clearance, viscosity and the film's other numbers are estimated about the value that is given here"
-        faults.add(entry, "bearings.1", f"the doubt of {names} is not used by run-ups", hint)
+        faults.add(entry, "bearings.1", f"the uncertainty of {names} is not used by run-ups", hint)
         return None
     place = replace(place, name="bearing") if place.name == "1" else place
     speeds = None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])

@@ -30,7 +30,7 @@ from labpipe.methods.run_ups.report import cover_facts, run_up_sections
 from labpipe.methods.run_ups.result import listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
-from labpipe.methods.run_ups.settings import ProbeDoubts, RunSettings, RunUpSettings, turning
+from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import Compared, CompareNumber, compare_covers
 from labpipe.project.rules import Rule
@@ -49,10 +49,12 @@ from labpipe.spectra.settings import ShaftLines
 
 # Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
-NO_DOUBTS = ProbeDoubts()
+NO_UNCERTAINTIES = ProbeUncertainties()
 
 
-def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeDoubts = NO_DOUBTS) -> ReadRun:
+def read_run(
+    settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
+) -> ReadRun:
     """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry. *probes*: those of tables."""
     try:
         read = _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
@@ -63,9 +65,9 @@ def read_run(settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folde
         raise
 
 
-def _tabled(settings: RunSettings, probes: ProbeDoubts) -> ReadRun:
+def _tabled(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
     run = _stated(settings, read_run_up_csv(settings.path, settings.name, dict(settings.unbalance) or None))
-    run = replace(run, doubts=probes.errors(run.planes))
+    run = replace(run, uncertainties=probes.errors(run.planes))
     if settings.subtracted is not None:
         run = difference(run, read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}))
     return ReadRun(settings, run)
@@ -112,9 +114,9 @@ def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSetting
     assert settings.load is not None
     run = run_up_of(track, settings.name, settings.load, unbalance)
     tacho = next(channel for channel in recording.channels if channel.name == settings.tacho)
-    turned = [effect.doubt for effect in tacho.doubts if effect.effect == "phase"]
-    of_keyphasor = [error for doubt in turned for error in turning(doubt, len(run.planes))]
-    return replace(run, doubts=(*run.doubts, *of_keyphasor))
+    turned = [effect.uncertainty for effect in tacho.uncertainties if effect.effect == "phase"]
+    of_keyphasor = [error for uncertainty in turned for error in turning(uncertainty, len(run.planes))]
+    return replace(run, uncertainties=(*run.uncertainties, *of_keyphasor))
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, ...]:
@@ -145,7 +147,7 @@ def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path
     """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
-    probes = settings.probes.doubts
+    probes = settings.probes.uncertainties
     return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs], tell)
 
 

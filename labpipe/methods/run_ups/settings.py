@@ -15,17 +15,20 @@ from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Settings, setting
-from labpipe.records.uncertain import COURSES, Doubt, Uncertain, doubt_of, parse_uncertain
+from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
-# Doubts of the probes and of the keyphasor of run-ups, as errors of their phasors.
+# Uncertainties of the probes and of the keyphasor of run-ups, as errors of their phasors.
 
 KEYPHASOR = "keyphasor"
 
 
 @dataclass(frozen=True)
-class ProbeDoubts:
-    """Doubts of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad] of the keyphasor; None for none."""
+class ProbeUncertainties:
+    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad] of the keyphasor.
+
+    None for none.
+    """
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -33,7 +36,7 @@ class ProbeDoubts:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction; each is its own, unless the doubt names a source."""
+        """The errors of every probe, named by plane and direction; each is its own, unless the uncertainty names a source."""
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -44,15 +47,15 @@ class ProbeDoubts:
                 for axis, direction in enumerate(DIRECTIONS):
                     matrix = np.zeros((len(planes), 2, 2), np.complex128)
                     matrix[at, axis, axis] = slope
-                    errors.append(ProbeError(doubt_of(number, f"{plane} {direction}.{effect}", unit), matrix, power))
+                    errors.append(ProbeError(uncertainty_of(number, f"{plane} {direction}.{effect}", unit), matrix, power))
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
-            errors.extend(turning(doubt_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
+            errors.extend(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
 
 
-def turning(doubt: Doubt, n_plane: int) -> tuple[ProbeError, ...]:
+def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
     """The error of the keyphasor's angle, which turns all phasors alike."""
-    return (ProbeError(doubt, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
+    return (ProbeError(uncertainty, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
 
 
 # Settings of run-ups: runs, methods, metamodels.
@@ -147,7 +150,7 @@ class ProbeSettings(Settings):
     phase: str = setting("text", "of every probe, at every speed alike: 0.5 deg", default="")
     delay: str = setting("text", "of every probe's chain: 5 us", default="")
     keyphasor: str = setting("text", "of the keyphasor's angle, which turns all phasors alike: 1 deg", default="")
-    doubts: ProbeDoubts = ProbeDoubts()
+    uncertainties: ProbeUncertainties = ProbeUncertainties()
 
     def __post_init__(self) -> None:
         units = {"gain": ("1", "1"), "phase": ("0 rad", "rad"), "delay": ("0 s", "s"), "keyphasor": ("0 rad", "rad")}
@@ -158,7 +161,7 @@ class ProbeSettings(Settings):
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:
                 raise ConfigError(f"'{text}' is no uncertainty: {error.what}", hint=error.hint, field=name) from None
-        object.__setattr__(self, "doubts", ProbeDoubts(**numbers))
+        object.__setattr__(self, "uncertainties", ProbeUncertainties(**numbers))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +184,10 @@ class RunUpSettings(Settings):
     seed: int = setting("integer", "of random starts and networks", default=1)
     source: str = setting("text", "where the printed values are from", default="")
     probes: ProbeSettings = setting(
-        "section", "doubts of the probes of tables; a recording has those of its rig file", section=ProbeSettings, default=ProbeSettings()
+        "section",
+        "uncertainties of the probes of tables; a recording has those of its rig file",
+        section=ProbeSettings,
+        default=ProbeSettings(),
     )
     rig: RunUpRotor | None = None
 

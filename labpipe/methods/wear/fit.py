@@ -24,7 +24,7 @@ from labpipe.estimation.statistics import (
     inflation_factors,
     student_limit,
 )
-from labpipe.estimation.weights import weight_doubt
+from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear.measured import MISFITS, Misfit, WornReceptance, worn_receptance
 from labpipe.methods.wear.model import WornModel, worn_model
@@ -136,7 +136,7 @@ def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMes
 
 
 # Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with
-# its doubt.
+# its uncertainty.
 
 # Number of further minima that are refined as the best one is, and their largest excess of chi-square, relative.
 MOST_RIVALS, NEAR = 3, 0.5
@@ -219,8 +219,8 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
     Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
     """
     misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
-    doubts = misfit.model.rig.sources
-    if not measured.errors and not doubts:
+    uncertainties = misfit.model.rig.sources
+    if not measured.errors and not uncertainties:
         return []
     response, slopes = misfit.model.response(best)
     modelled, of_parameters = measured.terms(response), measured.terms(slopes)
@@ -240,7 +240,7 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
             ends.append(MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size)
         return np.concatenate([-misfit.model.scale * (step @ (ends[0] - ends[1])) / 2, beside])
 
-    return [*changes_by(measured.errors, values), *((doubt, by_bearings(doubt.source)) for doubt in doubts)]
+    return [*changes_by(measured.errors, values), *((uncertainty, by_bearings(uncertainty.source)) for uncertainty in uncertainties)]
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
@@ -301,7 +301,7 @@ def _estimate(solved: _Solved) -> Estimate:
     reduced, p_value = None, None
     if misfit.weighted:
         reduced = best.chi2 / misfit.excess / dof
-        p_value = weight_doubt(measured.measured, dof).p_value(reduced, dof)
+        p_value = weight_uncertainty(measured.measured, dof).p_value(reduced, dof)
     return Estimate(
         values=best.parameters,
         covariance=solved.covariance,

@@ -13,7 +13,7 @@ from labpipe.estimation.budget import matrix_errors
 from labpipe.estimation.measured import Measured, measured_part
 from labpipe.estimation.model import labels
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import equal_weights, has_noise, weight_doubt, whitened, whitener
+from labpipe.estimation.weights import equal_weights, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.methods.wear.model import WornModel
 from labpipe.methods.wear.settings import WearSettings
 from labpipe.records.response import FrequencyResponse, Port
@@ -76,15 +76,15 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has a doubt."""
+    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an uncertainty."""
     errors = []
     for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
         for number, port in enumerate(ports):
-            for doubted in port.doubts:
-                if doubted.effect == "direction" and port.angle is not None:
+            for uncertain in port.uncertainties:
+                if uncertain.effect == "direction" and port.angle is not None:
                     ahead, behind = (_turn(_with_angle(response, of_forces, number, step), frame) for step in (SMALL_ANGLE, -SMALL_ANGLE))
                     slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (2 * SMALL_ANGLE)
-                    errors.append(MatrixError(doubted.doubt, doubted.doubt.std_error * slope))
+                    errors.append(MatrixError(uncertain.uncertainty, uncertain.uncertainty.std_error * slope))
     return errors
 
 
@@ -240,12 +240,14 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     chosen = measured.chosen
     weighted = has_noise(chosen)
     weights = whitener(chosen) if weighted else equal_weights(chosen)
-    doubt = weight_doubt(measured.measured, max(chosen.n_equation - len(model.names), 1)) if weighted else None
+    uncertainty = weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1)) if weighted else None
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
 
-    size, excess = (1.0, 1.0) if doubt is None else (float(np.sqrt(doubt.inflation)), doubt.excess / doubt.inflation)
+    size, excess = (
+        (1.0, 1.0) if uncertainty is None else (float(np.sqrt(uncertainty.inflation)), uncertainty.excess / uncertainty.inflation)
+    )
     return Misfit(model, measured, compared=compared, weighted=weighted, size=size, excess=excess)
 
 

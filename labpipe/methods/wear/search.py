@@ -2,9 +2,9 @@
 
 Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of the intervals.
 
-Noise is not the only doubt: where the film divides, coefficients bend sharply over the depth, and the cells round the bend. The change
-of the coefficients from half the cells moves the estimate; a third of it is the standard deviation of the mesh's own error. Films err
-independently: a mesh that suits one may not suit the other.
+Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the cells round the bend. The
+change of the coefficients from half the cells moves the estimate; a third of it is the standard deviation of the mesh's own error. Films
+err independently: a mesh that suits one may not suit the other.
 """
 
 from __future__ import annotations

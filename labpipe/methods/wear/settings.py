@@ -94,7 +94,7 @@ class WearSettings(Settings):
         if self.prior and self.nuisances:
             raise ConfigError(f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out")
         if self.healthy and not self.nuisances:
-            raise ConfigError("nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its doubt")
+            raise ConfigError("nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its uncertainty")
         self._check_nuisances()
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)

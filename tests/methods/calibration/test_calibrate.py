@@ -43,7 +43,7 @@ def test_a_straight_line_is_found_in_si_units(tmp_path: Path, slope: float, inte
     assert (fit.parameter("slope").unit, fit.parameter("intercept").unit) == ("V/m", "V")
 
 
-def test_doubt_is_that_of_linear_regression(tmp_path: Path) -> None:
+def test_uncertainty_is_that_of_linear_regression(tmp_path: Path) -> None:
     """Against scipy's linregress: slope, its error, the 95 % interval of 18 degrees of freedom."""
     y = 8.2e-3 * X + 0.1 + 0.01 * np.random.default_rng(4).normal(size=X.size)
     (fit,) = fitted(table(tmp_path, X, y))

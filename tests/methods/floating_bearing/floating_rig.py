@@ -116,8 +116,8 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarr
     return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
 
 
-def less_inertia(spectra: ChannelSpectra, mass: float, doubt: float) -> ChannelSpectra:
-    """Forces less mass times acceleration, as derived channels make them: beside the measured ones, the mass a factor with its doubt."""
+def less_inertia(spectra: ChannelSpectra, mass: float, uncertainty: float) -> ChannelSpectra:
+    """Forces less mass times acceleration, as derived channels give: beside the measured ones, the mass a factor with its uncertainty."""
     effect = np.vstack([np.eye(6), np.zeros((2, 6))])
     slope = np.zeros((8, 8))
     for n in (0, 1):
@@ -128,7 +128,7 @@ def less_inertia(spectra: ChannelSpectra, mass: float, doubt: float) -> ChannelS
         channels=(*spectra.channels, *sums),
         vectors=spectra.vectors @ effect.T,
         covariance=effect @ spectra.covariance @ effect.T,
-        factors=(UncertainFactor("fx_eff: ax", mass, doubt, "kg", slope),),
+        factors=(UncertainFactor("fx_eff: ax", mass, uncertainty, "kg", slope),),
     )
 
 

@@ -117,7 +117,7 @@ def test_least_squares_of_the_literature_is_several_times_worse() -> None:
     assert np.min(np.sqrt(np.mean(errors**2, axis=0))) > 3
 
 
-def test_intervals_hold_with_the_doubt_of_given_numbers_and_not_without() -> None:
+def test_intervals_hold_with_the_uncertainty_of_given_numbers_and_not_without() -> None:
     """Given 60 kg +- 1 %, K_b +- 2 %, C_b +- 5 %, each off by as much at random; noise 0.1 % of a line.
 
     The mean over coefficients is as uncertain as one coefficient, 1.1 % in 400 draws, since three numbers move them all.
@@ -137,7 +137,7 @@ def test_intervals_hold_with_the_doubt_of_given_numbers_and_not_without() -> Non
         chances.append(fit.gof.chi2_p)
         ignoring.append([abs(p.value - value) < 1.96 * p.std_error for p, value in zip(found, truth, strict=True)])
     assert 0.92 <= np.mean(held) <= 0.98 and np.min(np.mean(held, axis=0)) > 0.91 and np.max(np.mean(held, axis=0)) < 0.985
-    # Numbers that are off within their doubt are no fault of the form.
+    # Numbers that are off within their uncertainty are no fault of the form.
     assert np.mean(np.array(chances) < 0.01) <= 0.025
     direct = [0, 3, 8, 11]
     assert np.max(np.mean(ignoring, axis=0)[direct]) < 0.6

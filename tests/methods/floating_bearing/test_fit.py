@@ -1,4 +1,4 @@
-"""The model dynamic-stiffness as a fit: coefficients, given numbers and their doubt, baselines, refusals, findings."""
+"""The model dynamic-stiffness as a fit: coefficients, given numbers and their uncertainty, baselines, refusals, findings."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_baseline_on_the_relative_motion_or_none_is_wrong_here() -> None:
 
 
 def test_forces_less_inertia_are_the_same_balance() -> None:
-    """Derived channels with their covariance instead of a given mass: the same estimates, and the same doubt of the mass."""
+    """Derived channels with their covariance instead of a given mass: the same estimates, and the same uncertainty of the mass."""
     bare = replace(RIG, baseline=kcm([[0.0, 0.0]] * 2, [[0.0, 0.0]] * 2))
     direct = fitted(drawn(bare), stator_mass="60 kg +- 0.6 kg")
     effective = fitted(less_inertia(drawn(bare), 60.0, 0.6))
@@ -77,7 +77,7 @@ def test_forces_less_inertia_are_the_same_balance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "text", "doubt", "moved"),
+    ("key", "text", "uncertainty", "moved"),
     [
         ("stator_mass", "60 kg +- 0.6 kg", 0.6, "60.06 kg"),
         ("baseline_stiffness", "1.35 MN/m +- 27 kN/m", 27e3, "1352.7 kN/m"),
@@ -85,13 +85,13 @@ def test_forces_less_inertia_are_the_same_balance() -> None:
     ],
 )
 @pytest.mark.parametrize("estimator", ["ml", "ls"])
-def test_the_doubt_of_a_given_number_is_what_a_fit_with_another_number_shows(
-    key: str, text: str, doubt: float, moved: str, estimator: str
+def test_the_uncertainty_of_a_given_number_is_what_a_fit_with_another_number_shows(
+    key: str, text: str, uncertainty: float, moved: str, estimator: str
 ) -> None:
-    """Refitted with the number a tenth of its doubt larger: ten times the change is the systematic part of every interval."""
+    """Refitted with the number a tenth of its uncertainty larger: ten times the change is the systematic part of every interval."""
     spectra = drawn()
     plain, other = (fitted(spectra, estimator=estimator, **{**GIVEN, key: number}) for number in (text, moved))
-    (shown,) = plain.detail(DynamicStiffness).doubts
+    (shown,) = plain.detail(DynamicStiffness).uncertainties
     change = values(other) - values(plain)
     scale = np.sqrt(np.diag(plain.detail(DynamicStiffness).noise))
     assert shown.changes[0] / scale == pytest.approx(10 * change / scale, rel=0.05, abs=0.02)
@@ -100,19 +100,19 @@ def test_the_doubt_of_a_given_number_is_what_a_fit_with_another_number_shows(
         assert p.ci95[1] - p.ci95[0] == pytest.approx(2 * 1.96 * p.full_error, rel=5e-3)
 
 
-def test_chi_square_allows_given_numbers_their_doubt() -> None:
+def test_chi_square_allows_given_numbers_their_uncertainty() -> None:
     """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then the least of chi-square at
     other numbers plus their distance squared, here from the parabola through three fits."""
     spectra = drawn(replace(EVEN, noise=0.001))
-    exact, doubtful = (fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg"))
-    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [f.code for f in doubtful.findings]
+    exact, uncertain = (fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg"))
+    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [f.code for f in uncertain.findings]
     steps = np.array([-1.3, -1.0, -0.7])
     squares = []
     for step in steps:
         moved = fitted(spectra, **{**GIVEN, "stator_mass": f"{61.2 + 1.2 * step} kg"})
         squares.append(moved.gof.chi2_reduced * moved.dof + step**2)
     second, first, constant = np.polyfit(steps, squares, 2)
-    assert doubtful.gof.chi2_reduced * doubtful.dof == pytest.approx(constant - first**2 / (4 * second), rel=5e-3)
+    assert uncertain.gof.chi2_reduced * uncertain.dof == pytest.approx(constant - first**2 / (4 * second), rel=5e-3)
 
 
 def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> None:
@@ -122,7 +122,9 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
     assert dry.parameter("m_xx").full_error == pytest.approx(0.6, rel=0.01)
     dry = replace(dry, name="dry", test="dry")
     wet = fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="60 kg +- 0.6 kg")
-    sizes = {doubt.source: float(np.max(np.abs(doubt.changes[:, 8]))) for doubt in wet.detail(DynamicStiffness).doubts}
+    sizes = {
+        uncertainty.source: float(np.max(np.abs(uncertainty.changes[:, 8]))) for uncertainty in wet.detail(DynamicStiffness).uncertainties
+    }
     assert sizes["mass of the stator, 60 kg +- 0.6 kg"] < 1e-6 < sizes["noise of dry, test dry"]
     heavier = replace(fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60.6 kg"), name="dry")
     assert values(fitted(drawn(RIG), (heavier,), baseline="dry", stator_mass="60.6 kg")) == pytest.approx(values(wet), rel=1e-6)
@@ -133,13 +135,13 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
 
 
 def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
-    """Hoses with a mass of 5 kg fitted as K and C: the doubt that they bring is that of their widened intervals."""
+    """Hoses with a mass of 5 kg fitted as K and C: the uncertainty that they bring is that of their widened intervals."""
     heavy = replace(RIG, baseline=kcm([[1.5e6, 0.0], [0.0, 1.2e6]], [[900.0, 0.0], [0.0, 700.0]], [[5.0, 0.0], [0.0, 5.0]]))
     dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
     assert "model-mismatch" in [f.code for f in dry.findings]
-    (doubt,) = settings_of((dry,), baseline="dry").model_settings.known.doubts
+    (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.known.uncertainties
     errors = [p.std_error_inflated for p in dry.parameters]
-    assert np.sqrt(np.sum(doubt.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
+    assert np.sqrt(np.sum(uncertainty.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
 
 def test_a_baseline_is_named_by_its_fit_or_its_test() -> None:
@@ -385,7 +387,7 @@ def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_
 
 
 def test_levels_are_held_against_each_other_without_what_they_have_in_common() -> None:
-    """3 % more stiffness at the larger orbit, beside a doubt of 10 % in the baseline that both tests share."""
+    """3 % more stiffness at the larger orbit, beside an uncertainty of 10 % in the baseline that both tests share."""
     hard = {**SEAL, "k": (1.03 * np.array(SEAL["k"])).tolist()}
     given = {**GIVEN, "baseline_stiffness": "1.35 MN/m +- 30 %"}
     names = {"low": SEAL, "same": SEAL, "high": hard}
@@ -408,10 +410,12 @@ def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
     slopes = [np.diag([0.0, 0, *row, 0, 0]) for row in ((-1.0, 0.0), (0.0, -1.0))]
     gains = tuple(UncertainFactor(name, 1.0, 0.01, "1", slope, source="calibrator") for name, slope in zip("xy", slopes, strict=True))
     fit = fitted(replace(spectra, factors=gains), **GIVEN)
-    (doubt,) = fit.detail(DynamicStiffness).doubts
-    assert doubt.source == "calibrator" and np.abs(doubt.changes[0]) == pytest.approx(0.01 * np.abs(values(fit)), rel=1e-2, abs=1e-3)
+    (uncertainty,) = fit.detail(DynamicStiffness).uncertainties
+    assert uncertainty.source == "calibrator" and np.abs(uncertainty.changes[0]) == pytest.approx(
+        0.01 * np.abs(values(fit)), rel=1e-2, abs=1e-3
+    )
     main = [0, 1, 2, 3, 4, 7, 8, 11]
-    assert np.unique(np.sign(doubt.changes[0][main] * values(fit)[main])).size == 1
+    assert np.unique(np.sign(uncertainty.changes[0][main] * values(fit)[main])).size == 1
     # A scale of everything is no fault of the form: chi-square stays.
     assert fit.gof.chi2_reduced == pytest.approx(fitted(spectra, **GIVEN).gof.chi2_reduced, rel=1e-3)
 

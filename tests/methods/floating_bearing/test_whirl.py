@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
-from labpipe.methods.floating_bearing.values import LIMIT, Doubted, Shaft, Valued, crossover, derived_values, effective, whirl
+from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Shaft, Valued, crossover, derived_values, effective, whirl
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
 from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, kcm
@@ -124,14 +124,14 @@ def test_coefficients_at_the_speed_and_the_onset_speed() -> None:
     """At w = W: K_xx - W^2 M_xx. A short bearing, k_xy = c W / 2 at every speed: a rotor m on it is unstable from W = 2 sqrt(k / m) on."""
     speed = 50.0
     values = numbers(SEAL)
-    found = Doubted(KCM, values, 1e-6 * np.diag(values**2), 2e-6 * np.diag(values**2), 700)
+    found = FittedStiffness(KCM, values, 1e-6 * np.diag(values**2), 2e-6 * np.diag(values**2), 700)
     shown = named(derived_values(found, OMEGA, Shaft(speed))[0])
     w = 2 * np.pi * speed
     assert shown["k_xx_synchronous"].value == pytest.approx(5e6 - 45 * w**2) and shown["c_yx_synchronous"].value == pytest.approx(-8e3)
     assert shown["k_xx_synchronous"].std_error == pytest.approx(1e-3 * np.hypot(5e6, 45 * w**2), rel=1e-9)
     assert "k_xx_synchronous" not in named(derived_values(found, OMEGA, Shaft(5.0))[0])
     k, c, m = 5e6, 4.2e4, 80.0
-    short = Doubted(KC, np.array([k, c * w / 2, -c * w / 2, k, c, 0, 0, c]), 1e-6 * np.eye(8), 1e-6 * np.eye(8), 700)
+    short = FittedStiffness(KC, np.array([k, c * w / 2, -c * w / 2, k, c, 0, 0, c]), 1e-6 * np.eye(8), 1e-6 * np.eye(8), 700)
     onset = named(derived_values(short, OMEGA, Shaft(speed, Uncertain(m, 0.8)))[0])["onset_speed"]
     assert onset.value == pytest.approx(2 * np.sqrt(k / m) / (2 * np.pi), rel=1e-9)
     assert onset.std_error_inflated == pytest.approx(onset.value * 0.005, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Model magnet: exact on clean spectra, held currents, sensors beside the magnets, doubts, false minima, refusals, report."""
+"""Model magnet: exact on clean spectra, held currents, sensors beside the magnets, uncertainties, false minima, refusals, report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from labpipe.report.build import build
 from labpipe.report.document import Figure
 from tests.methods.magnetic_bearing.levitated import COUPLED, Rotor
 
-FIT = ("mass", "estimator", "input", "output", "band", "bands", "sliding", "eliminate", "compare", "doubts")
+FIT = ("mass", "estimator", "input", "output", "band", "bands", "sliding", "eliminate", "compare", "uncertainties")
 
 
 def fitted(spectra: ChannelSpectra, **keys: object) -> Fit:
@@ -120,8 +120,8 @@ def test_positions_stand_in_the_rig_file(tmp_path: Path) -> None:
 
 
 def test_all_is_in_proportion_to_the_mass() -> None:
-    """k_i and k_s have its relative doubt, exactly."""
-    fit = fitted(Rotor().spectra(np.random.default_rng(1)), doubts=(("mass", Uncertain(4.0, 0.02)),))
+    """k_i and k_s have its relative uncertainty, exactly."""
+    fit = fitted(Rotor().spectra(np.random.default_rng(1)), uncertainties=(("mass", Uncertain(4.0, 0.02)),))
     for parameter in fit.parameters:
         assert parameter.systematic == pytest.approx(abs(parameter.value) * 0.02 / 4.0, rel=1e-4)
         assert parameter.combined == pytest.approx(np.hypot(parameter.std_error, parameter.systematic), rel=1e-6)
@@ -136,9 +136,9 @@ def test_a_gain_of_the_probe_is_one_of_k_i_alone() -> None:
     assert (fit.parameter("k_s").systematic or 0.0) < 1.0
 
 
-def test_the_inertia_s_doubt_counts() -> None:
+def test_the_inertia_s_uncertainty_counts() -> None:
     """One per cent more of mass and of inertia together is one per cent of everything."""
-    fit = fitted(long_rotor(), inertia="0.05 kg.m^2 +- 1 %", doubts=(("mass", Uncertain(4.0, 0.04)),))
+    fit = fitted(long_rotor(), inertia="0.05 kg.m^2 +- 1 %", uncertainties=(("mass", Uncertain(4.0, 0.04)),))
     changes = fit.budget.changes.sum(axis=0)
     np.testing.assert_allclose(changes, 0.01 * values(fit), rtol=1e-3)
 
@@ -167,7 +167,7 @@ def test_few_periods_are_said() -> None:
 
 
 def test_the_fit_is_recorded_and_reported() -> None:
-    fit = fitted(COUPLED.spectra(np.random.default_rng(1)), doubts=(("mass", Uncertain(4.0, 0.02)),))
+    fit = fitted(COUPLED.spectra(np.random.default_rng(1)), uncertainties=(("mass", Uncertain(4.0, 0.02)),))
     again = read_fit(fit_entry(fit))
     assert values(again) == pytest.approx(values(fit))
     document = build(Identification((fit,), title="Magnets"))

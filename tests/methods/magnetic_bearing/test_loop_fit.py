@@ -1,4 +1,4 @@
-"""Unknowns of a control loop: their names, their estimates within their doubt, and what cannot be told apart."""
+"""Unknowns of a control loop: their names, their estimates within their uncertainty, and what cannot be told apart."""
 
 from __future__ import annotations
 
@@ -143,6 +143,6 @@ def test_a_delay_that_would_be_negative_is_held_at_zero(rng: np.random.Generator
     assert found.converged and found.at_zero == ("delay",) and alone.converged
     assert delay.value == 0.0 and delay.at_bound and delay.ci95 is not None and delay.ci95[0] == 0.0 < delay.ci95[1]
     assert gap.value == pytest.approx(alone.parameters[0].value, rel=1e-6)
-    # A delay that may lie above zero leaves the gap in more doubt than one that is known.
+    # A delay that may lie above zero leaves the gap in more uncertainty than one that is known.
     assert gap.std_error is not None and alone.parameters[0].std_error is not None and gap.std_error > alone.parameters[0].std_error
     assert [finding.code for finding in identifiability_findings(found)] == ["at-bound", "first-order"]

@@ -136,7 +136,7 @@ def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator
     delay = next(row for row in tables[0].rows if row[0] == "delay")
     assert gap[2] == "um" and delay[2] == "us"
     assert ("unknown", "and", "correlation") in [table.header for table in tables]
-    # The rest of the support's doubt that the response does not take away.
+    # The rest of the support's uncertainty that the response does not take away.
     assert any(row[0].startswith("stiffness of the support") for row in tables[-1].rows)
     assert any(isinstance(block, Paragraph) and block.text.startswith("sensitivity:") for block in blocks)
 

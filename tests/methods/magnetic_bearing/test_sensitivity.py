@@ -134,7 +134,7 @@ def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
     assert zones == {"zone A ends": 3.0, "zone B ends": 4.0, "zone C ends": 5.0}
 
 
-def test_unknowns_are_fitted_to_it_within_their_doubt(rng: np.random.Generator) -> None:
+def test_unknowns_are_fitted_to_it_within_their_uncertainty(rng: np.random.Generator) -> None:
     """Gap, delay and bandwidth over 100 noises, from a file that has them 3 to 20 % wrong; the binomial at 1 in 1000."""
     truth = {"gap": 0.45e-3, "delay": 75e-6, "bandwidth": 1000.0}
     start = with_unknowns(bearing("hmb-geometry"), {"gap": 0.465e-3, "delay": 60e-6, "bandwidth": 1100.0})

@@ -1,4 +1,4 @@
-"""What doubts of sensors and of a given mass do to modes, against whole refits of data with the number off."""
+"""What uncertainties of sensors and of a given mass do to modes, against whole refits of data with the number off."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.records.uncertain import ChannelDoubt, Doubt, MatrixError, Uncertain
+from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertain, Uncertainty
 from tests.methods.modal.structures import chain_response
 
-GAIN = Doubt("x0.sensitivity", 0.01, "1")
-DELAY = Doubt("x1.delay", 5e-5, "s")
-NUMBER = Doubt("m_s, 2 kg", 5e-5, "kg")
-TURNED = Doubt("port.dof", 0.01, "rad")
+GAIN = Uncertainty("x0.sensitivity", 0.01, "1")
+DELAY = Uncertainty("x1.delay", 5e-5, "s")
+NUMBER = Uncertainty("m_s, 2 kg", 5e-5, "kg")
+TURNED = Uncertainty("port.dof", 0.01, "rad")
 
 
 def modal(response: FrequencyResponse, **settings: object) -> Fit:
@@ -25,13 +25,13 @@ def modal(response: FrequencyResponse, **settings: object) -> Fit:
     return fit
 
 
-def doubted(known: bool) -> FrequencyResponse:
+def uncertain(known: bool) -> FrequencyResponse:
     response = chain_response(np.linspace(5, 120, 200))
     rng = np.random.default_rng(5)
     std = 2e-8
     noise = std * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape)) / np.sqrt(2)
-    doubts = (ChannelDoubt("gain", GAIN),), (ChannelDoubt("delay", DELAY),)
-    outputs = tuple(replace(port, doubts=of_port) for port, of_port in zip(response.outputs, doubts, strict=False))
+    uncertainties = (ChannelUncertainty("gain", GAIN),), (ChannelUncertainty("delay", DELAY),)
+    outputs = tuple(replace(port, uncertainties=of_port) for port, of_port in zip(response.outputs, uncertainties, strict=False))
     # A mass that moves with the structure and is taken off by a sum: dH = H (w^2 dm) H.
     omega = 2 * np.pi * response.frequency[:, None, None]
     change = 5e-5 * omega**2 * response.matrix[:, :, :1] @ response.matrix[:, :1, :]
@@ -39,7 +39,7 @@ def doubted(known: bool) -> FrequencyResponse:
     return replace(response, matrix=response.matrix + noise, outputs=outputs, covariance=covariance, errors=(MatrixError(NUMBER, change),))
 
 
-def with_error(response: FrequencyResponse, source: Doubt, sign: float) -> FrequencyResponse:
+def with_error(response: FrequencyResponse, source: Uncertainty, sign: float) -> FrequencyResponse:
     """The response as it were with the number off by one standard uncertainty."""
     if source is NUMBER:
         return replace(response, matrix=response.matrix + sign * response.errors[0].change)
@@ -52,10 +52,10 @@ def with_error(response: FrequencyResponse, source: Doubt, sign: float) -> Frequ
 @pytest.mark.parametrize("known", [True, False])
 def test_changes_are_those_of_refits(known: bool) -> None:
     """To 2 % of the combined uncertainty (Gauss-Newton's form); without known noise the fit weighs its elements by their residual."""
-    response = doubted(known)
+    response = uncertain(known)
     fit = modal(response)
     budget = fit.budget
-    assert budget is not None and {doubt.source for doubt in budget.sources} == {GAIN.source, DELAY.source, NUMBER.source}
+    assert budget is not None and {uncertainty.source for uncertainty in budget.sources} == {GAIN.source, DELAY.source, NUMBER.source}
     for source in (GAIN, DELAY, NUMBER) if known else (NUMBER,):
         ends = [modal(with_error(response, source, sign)) for sign in (1.0, -1.0)]
         for name, combined in zip(budget.names, budget.combined, strict=True):
@@ -64,7 +64,7 @@ def test_changes_are_those_of_refits(known: bool) -> None:
 
 
 def oblique(of_force: bool) -> FrequencyResponse:
-    """Two modes at 20 and 70 deg, 30 and 47 Hz, seen and driven along x and y; one sensor or force with a doubt of its direction."""
+    """Two modes at 20 and 70 deg, 30 and 47 Hz, seen and driven along x and y; one sensor or force with an uncertainty of its direction."""
     frequency = np.linspace(15, 80, 400)
     w = 2 * np.pi * frequency
     matrix = np.zeros((w.size, 2, 2), complex)
@@ -74,9 +74,11 @@ def oblique(of_force: bool) -> FrequencyResponse:
         matrix += (1 / mass / (w_n**2 - w**2 + 2j * zeta * w_n * w))[:, None, None] * np.outer(shape, shape)
     rng, std = np.random.default_rng(3), 2e-9
     noise = std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
-    doubts = [(ChannelDoubt("direction", TURNED),) if (n, of_force) in ((0, True), (1, False)) else () for n in (0, 1)]
-    outputs = tuple(Port(n, n, n, a, () if of_force else d) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), doubts, strict=True))
-    inputs = tuple(Port(n, n, n, a, d if of_force else ()) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), doubts, strict=True))
+    uncertainties = [(ChannelUncertainty("direction", TURNED),) if (n, of_force) in ((0, True), (1, False)) else () for n in (0, 1)]
+    outputs = tuple(
+        Port(n, n, n, a, () if of_force else d) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True)
+    )
+    inputs = tuple(Port(n, n, n, a, d if of_force else ()) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True))
     return FrequencyResponse(frequency, matrix + noise, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, std**2)))
 
 
@@ -101,7 +103,7 @@ def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
 
 def test_a_gain_moves_masses_and_no_frequencies() -> None:
     """Closed form: H (1 - d) in the driving row has the poles that it had, and 1 / (1 - d) times the modal mass."""
-    budget, fit = (one := modal(doubted(True))).budget, one
+    budget, fit = (one := modal(uncertain(True))).budget, one
     assert budget is not None
     assert budget.change_by(GAIN.source, "m_1") / fit.parameter("m_1").value == pytest.approx(0.01, rel=0.01)
     assert abs(budget.change_by(GAIN.source, "f_n_1")) < 1e-6 * fit.parameter("f_n_1").value
@@ -109,8 +111,8 @@ def test_a_gain_moves_masses_and_no_frequencies() -> None:
 
 def test_a_given_mass_stands_beside_the_sensors() -> None:
     """k and c are proportional to it; f_n and zeta do not know it."""
-    response = doubted(True)
-    fit = modal(response, mass=2.0, doubts=(("mass", Uncertain(2.0, 0.02)),))
+    response = uncertain(True)
+    fit = modal(response, mass=2.0, uncertainties=(("mass", Uncertain(2.0, 0.02)),))
     assert fit.budget is not None
     for name in ("k_1", "c_1"):
         assert fit.budget.change_by("mass 2 kg", name) == pytest.approx(0.01 * fit.parameter(name).value)

@@ -14,7 +14,7 @@ from labpipe.methods.planning.model import relative_errors, sdof
 from labpipe.methods.planning.plan import make_plan, time_needed
 from labpipe.methods.planning.search import LEAST_CREST, flat
 from labpipe.methods.planning.settings import NoiseSettings, PlanSettings
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 from tests.methods.planning.rigs import PEDESTAL
 from tests.methods.planning.test_search import planned_rig
 
@@ -64,10 +64,10 @@ def test_errors_of_both_tests_together() -> None:
 
 
 def test_a_mass_that_is_off_in_both_tests_does_not_move_the_resonance() -> None:
-    # 2 % of k by a mass that the new test has as well are no doubt of where the resonance lies; 0.01 % by noise are next to none.
+    # 2 % of k by a mass that the new test has as well are no uncertainty of where the resonance lies; 0.01 % by noise are next to none.
     small = np.diag((1e-4 * np.array([PEDESTAL["k"], PEDESTAL["c"]])) ** 2)
     change = np.array([0.02 * PEDESTAL["k"], 0.0])
-    budget = Budget(NAMES, np.sqrt(np.diagonal(small)), None, (Doubt("scale", 0.02, "1"),), change[None])
+    budget = Budget(NAMES, np.sqrt(np.diagonal(small)), None, (Uncertainty("scale", 0.02, "1"),), change[None])
     made = make_plan(settings(earlier="x"), Expected(PEDESTAL, Earlier(NAMES, small, ("scale",), change[None])), "both", lambda *_: budget)
     (k, _), notes = made.plan.coefficients, made.plan.notes
     assert k.error_range is not None and k.error_range[1] < 1.01 * k.error
@@ -122,8 +122,8 @@ def test_two_stages_are_advised_where_the_expectation_is_unsure() -> None:
     assert gain > 2
     notes = []
     for share in (0.002, 0.05):
-        doubt = np.diag((share * rig.model.scales) ** 2)
-        found = spread(rig, own, other, doubt, wanted.goals, wanted.criterion, 10.0)
+        uncertainty = np.diag((share * rig.model.scales) ** 2)
+        found = spread(rig, own, other, uncertainty, wanted.goals, wanted.criterion, 10.0)
         assert found.gain[0] < gain
         notes.append(spread_notes(found, errors, gain, False))
     assert notes[0] == ()

@@ -109,7 +109,7 @@ def test_near_a_resonance_the_known_mass_is_the_stiffness(tmp_path: Path) -> Non
 
 def test_a_common_gain_of_all_probes_is_that_of_every_coefficient_of_a_floating_bearing(tmp_path: Path) -> None:
     # F - M_s A = D X: displacements that are all 1 % off make K, C and M 1 % wrong, whatever the test.
-    probe = {"quantity": "displacement", "doubt": {"gain": "1 % (source=calibrator)"}}
+    probe = {"quantity": "displacement", "uncertainty": {"gain": "1 % (source=calibrator)"}}
     channels = {
         **{f"f{axis}": {"quantity": "force", "dof": axis} for axis in "xy"},
         **{axis: {**probe, "dof": axis} for axis in "xy"},
@@ -198,9 +198,9 @@ def check_words(ended: Ended, plan: Plan, folder: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "rig", "message"),
     [
-        ({"goal": {"k.expanded": "1 %"}, "mass": "0.79 kg"}, {}, "nothing but noise is in doubt"),
+        ({"goal": {"k.expanded": "1 %"}, "mass": "0.79 kg"}, {}, "nothing but noise is uncertain"),
         ({"goal": {"z.expanded": "1 %"}}, PEDESTAL_RIG, "the model has no coefficient z"),
-        ({"period": "2 s +- 1 %"}, PEDESTAL_RIG, "a doubt of 'period' is not planned with"),
+        ({"period": "2 s +- 1 %"}, PEDESTAL_RIG, "an uncertainty of 'period' is not planned with"),
         ({}, {"channels": {"shaker": {**SHAKER, "dof": "y"}}}, "the rig has no displacement in x"),
         ({}, {"channels": {**PEDESTAL_RIG["channels"], "a": {"quantity": "acceleration", "dof": "y"}}}, "a is no response that this model"),  # type: ignore[dict-item]
         ({**ROTOR, "scheme": "together"}, ROTOR_RIG, "the rig has one force"),

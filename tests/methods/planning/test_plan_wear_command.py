@@ -71,7 +71,7 @@ def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"bearing": "bearing 3"}, "no bearing 'bearing 3'"),
-        ({"clearance": "90 um"}, "clearance has no doubt"),
+        ({"clearance": "90 um"}, "clearance has no uncertainty"),
         ({"bands": ["60-130 Hz"]}, "between 0 and half the sampling rate"),
         ({"run": "4 s"}, "two blocks or more"),
         ({"expected": {"depth": "20 um", "angle": "40 deg"}}, "beyond its limits"),

@@ -9,13 +9,13 @@ from labpipe.methods.planning.campaigns import Campaign
 from labpipe.methods.planning.expectation import Earlier
 from labpipe.methods.planning.model import sdof
 from labpipe.methods.planning.uncertainty import Goals, aims, beside_earlier, calibration_notes, limits, unreachable
-from labpipe.records.uncertain import Budget, Doubt
+from labpipe.records.uncertain import Budget, Uncertainty
 
 # k = 1000 N/m, c = 10 N.s/m: the probe makes k 0.6 % and c 1.2 % wrong, the cell each 0.8 % and 0.5 %; noise 0.1 %.
 SCALES = np.array([1000.0, 10.0])
 PROBE, CELL = np.array([6.0, 0.12]), np.array([8.0, -0.05])
 NOISE = np.array([1.0, 0.01])
-BUDGET = Budget(("k", "c"), NOISE, None, (Doubt("probe", 0.01, "1"), Doubt("cell", 2e-6, "s")), np.array([PROBE, CELL]))
+BUDGET = Budget(("k", "c"), NOISE, None, (Uncertainty("probe", 0.01, "1"), Uncertainty("cell", 2e-6, "s")), np.array([PROBE, CELL]))
 # Two-sided 95 % of the normal distribution.
 FACTOR = 1.959964
 

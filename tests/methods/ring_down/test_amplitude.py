@@ -14,7 +14,7 @@ from labpipe.methods.ring_down.amplitude_law import amplitude, fitted_law, over_
 from labpipe.methods.ring_down.fit import peak_decrement, trace
 from labpipe.methods.ring_down.likelihood import most_likely, pieces_of
 from labpipe.methods.ring_down.residual_test import judged, portmanteau
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from tests.methods.ring_down.records_of_decay import RATE, motion, record, times
 
 OMEGA = 2 * np.pi * 40
@@ -64,9 +64,9 @@ def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
 def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
     """1 % of a gain is 1 % of what is per amplitude, as a refit of samples 1 % too small says; poles and the law at rest do not know it."""
     plain = record(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1))
-    gain = ChannelDoubt("gain", Doubt("probe", 0.01, "1"))
+    gain = ChannelUncertainty("gain", Uncertainty("probe", 0.01, "1"))
     settings = FitSettings("decay", mass="2 kg +- 1 %", name="d")  # type: ignore[arg-type]
-    (fit,) = identify(replace(plain, outputs=(replace(plain.outputs[0], doubts=(gain,)),)), settings)
+    (fit,) = identify(replace(plain, outputs=(replace(plain.outputs[0], uncertainties=(gain,)),)), settings)
     small = replace(plain, decays=tuple(replace(decay, samples=0.99 * decay.samples) for decay in plain.decays))
     (refit,) = identify(small, settings)
     assert fit.budget is not None and [source.source for source in fit.budget.sources] == ["probe"]

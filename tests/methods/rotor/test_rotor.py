@@ -151,7 +151,7 @@ def test_what_a_rotor_needs(small: Path, key: str) -> None:
         load_rotor(small)
 
 
-def test_numbers_of_bearings_may_carry_their_doubt(small: Path) -> None:
+def test_numbers_of_bearings_may_carry_their_uncertainty(small: Path) -> None:
     """One oil in both bearings is one source; the ends differ in that number alone."""
     text = SMALL.replace("viscosity: 50 mPa.s", 'viscosity: "50 mPa.s +- 3 % (source=oil)"')
     small.write_text(text.replace("length: 10 mm, clearance: 50 um", "length: 10 mm, clearance: 50 um +- 2 um", 1), encoding="utf-8")
@@ -168,11 +168,11 @@ def test_numbers_of_bearings_may_carry_their_doubt(small: Path) -> None:
             assert getattr(up.bearing, name) == pytest.approx(value + by)
             assert getattr(down.bearing, name) == pytest.approx(value - by)
             assert replace(up.bearing, **{name: value}) == place.bearing
-    # What is changed by hand has no doubt any more.
+    # What is changed by hand has no uncertainty any more.
     assert [source.source for source in rig.with_bearings(viscosity=0.04).sources] == ["1: clearance"]
 
 
-def test_a_doubt_that_cannot_be_read_is_named_at_its_place(small: Path) -> None:
+def test_an_uncertainty_that_cannot_be_read_is_named_at_its_place(small: Path) -> None:
     small.write_text(SMALL.replace("clearance: 50 um", "clearance: 50 um +- 2 kg", 1), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"clearance") as caught:
         load_rotor(small)

@@ -94,16 +94,16 @@ def test_rotor_without_unbalance_unknown_bearing_or_impossible_wear_is_refused(r
         unbalance_runs(UnbalanceSettings("r", (40.0, 50.0), cases=CASES))
 
 
-def test_doubts_of_films_make_peaks_doubtful(tmp_path: Path) -> None:
+def test_uncertainties_of_films_make_peaks_uncertain(tmp_path: Path) -> None:
     """Half the difference of runs on rotor files with 3 % more and less viscosity; peaks of parabolas through three speeds."""
     text = LAVAL.read_text(encoding="utf-8")
-    files = {"doubt": "0.07 Pa.s +- 3 % (source=oil)", "above": "0.0721 Pa.s", "below": "0.0679 Pa.s"}
+    files = {"uncertainty": "0.07 Pa.s +- 3 % (source=oil)", "above": "0.0721 Pa.s", "below": "0.0679 Pa.s"}
     found = {}
     for name, viscosity in files.items():
         (tmp_path / name).write_text(text.replace("viscosity: 0.07 Pa.s", f'viscosity: "{viscosity}"'), encoding="utf-8")
         rig = load_rotor(tmp_path / name)
         found[name] = unbalance_runs(UnbalanceSettings("r", (50.0, 54.0), CASES[1:], 0.5, "bearing 2", rig)).cases[0]
-    change, step = found["doubt"].changes
+    change, step = found["uncertainty"].changes
     assert change.source == "oil" and (step.forward_peak, step.forward_speed) == (0.0, pytest.approx(0.5 / 12**0.5))
     assert not found["above"].changes and found["above"].error("forward_peak") is None
 
@@ -117,4 +117,4 @@ def test_doubts_of_films_make_peaks_doubtful(tmp_path: Path) -> None:
     above, below = peak("above"), peak("below")
     assert change.forward_peak == pytest.approx((above[0] - below[0]) / 2, rel=1e-6)
     assert change.forward_speed == pytest.approx((above[1] - below[1]) / 2, rel=1e-6)
-    assert found["doubt"].error("forward_peak") == pytest.approx(abs(change.forward_peak))
+    assert found["uncertainty"].error("forward_peak") == pytest.approx(abs(change.forward_peak))

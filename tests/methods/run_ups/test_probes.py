@@ -1,4 +1,4 @@
-"""Doubts of probes in run-ups: changes against refits, chi-square of runs whose probes are off, and how they come from a rig file."""
+"""Uncertainties of probes in run-ups: changes against refits, chi-square of runs whose probes are off, reading a rig file."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from labpipe.methods.run_ups.measured import measured_critical_speed, run_up_of
 from labpipe.methods.run_ups.methods import joint_method
 from labpipe.methods.run_ups.points import fit_points
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.settings import ProbeDoubts, ProbeSettings
+from labpipe.methods.run_ups.settings import ProbeSettings, ProbeUncertainties
 from labpipe.records.response import Port
-from labpipe.records.uncertain import ChannelDoubt, Doubt, Uncertain
+from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
 from labpipe.spectra.orders import OrderTrack, planes_of
 from tests.methods.run_ups.run_up_cases import RIG, trained
 
-DOUBTS = ProbeDoubts(gain=Uncertain(1.0, 0.02), keyphasor=Uncertain(0.0, 0.03))
+UNCERTAINTIES = ProbeUncertainties(gain=Uncertain(1.0, 0.02), keyphasor=Uncertain(0.0, 0.03))
 
 
 @pytest.fixture(scope="module")
 def runs() -> tuple[RunUp, ...]:
-    return tuple(replace(run, doubts=DOUBTS.errors(run.planes)) for run in trained("inside")[:2])
+    return tuple(replace(run, uncertainties=UNCERTAINTIES.errors(run.planes)) for run in trained("inside")[:2])
 
 
 def test_the_change_by_a_keyphasor_is_that_of_refits(runs: tuple[RunUp, ...]) -> None:
@@ -41,39 +41,44 @@ def test_the_change_by_a_keyphasor_is_that_of_refits(runs: tuple[RunUp, ...]) ->
 
 
 def test_probes_that_are_off_do_not_reject_the_family(runs: tuple[RunUp, ...]) -> None:
-    """One probe reads 6 % too much, three standard uncertainties: without their doubts chi-square rejects, with them it does not."""
+    """One probe reads 6 % too much, three standard uncertainties: without their uncertainties chi-square rejects, with them it does not."""
     off = []
     for run in runs:
         response = run.response.copy()
         response[:, 0, 0] *= 1.06
         off.append(replace(run, response=response))
-    with_doubts, without = fit_jointly(RIG, off), fit_jointly(RIG, [replace(run, doubts=()) for run in off])
-    assert without.chi2_p < 1e-6 < 0.01 < with_doubts.chi2_p
-    np.testing.assert_allclose(with_doubts.values, without.values, rtol=1e-9)
+    with_uncertainties, without = fit_jointly(RIG, off), fit_jointly(RIG, [replace(run, uncertainties=()) for run in off])
+    assert without.chi2_p < 1e-6 < 0.01 < with_uncertainties.chi2_p
+    np.testing.assert_allclose(with_uncertainties.values, without.values, rtol=1e-9)
 
 
-def test_coefficients_and_peaks_take_the_doubts(runs: tuple[RunUp, ...]) -> None:
+def test_coefficients_and_peaks_take_the_uncertainties(runs: tuple[RunUp, ...]) -> None:
     """Point by point: the coefficients of a run whose x probe reads 2 % less, first order; a peak's speed does not know the keyphasor."""
-    one = replace(runs[0], doubts=tuple(error for error in runs[0].doubts if error.doubt.source == "disc 1 x.gain"))
-    (with_doubt,), (plain,) = fit_points(RIG, [one]), fit_points(RIG, [replace(one, doubts=())])
+    one = replace(runs[0], uncertainties=tuple(error for error in runs[0].uncertainties if error.uncertainty.source == "disc 1 x.gain"))
+    (with_uncertainty,), (plain,) = fit_points(RIG, [one]), fit_points(RIG, [replace(one, uncertainties=())])
     small = 0.01 * one.changes()["disc 1 x.gain"]
-    ends = [fit_points(RIG, [replace(one, response=one.response + sign * small, doubts=())])[0].coefficients for sign in (1, -1)]
+    ends = [fit_points(RIG, [replace(one, response=one.response + sign * small, uncertainties=())])[0].coefficients for sign in (1, -1)]
     change = (ends[0] - ends[1]) / 0.02
     expected = np.hypot(plain.std_error, change)
-    free = ~(plain.at_bound | with_doubt.at_bound)
-    np.testing.assert_allclose(with_doubt.std_error[free], expected[free], rtol=0.05)
-    only = replace(one, doubts=tuple(error for error in runs[0].doubts if error.doubt.source == "keyphasor"))
-    assert measured_critical_speed(only).std_error == pytest.approx(measured_critical_speed(replace(one, doubts=())).std_error, rel=1e-3)
-    coarse = replace(one, doubts=ProbeDoubts(gain=Uncertain(1.0, 0.3)).errors(one.planes))
+    free = ~(plain.at_bound | with_uncertainty.at_bound)
+    np.testing.assert_allclose(with_uncertainty.std_error[free], expected[free], rtol=0.05)
+    only = replace(one, uncertainties=tuple(error for error in runs[0].uncertainties if error.uncertainty.source == "keyphasor"))
+    assert measured_critical_speed(only).std_error == pytest.approx(
+        measured_critical_speed(replace(one, uncertainties=())).std_error, rel=1e-3
+    )
+    coarse = replace(one, uncertainties=ProbeUncertainties(gain=Uncertain(1.0, 0.3)).errors(one.planes))
     assert measured_critical_speed(coarse).std_error > 1.1 * measured_critical_speed(one).std_error
 
 
-def test_a_recording_has_the_doubts_of_its_rig_file(runs: tuple[RunUp, ...]) -> None:
+def test_a_recording_has_the_uncertainties_of_its_rig_file(runs: tuple[RunUp, ...]) -> None:
     """A probe at 45 deg that points 1 mrad further and reads through 20 us, against phasors of such probes."""
     size, speed = 1e-3, np.array([20.0, 30.0, 40.0])
-    doubts = (ChannelDoubt("direction", Doubt("a.dof", size, "rad")), ChannelDoubt("delay", Doubt("a.delay", 2e-5, "s")))
+    uncertainties = (
+        ChannelUncertainty("direction", Uncertainty("a.dof", size, "rad")),
+        ChannelUncertainty("delay", Uncertainty("a.delay", 2e-5, "s")),
+    )
     angles = np.radians([45.0, 135.0])
-    ports = (Port("a", "a", "45 deg", float(angles[0]), doubts), Port("b", "b", "135 deg", float(angles[1])))
+    ports = (Port("a", "a", "45 deg", float(angles[0]), uncertainties), Port("b", "b", "135 deg", float(angles[1])))
     motion = np.array([[1.0 + 0.3j, 0.4 - 1j]]) * speed[:, None] * 1e-6
 
     def track(turned: float, late: float) -> OrderTrack:
@@ -91,17 +96,17 @@ def test_a_recording_has_the_doubts_of_its_rig_file(runs: tuple[RunUp, ...]) -> 
         np.testing.assert_allclose(changes[source], exact, atol=5e-3 * np.max(np.abs(exact)))
 
 
-def test_doubts_of_tables_are_read() -> None:
-    found = ProbeSettings(gain="2 % (k=2)", phase="0.5 deg (source=filter)", keyphasor="1 deg").doubts
+def test_uncertainties_of_tables_are_read() -> None:
+    found = ProbeSettings(gain="2 % (k=2)", phase="0.5 deg (source=filter)", keyphasor="1 deg").uncertainties
     errors = found.errors(("disc 1", "disc 2"))
-    assert [error.doubt.source for error in errors].count("filter") == 4
-    assert {error.doubt.std_error for error in errors if error.doubt.source.endswith("gain")} == {0.01}
-    assert errors[-1].doubt.std_error == pytest.approx(np.radians(1))
+    assert [error.uncertainty.source for error in errors].count("filter") == 4
+    assert {error.uncertainty.std_error for error in errors if error.uncertainty.source.endswith("gain")} == {0.01}
+    assert errors[-1].uncertainty.std_error == pytest.approx(np.radians(1))
     with pytest.raises(ConfigError, match="no uncertainty"):
         ProbeSettings(gain="much")
 
 
-def test_the_report_states_parameters_with_the_doubts_of_probes(runs: tuple[RunUp, ...]) -> None:
+def test_the_report_states_parameters_with_the_uncertainties_of_probes(runs: tuple[RunUp, ...]) -> None:
     """Two significant digits of the combined error, not of that by noise alone."""
     (viscosity, *_) = joint_method("joint", "joint", fit_jointly(RIG, runs)).parameters
     assert viscosity.std_error < 0.95 * viscosity.combined and viscosity.full_error == viscosity.combined

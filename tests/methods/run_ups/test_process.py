@@ -1,4 +1,6 @@
-"""Smooth factors on the joint fit: the process against textbook formulas, and a bearing with arbitrary factors recovered with its doubt."""
+"""Smooth factors on the joint fit: the process against textbook formulas, and a bearing with arbitrary factors recovered with its
+uncertainty.
+"""
 
 from __future__ import annotations
 

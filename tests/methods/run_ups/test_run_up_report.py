@@ -1,4 +1,4 @@
-"""Run-ups in the report: both differences of the source's tables, doubt beside every method, figures that hold the numbers they show."""
+"""Run-ups in the report: both differences of the source's tables, uncertainty beside every method, figures with the numbers they show."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from labpipe.methods.run_ups.report import (
     coefficient_figure,
     coefficient_table,
     convergence_figure,
-    doubt_blocks,
     rpm_text,
     run_up_sections,
     speed_blocks,
     spread_figure,
     surface_figures,
+    uncertainty_blocks,
 )
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Identification
@@ -218,8 +218,8 @@ def test_a_speed_is_rounded_to_its_error() -> None:
     assert rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 100" and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
 
 
-def test_doubt_is_told_for_every_method() -> None:
-    blocks = doubt_blocks(RESULT)
+def test_uncertainty_is_told_for_every_method() -> None:
+    blocks = uncertainty_blocks(RESULT)
     table, *_ = (block for block in blocks if isinstance(block, Table))
     assert text_of(table)[0][:5] == ("(a) amplitudes", "not determined", "2 of 8", "120", "25 %")
     assert table.rows[0][5:] == ("14", "14", "no redundant datum")

@@ -164,7 +164,7 @@ def test_a_rotor_without_unbalances_makes_no_run_up(tmp_path: Path, text: str, r
         load_virtual_rig(path)
 
 
-def test_run_ups_do_not_take_the_doubt_of_a_film(text: str, tmp_path: Path) -> None:
+def test_run_ups_do_not_take_the_uncertainty_of_a_film(text: str, tmp_path: Path) -> None:
     (tmp_path / "rotor.yaml").write_text(re.sub(r"(clearance: [^,}]*)", r"\1 +- 2 %", text, count=1), encoding="utf-8")
-    with pytest.raises(ConfigError, match="the doubt of journal: clearance is not used by run-ups"):
+    with pytest.raises(ConfigError, match="the uncertainty of journal: clearance is not used by run-ups"):
         load_run_up_rotor(tmp_path / "rotor.yaml")

@@ -1,4 +1,4 @@
-"""What doubts of sensors do to a wear, against whole refits of a response with the number off."""
+"""What uncertainties of sensors do to a wear, against whole refits of a response with the number off."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 
 from labpipe.estimation.budget import matrix_errors
 from labpipe.estimation.fitting import identify
-from labpipe.methods.rotor.rig import DoubtfulBearing
+from labpipe.methods.rotor.rig import UncertainBearing
 from labpipe.methods.wear.measured import worn_receptance
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from tests.methods.wear.worn_cases import RIG, fit_settings, measured, wear_settings, worn_rig
 
-GAIN = Doubt("y.sensitivity", 0.02, "1")
+GAIN = Uncertainty("y.sensitivity", 0.02, "1")
 
 
 def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
@@ -24,7 +24,7 @@ def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
     A deep wear: at 22 um, where it divides the film, the slope over 2 um of the budget is 5 % off that over the .07 um of the refits.
     """
     response = measured(worn_rig(40.19, 8.0), 2e-3)
-    outputs = (replace(response.outputs[0], doubts=(ChannelDoubt("gain", GAIN),)), response.outputs[1])
+    outputs = (replace(response.outputs[0], uncertainties=(ChannelUncertainty("gain", GAIN),)), response.outputs[1])
     settings = fit_settings()
     (fit,) = identify(replace(response, outputs=outputs), settings)
     budget = fit.budget
@@ -43,8 +43,8 @@ def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
 def test_a_direction_turns_the_frame() -> None:
     """A sensor at a + d reads what one at a reads, and d times the motion at right angles: R(-d) H to first order."""
     angles = 0.3, 0.3 + np.pi / 2
-    doubt = ChannelDoubt("direction", Doubt("y.dof", 0.01, "rad"))
-    ports = tuple(Port(f"s{n}", f"s{n}", f"{angle}", angle, (doubt,)) for n, angle in enumerate(angles))
+    uncertainty = ChannelUncertainty("direction", Uncertainty("y.dof", 0.01, "rad"))
+    ports = tuple(Port(f"s{n}", f"s{n}", f"{angle}", angle, (uncertainty,)) for n, angle in enumerate(angles))
     forces = tuple(Port(f"f{n}", f"f{n}", f"{angle}", angle) for n, angle in enumerate((0.0, np.pi / 2)))
     rng = np.random.default_rng(2)
     matrix = rng.normal(size=(3, 2, 2)) + 1j * rng.normal(size=(3, 2, 2))
@@ -64,13 +64,13 @@ def test_the_change_by_a_bearing_s_number_is_that_of_refits() -> None:
     """
     healthy = RIG.bearings[0]
     above, below = (replace(healthy.bearing, clearance=healthy.bearing.clearance * factor) for factor in (1.04, 0.96))
-    doubt = Doubt("bearing 1: clearance", 0.04 * healthy.bearing.clearance, "m")
-    doubtful = replace(RIG, bearings=(replace(healthy, doubts=(DoubtfulBearing(doubt, above, below),)), *RIG.bearings[1:]))
+    uncertainty = Uncertainty("bearing 1: clearance", 0.04 * healthy.bearing.clearance, "m")
+    uncertain = replace(RIG, bearings=(replace(healthy, uncertainties=(UncertainBearing(uncertainty, above, below),)), *RIG.bearings[1:]))
     response = measured(worn_rig(22.27, 11.0), 2e-3)
-    (fit,) = identify(response, fit_settings(rig=doubtful))
+    (fit,) = identify(response, fit_settings(rig=uncertain))
     budget = fit.budget
     assert budget is not None and [source.source for source in budget.sources] == ["bearing 1: clearance"]
-    ends = [identify(response, fit_settings(rig=rig))[0] for rig in doubtful.ends("bearing 1: clearance")]
+    ends = [identify(response, fit_settings(rig=rig))[0] for rig in uncertain.ends("bearing 1: clearance")]
     for name in ("wear_depth", "wear_angle"):
         expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
         assert budget.change_by("bearing 1: clearance", name) == pytest.approx(expected, rel=0.15)

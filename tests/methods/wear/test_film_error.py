@@ -1,4 +1,4 @@
-"""The mesh of the oil films as a part of a wear's doubt."""
+"""The mesh of the oil films as a part of a wear's uncertainty."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_region_of_the_noise_becomes_one_of_both() -> None:
     np.testing.assert_allclose(np.einsum("ni,ij,nj->n", wide, np.linalg.inv(noise + film), wide), 1.0)
 
 
-def test_little_noise_leaves_the_doubt_of_the_films() -> None:
+def test_little_noise_leaves_the_uncertainty_of_the_films() -> None:
     """With a hundredth of the noise the standard error does not become a hundredth."""
     rng = np.random.default_rng(4)
     quiet, loud = (identify(measured(worn_rig(30.0, 8.0), noise, rng), fit_settings())[0] for noise in (1e-4, 1e-2))

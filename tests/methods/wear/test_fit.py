@@ -1,4 +1,4 @@
-"""Wear fits as a whole: values with their doubt, what they say of themselves, tuning and what it leaves known."""
+"""Wear fits as a whole: values with their uncertainty, what they say of themselves, tuning and what it leaves known."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def test_priors_that_are_not_there(joint: Fit) -> None:
     assert with_prior(fit_settings(), []) == fit_settings()
 
 
-def test_a_tuned_parameter_at_its_bound_keeps_some_doubt(joint: Fit) -> None:
+def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> None:
     parameters = tuple(replace(p, std_error=None) if p.name == "viscosity" else p for p in joint.parameters)
     known = posterior(replace(joint, parameters=parameters))
     assert known.std[0] == pytest.approx(1e-3 * joint.parameter("viscosity").value)

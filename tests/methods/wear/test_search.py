@@ -153,7 +153,7 @@ def test_an_interval_ends_at_the_bound_where_nothing_stops_it() -> None:
 
 
 def test_probability_of_no_wear_moves_from_one_to_zero() -> None:
-    """With noise of 2 %: healthy, hardly worn, worn; the same response leaves less doubt with less noise."""
+    """With noise of 2 %: healthy, hardly worn, worn; the same response leaves less uncertainty with less noise."""
     found = []
     for depth in (0.0, 2.0, 6.0, 22.0):
         misfit = misfit_of(measured(worn_rig(depth, 5.0), 0.02, np.random.default_rng(8)))

@@ -37,7 +37,7 @@ def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> No
         wear_settings(**changes)
 
 
-def test_doubt_is_estimated_and_certainty_is_given() -> None:
+def test_uncertainty_is_estimated_and_certainty_is_given() -> None:
     wear = wear_settings(viscosity=Uncertain(0.1, 0.002), clearance=Uncertain(88e-6), beta=Uncertain(1.6e-4, 1e-5))
     assert wear.nuisances == ("viscosity", "beta") and wear.fixed_values == {"clearance": 88e-6}
     assert wear.nuisance_prior.names == ("viscosity", "beta") and wear.nuisance_prior.mean == (0.1, 1.6e-4)

@@ -1,4 +1,4 @@
-"""Doubts of sums of channels in an FRF, held against FRFs of recordings whose sums were made with the number off by a little."""
+"""Uncertainties of sums of channels in an FRF, held against FRFs of recordings whose sums were made with the number off by a little."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,15 +11,15 @@ from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.records.recording import Channel, Number, Recording, Term
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.spectra.convert import converted, directional
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.ports import joined
 from labpipe.spectra.settings import FrfSettings
 
 MASS = Number("m_s", 3.0, 0.02, "kg")
-GAIN = ChannelDoubt("gain", Doubt("calibrator 7", 0.01, "1"))
-DELAY = ChannelDoubt("delay", Doubt("a.delay", 2e-5, "s"))
+GAIN = ChannelUncertainty("gain", Uncertainty("calibrator 7", 0.01, "1"))
+DELAY = ChannelUncertainty("delay", Uncertainty("a.delay", 2e-5, "s"))
 SETTINGS = {
     "random": FrfSettings("random", block="1 s", band="10-150 Hz"),
     "periodic": FrfSettings("periodic", period="0.5 s", skip=0, band="10-150 Hz"),
@@ -53,13 +53,13 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
     ax, ay = answer(0.5, 0.1, 55) * 1e4, answer(0.2, 0.8, 70) * 1e4
     ax, ay, x1 = gain * ax, gain * ay, gain * x1
     columns = [forces[:, 0], forces[:, 1], ax, ay, x1, x2, x1 - x2, y, forces[:, 0] - mass * ax, forces[:, 1] - mass * ay]
-    doubts = (GAIN, DELAY)
+    uncertainties = (GAIN, DELAY)
     channels = (
         Channel("fx", "force", "reference", "x"),
         Channel("fy", "force", "reference", "y"),
-        Channel("ax", "acceleration", "reference", "x", doubts=doubts),
-        Channel("ay", "acceleration", "reference", "y", doubts=doubts),
-        Channel("x1", "displacement", "reference", "x", doubts=(GAIN,)),
+        Channel("ax", "acceleration", "reference", "x", uncertainties=uncertainties),
+        Channel("ay", "acceleration", "reference", "y", uncertainties=uncertainties),
+        Channel("x1", "displacement", "reference", "x", uncertainties=(GAIN,)),
         Channel("x2", "displacement", "reference", "x"),
         Channel("d", "displacement", "output", "x", 0.0, terms=(Term("x1", 1.0), Term("x2", -1.0))),
         Channel("y", "displacement", "output", "y", np.pi / 2),
@@ -70,7 +70,7 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
 
 
 def change_of(response: FrequencyResponse, source: str) -> np.ndarray:
-    return next(error.change for error in response.errors if error.doubt.source == source)
+    return next(error.change for error in response.errors if error.uncertainty.source == source)
 
 
 @pytest.mark.parametrize("excitation", ["random", "periodic"])
@@ -78,7 +78,7 @@ def test_the_change_by_a_mass_and_by_a_common_calibrator_is_that_of_changed_reco
     """Central differences of FRFs measured anew. Without noise the FRF is exact up to leakage, which the differences share."""
     settings = SETTINGS[excitation]
     response = measure(recordings(excitation), settings)
-    assert [finding.code for finding in response.findings if finding.code == "number-doubt"] == []
+    assert [finding.code for finding in response.findings if finding.code == "number-uncertainty"] == []
     by_mass, by_gain = (
         (measure(recordings(excitation, **plus), settings).matrix - measure(recordings(excitation, **minus), settings).matrix) / 2
         for plus, minus in (({"mass": 3.02}, {"mass": 2.98}), ({"gain": 0.99}, {"gain": 1.01}))
@@ -114,12 +114,12 @@ class Counted:
         return self._recording.blocks(n_sample)
 
 
-def test_recordings_are_read_a_second_time_only_where_sums_have_doubts() -> None:
-    doubted = recordings("random")[0]
-    plain = tuple(replace(c, doubts=(), terms=tuple(Term(t.channel, t.factor) for t in c.terms)) for c in doubted.channels)
+def test_recordings_are_read_a_second_time_only_where_sums_have_uncertainties() -> None:
+    uncertain = recordings("random")[0]
+    plain = tuple(replace(c, uncertainties=(), terms=tuple(Term(t.channel, t.factor) for t in c.terms)) for c in uncertain.channels)
     reads = []
-    for channels in (plain, doubted.channels):
-        counted = Counted(replace(doubted, channels=channels))
+    for channels in (plain, uncertain.channels):
+        counted = Counted(replace(uncertain, channels=channels))
         assert bool(measure([counted], SETTINGS["random"]).errors) == (channels is not plain)
         reads.append(counted.reads)
     assert reads[1] == reads[0] + 1
@@ -129,7 +129,7 @@ def test_errors_follow_the_matrix_into_files_and_other_forms(tmp_path: Path) -> 
     response = measure(recordings("periodic"), SETTINGS["periodic"])
     write_response(tmp_path / "a.frf.parquet", response, Header("frf", {}, inputs=()))
     read = read_response(tmp_path / "a.frf.parquet")
-    assert [error.doubt for error in read.errors] == [error.doubt for error in response.errors]
+    assert [error.uncertainty for error in read.errors] == [error.uncertainty for error in response.errors]
     for before, after in zip(response.errors, read.errors, strict=True):
         np.testing.assert_array_equal(before.change, after.change)
     # Any linear map of the matrix acts on its changes alike: one standard uncertainty added before or after gives the same.
@@ -151,20 +151,20 @@ def parts_of(response: FrequencyResponse, row: int) -> dict[str, object]:
 def test_a_member_that_points_elsewhere_changes_the_sum_as_recordings_of_it_do() -> None:
     """ax at the angle d from x reads cos d ax + sin d ay: central differences of FRFs of such recordings, 10 mrad either way."""
     made, angle = recordings("periodic"), 0.01
-    turned = ChannelDoubt("direction", Doubt("ax.dof", angle, "rad"))
+    turned = ChannelUncertainty("direction", Uncertainty("ax.dof", angle, "rad"))
 
-    def measured(by: float, doubts: tuple[ChannelDoubt, ...] = ()) -> FrequencyResponse:
+    def measured(by: float, uncertainties: tuple[ChannelUncertainty, ...] = ()) -> FrequencyResponse:
         runs = []
         for run in made:
             samples = run.samples.copy()
             samples[:, 2] = np.cos(by) * run.samples[:, 2] + np.sin(by) * run.samples[:, 3]
             samples[:, 8] = samples[:, 0] - 3.0 * samples[:, 2]
-            channels = tuple(replace(c, doubts=doubts) if c.name == "ax" else c for c in run.channels)
+            channels = tuple(replace(c, uncertainties=uncertainties) if c.name == "ax" else c for c in run.channels)
             runs.append(replace(run, samples=samples, channels=channels))
         return measure(runs, SETTINGS["periodic"])
 
     response = measured(0.0, (turned,))
-    assert [finding.code for finding in response.findings if finding.code == "number-doubt"] == []
+    assert [finding.code for finding in response.findings if finding.code == "number-uncertainty"] == []
     # An angle that is written too large is a sensor that is turned back.
     expected = (measured(-angle).matrix - measured(angle).matrix) / 2
     assert np.linalg.norm(change_of(response, "ax.dof") - expected) < 1e-3 * np.linalg.norm(expected)
@@ -172,8 +172,8 @@ def test_a_member_that_points_elsewhere_changes_the_sum_as_recordings_of_it_do()
 
 def test_of_a_members_direction_an_frf_says_that_it_is_not_held() -> None:
     made = recordings("periodic")
-    angle = ChannelDoubt("direction", Doubt("x1.dof", 0.01, "rad"))
-    channels = tuple(replace(c, doubts=(angle,)) if c.name == "x1" else c for c in made[0].channels)
+    angle = ChannelUncertainty("direction", Uncertainty("x1.dof", 0.01, "rad"))
+    channels = tuple(replace(c, uncertainties=(angle,)) if c.name == "x1" else c for c in made[0].channels)
     findings = measure([replace(run, channels=channels) for run in made], SETTINGS["periodic"]).findings
-    (finding,) = [finding for finding in findings if finding.code == "number-doubt"]
+    (finding,) = [finding for finding in findings if finding.code == "number-uncertainty"]
     assert "direction of x1 in d" in finding.message

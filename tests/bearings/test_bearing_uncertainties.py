@@ -1,4 +1,4 @@
-"""Doubts of a bearing file's numbers in its coefficients, against closed forms of similarity."""
+"""Uncertainties of a bearing file's numbers in its coefficients, against closed forms of similarity."""
 
 from __future__ import annotations
 
@@ -37,27 +37,27 @@ def journal(folder: Path, viscosity: str = "0.1044 Pa.s", load: str = "58.82 N",
 
 
 def relative(whole: Evaluated) -> np.ndarray:
-    assert whole.doubts is not None
-    return np.array(whole.doubts.stiffness / whole.coefficients.stiffness)
+    assert whole.uncertainties is not None
+    return np.array(whole.uncertainties.stiffness / whole.coefficients.stiffness)
 
 
-def test_without_doubts_nothing_is_added(tmp_path: Path) -> None:
-    assert journal(tmp_path).doubts is None
+def test_without_uncertainties_nothing_is_added(tmp_path: Path) -> None:
+    assert journal(tmp_path).uncertainties is None
 
 
 def test_at_one_sommerfeld_number_stiffness_is_load_over_clearance(tmp_path: Path) -> None:
     """K = W / c kappa(S), S ~ viscosity / W: both 1 % up by one cause leave S as it is, so K and C are 1 % up and nothing else moves."""
     both = journal(tmp_path, "0.1044 Pa.s +- 1 % (source=scale)", "58.82 N +- 1 % (source=scale)")
     np.testing.assert_allclose(relative(both), 0.01, rtol=1e-3)
-    assert both.doubts is not None and [source.source for source in both.doubts.sources] == ["scale"]
-    np.testing.assert_allclose(both.doubts.damping / both.coefficients.damping, 0.01, rtol=1e-3)
+    assert both.uncertainties is not None and [source.source for source in both.uncertainties.sources] == ["scale"]
+    np.testing.assert_allclose(both.uncertainties.damping / both.coefficients.damping, 0.01, rtol=1e-3)
     places = {amount.name: n for n, amount in enumerate(both.coefficients.rest)}
-    assert abs(both.doubts.rest[0, places["eccentricity_ratio"]]) < 1e-6
+    assert abs(both.uncertainties.rest[0, places["eccentricity_ratio"]]) < 1e-6
     # Of two causes they add up in squares instead, and S moves.
     apart = journal(tmp_path, "0.1044 Pa.s +- 1 %", "58.82 N +- 1 %")
-    assert apart.doubts is not None
+    assert apart.uncertainties is not None
     np.testing.assert_allclose(relative(apart).sum(axis=0), relative(both)[0], rtol=2e-3)
-    np.testing.assert_allclose(apart.doubts.stiffness_error, np.hypot(*apart.doubts.stiffness))
+    np.testing.assert_allclose(apart.uncertainties.stiffness_error, np.hypot(*apart.uncertainties.stiffness))
 
 
 def test_a_temperature_is_a_viscosity(tmp_path: Path) -> None:
@@ -76,11 +76,11 @@ def test_hertz_contact_stiffness_goes_with_its_constant_and_load(tmp_path: Path)
     whole = evaluated(open_bearing(tmp_path / "b.yaml"))
     # Terms between directions that do not couple are zero, or what rounding leaves of it.
     large = np.abs(whole.coefficients.stiffness) > 1e-6 * np.abs(whole.coefficients.stiffness).max()
-    assert whole.doubts is not None
-    np.testing.assert_allclose(whole.doubts.stiffness[0][large], 0.02 * whole.coefficients.stiffness[large], rtol=1e-4)
+    assert whole.uncertainties is not None
+    np.testing.assert_allclose(whole.uncertainties.stiffness[0][large], 0.02 * whole.coefficients.stiffness[large], rtol=1e-4)
 
 
-def test_json_table_and_sweep_hold_the_doubts(tmp_path: Path, labpipe_without_report) -> None:
+def test_json_table_and_sweep_hold_the_uncertainties(tmp_path: Path, labpipe_without_report) -> None:
     file = tmp_path / "j.yaml"
     journal(tmp_path, "0.1044 Pa.s +- 1 %", "58.82 N +- 1 %")
     shown = labpipe_without_report("bearing", file, "--json", tmp_path / "j.json")
@@ -89,13 +89,13 @@ def test_json_table_and_sweep_hold_the_doubts(tmp_path: Path, labpipe_without_re
     assert entry == json.loads(json.dumps(bearing_entry(open_bearing(file), "j", evaluated(open_bearing(file)))))
     changes = np.array([source["stiffness"] for source in entry["uncertainty"]["sources"]])
     np.testing.assert_allclose(entry["uncertainty"]["stiffness"], np.hypot(*changes))
-    # The doubt of the swept entry does not count beside its values.
+    # The uncertainty of the swept entry does not count beside its values.
     labpipe_without_report("bearing", file, "--sweep", "load=50:60:10", "-o", tmp_path / "out")
     with (tmp_path / "out/sweep.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     single = journal(tmp_path, "0.1044 Pa.s +- 1 %", "60 N")
-    assert single.doubts is not None
-    assert float(rows[1]["u_k_y_z [N/m]"]) == pytest.approx(single.doubts.stiffness_error[0, 1], rel=1e-6)
+    assert single.uncertainties is not None
+    assert float(rows[1]["u_k_y_z [N/m]"]) == pytest.approx(single.uncertainties.stiffness_error[0, 1], rel=1e-6)
 
 
 def test_faults_have_their_place(tmp_path: Path) -> None:

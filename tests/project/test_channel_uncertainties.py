@@ -1,4 +1,4 @@
-"""Doubts in rig files: short and long form, what each is of, calibration fits that bring theirs, faults at their place."""
+"""Uncertainties in rig files: short and long form, what each is of, calibration fits that bring theirs, faults at their place."""
 
 from __future__ import annotations
 
@@ -11,54 +11,59 @@ import pytest
 from labpipe.errors import ConfigErrors
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.rig_file import load_rig
-from labpipe.records.uncertain import ChannelDoubt, Doubt
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 PROBE = "quantity: displacement, unit: V, sensitivity: 8 V/mm"
 
 
-def doubts_of(tmp_path: Path, entry: str) -> tuple[ChannelDoubt, ...]:
+def uncertainties_of(tmp_path: Path, entry: str) -> tuple[ChannelUncertainty, ...]:
     path = tmp_path / "rig.yaml"
     path.write_text(f"sample_rate: 1 kHz\nchannels:\n  x: {{{entry}}}\n")
-    return load_rig(path).channels[0].channel.doubts
+    return load_rig(path).channels[0].channel.uncertainties
 
 
 @pytest.mark.parametrize(
-    ("entry", "effect", "doubt"),
+    ("entry", "effect", "uncertainty"),
     [
-        (f"{PROBE} +- 1 %", "gain", Doubt("x.sensitivity 8 V/mm", 0.01, "1")),
-        (f"{PROBE} +- 0.08 V/mm", "gain", Doubt("x.sensitivity 8 V/mm", 0.01, "1")),
-        (f'{PROBE}, doubt: {{gain: "2 % (k=2, dof=30)"}}', "gain", Doubt("x.gain", 0.01, "1", 30.0)),
-        (f"{PROBE}, doubt: {{phase: 1 deg}}", "phase", Doubt("x.phase", math.pi / 180, "rad")),
-        (f"{PROBE}, delay: 10 us +- 2 us", "delay", Doubt("x.delay", 2e-6, "s")),
-        (f"{PROBE}, dof: 45 deg +- 0.5 deg", "direction", Doubt("x.dof", math.radians(0.5), "rad")),
-        (f"{PROBE}, dof: x +- 0.5 deg", "direction", Doubt("x.dof", math.radians(0.5), "rad")),
+        (f"{PROBE} +- 1 %", "gain", Uncertainty("x.sensitivity 8 V/mm", 0.01, "1")),
+        (f"{PROBE} +- 0.08 V/mm", "gain", Uncertainty("x.sensitivity 8 V/mm", 0.01, "1")),
+        (f'{PROBE}, uncertainty: {{gain: "2 % (k=2, dof=30)"}}', "gain", Uncertainty("x.gain", 0.01, "1", 30.0)),
+        (f"{PROBE}, uncertainty: {{phase: 1 deg}}", "phase", Uncertainty("x.phase", math.pi / 180, "rad")),
+        (f"{PROBE}, delay: 10 us +- 2 us", "delay", Uncertainty("x.delay", 2e-6, "s")),
+        (f"{PROBE}, dof: 45 deg +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
+        (f"{PROBE}, dof: x +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
         (
             "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limits: 1 %, shape: rectangular, source: calibrator 7}",
             "gain",
-            Doubt("calibrator 7", 0.01 / math.sqrt(3), "1", None, "rectangular"),
+            Uncertainty("calibrator 7", 0.01 / math.sqrt(3), "1", None, "rectangular"),
         ),
         (
             "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, expanded: 1 %, dof: 12}",
             "gain",
-            Doubt("x.sensitivity 8 V/mm", 0.005, "1", 12.0),
+            Uncertainty("x.sensitivity 8 V/mm", 0.005, "1", 12.0),
         ),
     ],
 )
-def test_a_number_carries_its_doubt(tmp_path: Path, entry: str, effect: str, doubt: Doubt) -> None:
-    (found,) = doubts_of(tmp_path, entry)
+def test_a_number_carries_its_uncertainty(tmp_path: Path, entry: str, effect: str, uncertainty: Uncertainty) -> None:
+    (found,) = uncertainties_of(tmp_path, entry)
     assert found.effect == effect
-    assert (found.doubt.source, found.doubt.unit, found.doubt.dof, found.doubt.shape) == (doubt.source, doubt.unit, doubt.dof, doubt.shape)
-    assert found.doubt.std_error == pytest.approx(doubt.std_error)
+    assert (found.uncertainty.source, found.uncertainty.unit, found.uncertainty.dof, found.uncertainty.shape) == (
+        uncertainty.source,
+        uncertainty.unit,
+        uncertainty.dof,
+        uncertainty.shape,
+    )
+    assert found.uncertainty.std_error == pytest.approx(uncertainty.std_error)
 
 
-def test_the_number_itself_is_as_without_a_doubt(tmp_path: Path) -> None:
+def test_the_number_itself_is_as_without_an_uncertainty(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text(
         f"sample_rate: 1 kHz\nmass: 2 kg +- 1 %\nchannels:\n  x: {{{PROBE} +- 1 %, dof: 45 deg +- 1 deg, delay: 3 us +- 1 us}}\n"
     )
     rig = load_rig(path)
     (channel,) = rig.channels
-    assert (rig.mass, rig.mass_doubt.std_error) == (2.0, pytest.approx(0.02))
+    assert (rig.mass, rig.mass_uncertainty.std_error) == (2.0, pytest.approx(0.02))
     assert channel.scale == pytest.approx(1 / 8000)
     assert channel.channel.angle == pytest.approx(math.pi / 4)
     assert channel.channel.delay == 3e-6
@@ -67,9 +72,9 @@ def test_the_number_itself_is_as_without_a_doubt(tmp_path: Path) -> None:
 def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None:
     slope = {"name": "slope", "value": 8.0, "unit": "V/mm", "std_error": 0.04}
     (tmp_path / "cal.json").write_text(json.dumps({"fits": [{"name": "probe", "dof": 9, "parameters": [slope]}]}))
-    (found,) = doubts_of(tmp_path, "quantity: displacement, unit: V, sensitivity: cal.json#probe")
-    assert (found.effect, found.doubt.dof, found.doubt.source) == ("gain", 9, "x.sensitivity cal.json#probe")
-    assert found.doubt.std_error == pytest.approx(0.005)
+    (found,) = uncertainties_of(tmp_path, "quantity: displacement, unit: V, sensitivity: cal.json#probe")
+    assert (found.effect, found.uncertainty.dof, found.uncertainty.source) == ("gain", 9, "x.sensitivity cal.json#probe")
+    assert found.uncertainty.std_error == pytest.approx(0.005)
 
 
 @pytest.mark.parametrize(
@@ -78,19 +83,19 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
         (f"{PROBE} +- 1 kg", "channels.x.sensitivity"),
         (f"{PROBE} +- 1 % (rectanglar)", "did you mean 'rectangular'?"),
         (f"{PROBE}, dof: 45 deg +- 1 kg", "channels.x.dof"),
-        (f"{PROBE}, doubt: {{gian: 1 %}}", "did you mean 'gain'?"),
+        (f"{PROBE}, uncertainty: {{gian: 1 %}}", "did you mean 'gain'?"),
         ("quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limit: 1 %}", "channels.x.sensitivity"),
     ],
 )
 def test_faults_stand_at_their_place(tmp_path: Path, entry: str, message: str) -> None:
     with pytest.raises(ConfigErrors, match=r"rig.yaml:3:\d+: ") as caught:
-        doubts_of(tmp_path, entry)
+        uncertainties_of(tmp_path, entry)
     assert any(message in str(fault) for fault in caught.value.faults)
 
 
 def test_a_number_that_cannot_be_read_is_one_fault(tmp_path: Path) -> None:
     with pytest.raises(ConfigErrors) as caught:
-        doubts_of(tmp_path, "quantity: displacement, unit: V, sensitivity: 8 V/mmm +- 1 %")
+        uncertainties_of(tmp_path, "quantity: displacement, unit: V, sensitivity: 8 V/mmm +- 1 %")
     (fault,) = caught.value.faults
     assert "unknown unit 'mmm'; did you mean 'mm'?" in str(fault)
 
@@ -109,11 +114,11 @@ def pipeline_of(tmp_path: Path, uncertainty: str):
     return load_pipeline(tmp_path / "p.yaml")
 
 
-def test_the_pipeline_says_how_doubts_are_propagated(tmp_path: Path) -> None:
+def test_the_pipeline_says_how_uncertainties_are_propagated(tmp_path: Path) -> None:
     a, b = pipeline_of(tmp_path, "coverage: 99 %, method: monte-carlo, draws: 500").fits
     assert (a.coverage, a.monte_carlo) == (0.99, 500)
     assert (b.coverage, b.monte_carlo) == (0.9, 300)
-    assert dict(a.doubts)["mass"].std_error == pytest.approx(0.02)
+    assert dict(a.uncertainties)["mass"].std_error == pytest.approx(0.02)
     first, _ = pipeline_of(tmp_path, "method: first-order").fits
     assert (first.coverage, first.monte_carlo) == (0.95, 0)
 
@@ -121,3 +126,11 @@ def test_the_pipeline_says_how_doubts_are_propagated(tmp_path: Path) -> None:
 def test_an_unknown_method_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigErrors, match="did you mean 'monte-carlo'"):
         pipeline_of(tmp_path, "method: monte-calro")
+
+
+def test_the_key_of_the_version_before_is_read_with_a_note(tmp_path: Path) -> None:
+    with pytest.warns(FutureWarning, match=r"rig\.yaml:3:\d+: channels\.x\.doubt is called 'uncertainty' now"):
+        (found,) = uncertainties_of(tmp_path, f"{PROBE}, doubt: {{gain: 1 %}}")
+    assert found == ChannelUncertainty("gain", Uncertainty("x.gain", 0.01, "1"))
+    with pytest.raises(ConfigErrors, match="doubt: unknown key"):
+        uncertainties_of(tmp_path, f"{PROBE}, doubt: {{gain: 1 %}}, uncertainty: {{gain: 2 %}}")

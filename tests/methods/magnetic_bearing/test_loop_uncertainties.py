@@ -1,4 +1,4 @@
-"""Doubts of channels, of the mass and of the support in comparisons of control loops, held against comparisons that are repeated.
+"""Uncertainties of channels, of the mass and of the support in comparisons of control loops, held against comparisons that are repeated.
 
 Every change by a source is held against the same comparison on data that are off by a thousandth of its standard uncertainty to either
 side, by the factors X (1 - d), X e^{jwd}, X e^{jd} themselves, nothing of the propagation used. The data themselves have no noise, though
@@ -31,7 +31,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra, UncertainFactor
-from labpipe.records.uncertain import ChannelDoubt, Doubt, MatrixError, Uncertain
+from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertain, Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
 from labpipe.uncertainty.compare import Evidence, compare
@@ -48,13 +48,13 @@ STEP = 1e-3
 LATER = with_unknowns(FILE, {"delay": 85e-6})
 
 
-def doubted(port: Port, *effects: str, source: str = "") -> Port:
-    found = tuple(ChannelDoubt(effect, Doubt(source or f"{port.label}.{effect}", SIZES[effect], "1")) for effect in effects)
-    return replace(port, doubts=found)
+def uncertain(port: Port, *effects: str, source: str = "") -> Port:
+    found = tuple(ChannelUncertainty(effect, Uncertainty(source or f"{port.label}.{effect}", SIZES[effect], "1")) for effect in effects)
+    return replace(port, uncertainties=found)
 
 
-def with_doubts(response: FrequencyResponse, *effects: str, source: str = "") -> FrequencyResponse:
-    ports = {name: tuple(doubted(port, *effects, source=source) for port in getattr(response, name)) for name in ("outputs", "inputs")}
+def with_uncertainties(response: FrequencyResponse, *effects: str, source: str = "") -> FrequencyResponse:
+    ports = {name: tuple(uncertain(port, *effects, source=source) for port in getattr(response, name)) for name in ("outputs", "inputs")}
     return replace(response, **ports)
 
 
@@ -107,9 +107,9 @@ def peak_by_polyfit(response: FrequencyResponse, near: np.ndarray) -> np.ndarray
 @pytest.mark.parametrize("effect", list(SIZES))
 def test_the_peak_and_its_frequency_follow_the_channels(label: str, effect: str) -> None:
     plain = both_sides()
-    one = measured_sensitivity(with_doubts(plain, effect), "before", "after")
+    one = measured_sensitivity(with_uncertainties(plain, effect), "before", "after")
     peak, near = peak_of(one), one.size >= 0.93 * one.size.max()
-    number = [error.doubt.source for error in one.errors].index(f"{label}.{effect}")
+    number = [error.uncertainty.source for error in one.errors].index(f"{label}.{effect}")
     expected = slopes(lambda error: peak_by_polyfit(off(plain, label, effect, error), near), SIZES[effect])
     found = [peak.changes[number], peak.frequency_changes[number]]
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9)
@@ -118,11 +118,11 @@ def test_the_peak_and_its_frequency_follow_the_channels(label: str, effect: str)
 def test_what_both_sides_have_in_common_cancels() -> None:
     """One gain, delay or phase of both sides, and those of the recorded excitation, are not in the quotient: changes below 1e-12 of |S|."""
     plain = both_sides()
-    common = with_doubts(plain, *SIZES, source="card")
+    common = with_uncertainties(plain, *SIZES, source="card")
     one = measured_sensitivity(common, "before", "after")
-    assert [error.doubt.source for error in one.errors] == ["card"]
+    assert [error.uncertainty.source for error in one.errors] == ["card"]
     assert np.max(np.abs(one.errors[0].change)) < 1e-12
-    of_excitation = replace(plain, inputs=(doubted(plain.inputs[0], *SIZES),))
+    of_excitation = replace(plain, inputs=(uncertain(plain.inputs[0], *SIZES),))
     said, silent = (loop_sensitivity(CompareSettings(kind="sensitivity"), each, None) for each in (of_excitation, plain))
     again = loop_sensitivity(CompareSettings(kind="sensitivity"), common, None)
     assert said.amounts == silent.amounts == again.amounts
@@ -130,15 +130,15 @@ def test_what_both_sides_have_in_common_cancels() -> None:
 
 
 def test_the_interval_of_the_peak_is_the_square_sum_of_noise_and_sources() -> None:
-    """Random part that of the same response without doubts, systematic that of every source by itself; lines are as wide."""
+    """Random part that of the same response without uncertainties, systematic that of every source by itself; lines are as wide."""
     plain = both_sides()
     asked = CompareSettings(kind="sensitivity")
-    whole = loop_sensitivity(asked, with_doubts(plain, *SIZES), bearing("hmb-magnetic"))
+    whole = loop_sensitivity(asked, with_uncertainties(plain, *SIZES), bearing("hmb-magnetic"))
     bare = loop_sensitivity(asked, plain, bearing("hmb-magnetic"))
     singles = []
     for label in ("before", "after"):
         for effect in SIZES:
-            outputs = tuple(doubted(port, effect) if port.label == label else port for port in plain.outputs)
+            outputs = tuple(uncertain(port, effect) if port.label == label else port for port in plain.outputs)
             singles.append(loop_sensitivity(asked, replace(plain, outputs=outputs), None))
     for name in ("peak", "peak_frequency"):
         found, noise = whole.amount(name), bare.amount(name)
@@ -173,10 +173,10 @@ def test_margins_and_singular_values_follow_the_channels() -> None:
         assert [one.name for one, _ in margins] == ["measured_phase_margin", "measured_delay_margin"]
         return np.array([found.largest()[0][90], *(one.value for one, _ in margins)])
 
-    found = sensitivity_matrix(with_doubts(plain, *SIZES), ("bx", "by"), ("ax", "ay"))
+    found = sensitivity_matrix(with_uncertainties(plain, *SIZES), ("bx", "by"), ("ax", "ay"))
     margins = measured_margins(FREQUENCY, found.loop_transfer(0), found.transfer_changes(0), 1.96)
     for number, error in enumerate(found.errors):
-        label, _, effect = error.doubt.source.partition(".")
+        label, _, effect = error.uncertainty.source.partition(".")
         told = [found.largest_changes()[number, 90], *(change[number] for _, change in margins)]
         expected = slopes(lambda d, label=label, effect=effect: computed(off(plain, label, effect, d)), SIZES[effect])
         if label in ("ex", "ey"):
@@ -211,13 +211,13 @@ def change_by(fit: LoopFit, source: str) -> np.ndarray:
 
 def test_unknowns_of_a_prediction_follow_the_channels() -> None:
     view = viewed()
-    fit = fitted([replace(view, response=with_doubts(view.response, *SIZES))])
+    fit = fitted([replace(view, response=with_uncertainties(view.response, *SIZES))])
     for label in ("y", "f"):
         for effect, size in SIZES.items():
             expected = slopes(lambda d, of=(label, effect): values([replace(view, response=off(view.response, *of, d))]), size)
             np.testing.assert_allclose(change_by(fit, f"{label}.{effect}"), expected, rtol=1e-3)
     # One gain on both channels cancels.
-    common = fitted([replace(view, response=with_doubts(view.response, "gain", "delay", source="card"))])
+    common = fitted([replace(view, response=with_uncertainties(view.response, "gain", "delay", source="card"))])
     assert common.parameters == fitted([view]).parameters
 
 
@@ -225,20 +225,23 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
     view = viewed()
     angle, of_mass = 0.01, 0.005
     response = view.response
-    turned = ChannelDoubt("direction", Doubt("f.dof", angle, "rad")), ChannelDoubt("direction", Doubt("y.dof", angle, "rad"))
+    turned = (
+        ChannelUncertainty("direction", Uncertainty("f.dof", angle, "rad")),
+        ChannelUncertainty("direction", Uncertainty("y.dof", angle, "rad")),
+    )
     shape = response.matrix * (1 + 0.2j * np.sin(response.frequency))[:, None, None]
-    sums = MatrixError(Doubt("arm", 1.0, "1"), 0.01 * shape)
-    doubtful = replace(
+    sums = MatrixError(Uncertainty("arm", 1.0, "1"), 0.01 * shape)
+    uncertain = replace(
         view,
         response=replace(
             response,
-            inputs=(replace(response.inputs[0], doubts=turned[:1]),),
-            outputs=(replace(response.outputs[0], doubts=turned[1:]),),
+            inputs=(replace(response.inputs[0], uncertainties=turned[:1]),),
+            outputs=(replace(response.outputs[0], uncertainties=turned[1:]),),
             errors=(sums,),
         ),
-        settings=replace(view.settings, doubts=(("mass", Uncertain(0.92, of_mass, source="scale")),)),
+        settings=replace(view.settings, uncertainties=(("mass", Uncertain(0.92, of_mass, source="scale")),)),
     )
-    fit = fitted([doubtful])
+    fit = fitted([uncertain])
 
     def at(error: float, label: str) -> np.ndarray:
         ports = {
@@ -260,7 +263,7 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
     }
     for source, change in expected.items():
         np.testing.assert_allclose(change_by(fit, source), change, rtol=1e-3, err_msg=source)
-    # The support is fitted within its doubt: noise and support together leave what is known of the unknowns.
+    # The support is fitted within its uncertainty: noise and support together leave what is known of the unknowns.
     noise = fitted([replace(view, settings=replace(view.settings, subtract=Support(Uncertain(134.5e3), Uncertain(3.68))))])
     alone = fitted([view])
     for one, other in zip(alone.parameters, noise.parameters, strict=True):
@@ -272,7 +275,7 @@ def test_a_sensor_across_tells_what_a_turned_one_reads() -> None:
     view = viewed()
     response = view.response
     across = replace(response.outputs[0], label="x", channel="x", dof="x", angle=0.0)
-    turned = replace(response.outputs[0], doubts=(ChannelDoubt("direction", Doubt("y.dof", 0.01, "rad")),))
+    turned = replace(response.outputs[0], uncertainties=(ChannelUncertainty("direction", Uncertainty("y.dof", 0.01, "rad")),))
     settings, covariance = replace(view.settings, output=("y", "x")), response.covariance * np.eye(2)
 
     def case(matrix: np.ndarray, share: float, port: Port) -> View:
@@ -292,7 +295,7 @@ def test_tests_with_one_sensor_err_together() -> None:
     first, other = viewed(), viewed(2e-3)
 
     def gauged(view: View, source: str) -> View:
-        return replace(view, response=replace(view.response, inputs=(doubted(view.response.inputs[0], "gain", source=source),)))
+        return replace(view, response=replace(view.response, inputs=(uncertain(view.response.inputs[0], "gain", source=source),)))
 
     expected = slopes(lambda d: values([replace(v, response=off(v.response, "f", "gain", d)) for v in (first, other)]), SIZES["gain"])
     one = fitted([gauged(first, "cell"), gauged(other, "cell")])
@@ -309,7 +312,7 @@ def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
         comparison = loop_sensitivity(asked, response, GEOMETRY)
         return np.array([comparison.amount(name).value for name in NAMES])
 
-    whole = loop_sensitivity(asked, with_doubts(plain, *SIZES), GEOMETRY)
+    whole = loop_sensitivity(asked, with_uncertainties(plain, *SIZES), GEOMETRY)
     _, budget = whole.budgets
     for label in ("before", "after"):
         for effect, size in SIZES.items():
@@ -333,7 +336,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
         comparison = certificate(asked, response, FILE)
         return np.array([comparison.amount(name).value for name in wanted])
 
-    whole = certificate(asked, with_doubts(plain, "gain", "delay"), FILE)
+    whole = certificate(asked, with_uncertainties(plain, "gain", "delay"), FILE)
     changes = {name: budget for budget in whole.budgets for name in budget.names}
     sizes = np.array([whole.amount(name).combined for name in wanted])
     for label, effect in [("before", "gain"), ("x", "delay")] if before else [("after", "delay"), ("e", "gain")]:
@@ -353,8 +356,8 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
         estimate=UNKNOWNS,
         kind_settings=CertificateSettings(before=["before"], after=["after"], **OWN),
     )
-    common = replace(plain, outputs=tuple(doubted(port, "gain", "delay", source="card") for port in plain.outputs))
-    excited = replace(plain, inputs=(doubted(plain.inputs[0], *SIZES),))
+    common = replace(plain, outputs=tuple(uncertain(port, "gain", "delay", source="card") for port in plain.outputs))
+    excited = replace(plain, inputs=(uncertain(plain.inputs[0], *SIZES),))
     silent = certificate(asked, plain, FILE)
     for other in (common, excited):
         said = certificate(asked, other, FILE)
@@ -363,8 +366,8 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
     assert certificate(alone, excited, FILE).budgets
 
 
-def test_chi_square_does_not_reject_what_doubts_explain() -> None:
-    """Every number of the channels off by half a standard uncertainty; without the doubts the loop is exposed."""
+def test_chi_square_does_not_reject_what_uncertainties_explain() -> None:
+    """Every number of the channels off by half a standard uncertainty; without the uncertainties the loop is exposed."""
     view = measured(GEOMETRY, np.random.default_rng(8), noise=1e-3, support=(134.5e3, 3.68))
     response = view.response
     for label in ("y", "f"):
@@ -372,15 +375,15 @@ def test_chi_square_does_not_reject_what_doubts_explain() -> None:
             response = off(response, label, effect, 0.5 * size * (1 if label == "y" else -1))
     for names in ((), ("gap",)):
         plain = fitted([replace(view, response=response)], names)
-        told = fitted([replace(view, response=with_doubts(response, *SIZES))], names)
+        told = fitted([replace(view, response=with_uncertainties(response, *SIZES))], names)
         assert plain.chi2_p < 1e-6 < 0.01 < told.chi2_p
-    # Another loop is none that these doubts explain.
-    wrong = replace(view, response=with_doubts(response, *SIZES), file=with_unknowns(GEOMETRY, {"proportional": 1.3}))
+    # Another loop is none that these uncertainties explain.
+    wrong = replace(view, response=with_uncertainties(response, *SIZES), file=with_unknowns(GEOMETRY, {"proportional": 1.3}))
     assert fitted([wrong], ()).chi2_p < 1e-6
 
 
 def test_bands_hold_what_given_numbers_leave() -> None:
-    """A gain that is off by its doubt moves all bands; intervals by noise alone would miss the prediction."""
+    """A gain that is off by its uncertainty moves all bands; intervals by noise alone would miss the prediction."""
     view = measured(GEOMETRY, np.random.default_rng(5), noise=2e-4, support=(134.5e3, 3.68))
     view = replace(view, settings=replace(view.settings, band=(1.0, 130.0)))
     asked = CompareSettings(kind="prediction", fit="sliding", theory=TheorySettings("b.yaml"))
@@ -390,7 +393,7 @@ def test_bands_hold_what_given_numbers_leave() -> None:
         one = replace(view, response=response, fits=identify(response, view.settings, judging=False))
         return prediction(asked, [one]).amount("share_k").value
 
-    assert share(moved) < 0.6 < 0.9 <= share(with_doubts(moved, "gain"))
+    assert share(moved) < 0.6 < 0.9 <= share(with_uncertainties(moved, "gain"))
 
 
 # ---- spectra of all channels, directions, first order, records
@@ -398,7 +401,13 @@ def test_bands_hold_what_given_numbers_leave() -> None:
 
 def spectra(response: FrequencyResponse, factors: tuple[UncertainFactor, ...]) -> ChannelSpectra:
     channels = tuple(
-        Channel(name, "voltage", role, name, doubts=(ChannelDoubt("gain", Doubt(f"{name}.gain", SIZES["gain"], "1", dof=7.0)),))
+        Channel(
+            name,
+            "voltage",
+            role,
+            name,
+            uncertainties=(ChannelUncertainty("gain", Uncertainty(f"{name}.gain", SIZES["gain"], "1", dof=7.0)),),
+        )
         for name, role in (("e", "input"), *((port.label, "output") for port in response.outputs))
     )
     vectors = np.concatenate([np.full((response.n_frequency, 1), 2.0), 2 * response.matrix[:, :, 0]], axis=1)[:, None]
@@ -407,8 +416,11 @@ def spectra(response: FrequencyResponse, factors: tuple[UncertainFactor, ...]) -
     return ChannelSpectra(response.frequency, vectors, covariance, channels, ("run",), factors=factors)
 
 
-def test_spectra_carry_the_doubts_of_channels_and_of_sums() -> None:
-    """Factors of all channels' gains do what the same doubts do at the ports of the response; one in a sum moves its channel alone."""
+def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
+    """Factors of all channels' gains do what the same uncertainties do at the ports of the response.
+
+    One in a sum moves its channel alone.
+    """
     plain = thinned(of_signals(None, 1e-3, LATER), 8)
     gains = []
     for number, name in enumerate(["e", *(port.label for port in plain.outputs)]):
@@ -418,29 +430,32 @@ def test_spectra_carry_the_doubts_of_channels_and_of_sums() -> None:
     arm = np.zeros((5, 5), complex)
     arm[3, 4] = 1.0
     made = per_injection(spectra(plain, (*gains, UncertainFactor("arm", 0.3, 0.01, "m", arm))))
-    assert not any(port.doubts for port in (*made.outputs, *made.inputs))
-    by_source = {error.doubt.source: error for error in made.errors}
-    assert by_source["x.gain"].doubt.dof == 7.0
+    assert not any(port.uncertainties for port in (*made.outputs, *made.inputs))
+    by_source = {error.uncertainty.source: error for error in made.errors}
+    assert by_source["x.gain"].uncertainty.dof == 7.0
     expected = np.zeros(plain.matrix.shape, complex)
     expected[:, 2] = 0.01 * plain.matrix[:, 3]
     np.testing.assert_allclose(by_source["arm, 0.3 m"].change, expected)
     asked = CompareSettings(
         kind="certificate", theory=TheorySettings("b.yaml"), estimate=UNKNOWNS, kind_settings=CertificateSettings(after=["after"], **OWN)
     )
-    ours, theirs = certificate(asked, replace(made, errors=made.errors[:-1]), FILE), certificate(asked, with_doubts(plain, "gain"), FILE)
+    ours, theirs = (
+        certificate(asked, replace(made, errors=made.errors[:-1]), FILE),
+        certificate(asked, with_uncertainties(plain, "gain"), FILE),
+    )
     for name in (*UNKNOWNS, "peak", "log_decrement_1"):
         assert ours.amount(name).systematic == pytest.approx(theirs.amount(name).systematic, rel=1e-6)
 
 
 def test_a_direction_that_nothing_tells_is_said() -> None:
     plain = both_sides()
-    doubt = ChannelDoubt("direction", Doubt("before.dof", 0.01, "rad"))
-    turned = replace(plain, outputs=(replace(plain.outputs[0], doubts=(doubt,)), plain.outputs[1]))
+    uncertainty = ChannelUncertainty("direction", Uncertainty("before.dof", 0.01, "rad"))
+    turned = replace(plain, outputs=(replace(plain.outputs[0], uncertainties=(uncertainty,)), plain.outputs[1]))
     asked = CompareSettings(kind="sensitivity", name="sensitivity")
-    said, silent = (compare(asked, Evidence((), (one,), ())) for one in (turned, with_doubts(plain, "gain")))
-    (finding,) = [one for one in said.findings if one.code == "number-doubt"]
+    said, silent = (compare(asked, Evidence((), (one,), ())) for one in (turned, with_uncertainties(plain, "gain")))
+    (finding,) = [one for one in said.findings if one.code == "number-uncertainty"]
     assert "directions of before" in finding.message
-    assert not [one for one in silent.findings if one.code == "number-doubt"]
+    assert not [one for one in silent.findings if one.code == "number-uncertainty"]
 
 
 def test_errors_that_first_order_does_not_tell_are_said() -> None:
@@ -452,7 +467,8 @@ def test_errors_that_first_order_does_not_tell_are_said() -> None:
 
 
 def test_intervals_follow_the_course_of_the_response() -> None:
-    """A response in proportion to 1 / bandwidth, a gain with a doubt: its interval is the reciprocal of a straight line's, in closed form.
+    """A response in proportion to 1 / bandwidth, a gain with an uncertainty: its interval is the reciprocal of a straight line's, in closed
+    form.
 
     Estimate and error of x = 1000 Hz / bandwidth from H = x + noise over n lines: mean, s / root of 2 n by noise, x u by the gain.
     """
@@ -471,7 +487,7 @@ def test_intervals_follow_the_course_of_the_response() -> None:
     def predict(file: MagneticFile, _: tuple[float, float]) -> np.ndarray:
         return np.full((n, 1, 1), 1000.0 / file.loop.bandwidth, complex)
 
-    error = MatrixError(Doubt("y.gain", gain, "1"), -gain * measured_x.matrix)
+    error = MatrixError(Uncertainty("y.gain", gain, "1"), -gain * measured_x.matrix)
     fit = loop_fit([LoopObservation(measured_x, predict, GEOMETRY, errors=lambda *_: (error,))], ("bandwidth",))
     (found,) = fit.parameters
     u = np.hypot(noise / np.sqrt(2 * n), gap * gain)
@@ -492,7 +508,7 @@ def test_an_unknown_at_the_edge_of_the_possible_is_held_there() -> None:
     assert fit.converged and fit.parameters[0].value == 0.0 and fit.parameters[0].at_bound
     assert [finding.code for finding in identifiability_findings(fit)] == ["at-bound", "first-order"]
     # Chi-square stays one, though no unknown can take what is left.
-    told = fitted([replace(late, response=with_doubts(late.response, *SIZES))], ("delay",))
+    told = fitted([replace(late, response=with_uncertainties(late.response, *SIZES))], ("delay",))
     assert 0 < told.chi2_reduced <= fit.chi2_reduced
 
 
@@ -505,7 +521,7 @@ def certified() -> Comparison:
         estimate=UNKNOWNS,
         kind_settings=CertificateSettings(after=["after"], before=["before"], **OWN),
     )
-    return certificate(asked, with_doubts(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE)
+    return certificate(asked, with_uncertainties(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE)
 
 
 def test_the_report_shows_the_shares_of_the_sources(certified: Comparison) -> None:
