@@ -78,6 +78,16 @@ def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:
     return replace(fit, findings=(biased, *others))
 
 
+# Findings of a recording that make every number of it wrong by an amount that no residual shows.
+LOST_SAMPLES = ("clipped", "gap")
+
+
+def with_lost_samples(fit: Fit, measured: Sequence[Finding]) -> Fit:
+    """The fit with the warnings on cut or missing samples of the FRF that it is of."""
+    lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
+    return replace(fit, findings=(*fit.findings, *lost)) if lost else fit
+
+
 def is_of_closed_loop(measured: Sequence[Finding]) -> bool:
     """Whether an FRF was measured in a loop that is known to be closed."""
     return any(finding.code == "closed-loop" for finding in measured)

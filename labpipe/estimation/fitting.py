@@ -33,6 +33,7 @@ from labpipe.estimation.diagnostics import (
     parameter_findings,
     quality_findings,
     with_feedback,
+    with_lost_samples,
 )
 from labpipe.estimation.draws import bootstrapped, propagated
 from labpipe.estimation.leakage import expected
@@ -71,7 +72,7 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     else:
         fits = settings.kind.fit(measured, settings)
     if isinstance(measured, FrequencyResponse):
-        fits = tuple(with_feedback(fit, measured.findings) for fit in fits)
+        fits = tuple(with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits)
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_contributions(fit, settings.coverage) for fit in fits)

@@ -135,24 +135,38 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
     addressed = _addressed(rule, fits)
     if not addressed or rule.item == "count":
         return PartialOutcome(addressed=len(addressed))
+    whole = PartialOutcome()
+    for test in dict.fromkeys(fit.test for fit in addressed):
+        whole = whole.with_more(_judged_test(rule, [fit for fit in addressed if fit.test == test]))
+    return whole
+
+
+def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
+    """What a rule finds in its fits of one test."""
     if rule.item == "warnings":
         compared = [_compare_warnings(rule, fit) for fit in addressed]
     else:
         having = _having(rule, addressed)
         if not having:
             names = dict.fromkeys(parameter.name for fit in addressed for parameter in fit.parameters)
-            hint = nearest(_split(rule.item, addressed)[0], [*names, *_FIT_VALUES, "warnings", "count"])
-            return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{_split(rule.item, addressed)[0]}'", hint))
+            name = _split(rule.item, addressed)[0]
+            hint = nearest(name, [*names, *_FIT_VALUES, "warnings", "count"])
+            return PartialOutcome(addressed=len(addressed), fault=(f"the fit has no '{name}'", hint))
         compared = [_compare_item(rule, fit) for fit in having]
     first = next((pair for pair in compared if not pair[1]), compared[0])
     return PartialOutcome(outcome=RuleOutcome(rule.section, rule.text, *first), addressed=len(addressed))
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
-    """The outcome of a rule on all fits; ConfigError at its place where it addresses none."""
+    """The outcome of a rule on all fits; ConfigError at its place where it addresses none.
+
+    A rule that cannot be judged in one of the tests is not kept.
+    """
     if rule.item == "count" and partial.addressed:
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(partial.addressed), "1"))
     if partial.outcome is not None:
+        if partial.fault is not None and partial.outcome.passed:
+            return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: in a test {partial.fault[0]}")
         return partial.outcome
     what, hint = partial.fault or ("no such fit in the result", "")
     raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
@@ -204,6 +218,8 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
 
 
 def _compare_item(rule: Rule, fit: Fit) -> Compared:
+    if not fit.converged:
+        return None, False, "not judged: the fit did not converge"
     if rule.item in _FIT_VALUES:
         return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
@@ -223,13 +239,21 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
 
 
 def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
-    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an unknown item."""
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an unknown item.
+
+    What could not be judged keeps no rule, and the outcome says why.
+    """
     comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
     if rule.item == "verdict":
-        return RuleOutcome(rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound)
+        why = comparison.why_undecided("verdict")
+        shown = f"{comparison.verdict}: {why}" if why else ""
+        return RuleOutcome(rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound, shown=shown)
     if rule.item == "count":
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(len(comparison.points)), "1"))
     name, _, attribute = rule.item.partition(".")
+    why = comparison.why_undecided(name)
+    if why:
+        return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: {why}")
     amount = _amount(rule, comparison, name)
     if attribute == "covers":
         return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
+from fnmatch import fnmatchcase
 from typing import Protocol
 
 from labpipe.quantities import display_unit, readable_unit, to_display
@@ -106,7 +107,8 @@ class Comparison:
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
     *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
-    *budgets*: of amounts to whose uncertainty systematic sources add, each of those that rest on the same data.
+    *budgets*: of amounts to whose uncertainty systematic sources add, each of those that rest on the same data. *undecided*: names of amounts,
+    or patterns of them (`pole_*`), and the verdict, that could not be judged, each with the reason.
     """
 
     name: str
@@ -128,6 +130,11 @@ class Comparison:
     correlations: tuple[tuple[str, str, float], ...] = ()
     findings: tuple[Finding, ...] = ()
     budgets: tuple[Budget, ...] = ()
+    undecided: tuple[tuple[str, str], ...] = ()
+
+    def why_undecided(self, name: str) -> str:
+        """Why an amount or the verdict could not be judged; empty where it was."""
+        return next((why for pattern, why in self.undecided if fnmatchcase(name, pattern)), "")
 
     def amount(self, name: str) -> Parameter:
         """The amount of that name; KeyError with the known names otherwise."""

@@ -63,7 +63,7 @@ class DatasetRow:
 class PartialOutcome:
     """What a rule found in the fits of some tests: the first outcome that fails, or the first; the fits that it addresses.
 
-    fault: (what, hint) where fits were addressed and none of them has what the rule names.
+    fault: (what, hint) where fits of a test were addressed and none of them has what the rule names.
     """
 
     outcome: RuleOutcome | None = None
@@ -121,7 +121,9 @@ def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
 
 
 def accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
-    """Whether every rule that addresses a test holds there; None where none does."""
+    """Whether every rule that addresses a test holds there; None where none does. A rule that the test cannot keep or break does not."""
+    if any(row.fault is not None for row in partial):
+        return False
     outcomes = [row.outcome for row in partial if row.outcome is not None] + list(forbidden)
     return all(outcome.passed for outcome in outcomes) if outcomes else None
 

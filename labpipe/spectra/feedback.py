@@ -73,6 +73,20 @@ def feedback_of_records(sources: Sequence[SampleSource], settings: FrfSettings, 
     return _findings(chances, settings.reference)
 
 
+def feedback_of_drives(sources: Sequence[SampleSource], drives: Sequence[str], responses: Sequence[str]) -> tuple[Finding, ...]:
+    """A warning where *drives* of random spectra side by side follow the *responses*, by their channels' names; as feedback_of_records."""
+    chances: dict[str, float] = {}
+    for source in sources:
+        names = [channel.name for channel in source.channels]
+        columns, rows = ([names.index(name) for name in some if name in names] for some in (drives, responses))
+        samples = _first_samples(source)
+        columns = [column for column in columns if np.any(samples[:, column] != samples[0, column])]
+        if columns and rows and samples.shape[0] >= FEWEST_SAMPLES:
+            chance = min(chance_of_order(samples[:, columns], samples[:, rows]) * len(sources), 1.0)
+            chances[", ".join(names[column] for column in columns)] = chance
+    return _findings(chances, tuple(drives))
+
+
 def _findings(chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED) -> tuple[Finding, ...]:
     """The warning for the smallest of the chances (p-values by the names of forces or references); *what* it does to the FRF."""
     named = min(chances, key=lambda name: chances[name], default="")

@@ -33,7 +33,7 @@ from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.random import change_of_random, joined_spectra, welch_average
-from labpipe.spectra.random_lines import due_to_drives, lower_of_drives
+from labpipe.spectra.random_lines import check_moved, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
 # Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of
@@ -93,9 +93,8 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
 # of forces and responses.
 
 ESTIMATOR = "joint"
-# A force's part that is due to the references, over the standard deviation of that part: below the first, a ratio to it is no longer
-# normal; where half of the lines lie below the second, the references might as well be noise.
-LOW_SNR, SILENT = 5.0, 2.0
+# A force's part that is due to the references, over the standard deviation of that part, below which a ratio to it is no longer normal.
+LOW_SNR = 5.0
 # Lines next to one that share its noise by the window (0.44 of it, of a Hann window; 0.03 two lines away).
 GAP = 1
 
@@ -216,9 +215,7 @@ def _strength_findings(estimate: JointEstimate, frequency: FloatArray, settings:
     """A warning where the references hardly move the forces; DataError where they do not."""
     named, weak = ", ".join(settings.reference), estimate.strength < LOW_SNR
     forces = ", ".join(port.label for port in layout.inputs)
-    if np.median(estimate.strength) < SILENT:
-        what = f"the reference {named} does not move the force {forces} beyond its noise in {frequency[0]:g}-{frequency[-1]:g} Hz"
-        raise DataError(what, hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it")
+    check_moved(estimate.strength, frequency, settings.reference, [port.label for port in layout.inputs])
     if np.mean(weak) <= POOR_SHARE:
         return ()
     what = (

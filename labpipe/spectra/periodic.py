@@ -23,6 +23,7 @@ from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.random import cut_at, rest_of_mean
+from labpipe.spectra.random_lines import check_moved
 from labpipe.spectra.settings import FrfSettings
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
@@ -58,6 +59,9 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     elif len(noises) == len(spectra):
         covariance = covariance_of_periodic(matrix, inverse, np.stack(noises))
     snr = None if covariance is None else _signal_to_noise(mean, np.stack(noises))
+    if settings.reference and snr is not None:
+        for number, port in enumerate(layout.inputs):
+            check_moved(snr[:, number], spectra[0].frequency, settings.reference, [port.label])
     findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
     open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
     if open_loop is not None and covariance is not None:

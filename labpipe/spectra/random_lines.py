@@ -22,6 +22,7 @@ from labpipe.registry import nearest
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channel_layout import ChannelLayout
 from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.feedback import feedback_of_drives
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
 from labpipe.spectra.settings import FrfSettings
@@ -31,6 +32,23 @@ from labpipe.spectra.windows import window_values
 # What either excitation gives of all channels side by side, and how far noise covers it.
 
 LOW_SNR = 10.0
+# A force's part that is due to what is injected, over the standard deviation of that part, below which it might as well be noise.
+SILENT = 2.0
+
+
+def check_moved(strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]) -> None:
+    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength* (n_line,) [1] at *frequency* [Hz].
+
+    On such a line the ratio to the force is one of noise to noise, so that not even many of them are left out of a fit by their weight.
+    """
+    share = float(np.mean(strength < SILENT))
+    if share <= POOR_SHARE:
+        return
+    what = (
+        f"the reference {', '.join(injected)} does not move the force {', '.join(forces)} beyond its noise at {100 * share:.0f} % of the lines "
+        f"in {frequency[0]:g}-{frequency[-1]:g} Hz"
+    )
+    raise DataError(what, hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +105,7 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
 
     DataError without recorded drives, for drives that are not independent, and for too few blocks.
     """
-    drives = _drives(sources, settings)
+    drives = _drives(sources, settings, layout)
     spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
     chosen = lines_left(spectra[0].frequency, settings)
     weights = np.array([spectrum.n_block for spectrum in spectra], float)
@@ -112,6 +130,7 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     excited = np.zeros(vectors.shape, bool)
     excited[:, :, layout.inputs] = np.abs(vectors[:, :, layout.inputs]) > 0.1 * np.max(np.abs(vectors), axis=1)[:, None, layout.inputs]
     findings, weak = snr_findings(vectors, covariance, layout.channels, excited)
+    _check_inputs(columns, residual / averages, frequency, drives, layout)
     return MeasuredLines(
         frequency=frequency,
         vectors=vectors,
@@ -119,13 +138,24 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         runs=drives,
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
-        findings=(*findings, *_unexplained(s_zz, residual, layout)),
+        findings=(*findings, *_unexplained(s_zz, residual, layout), *_fed_back(sources, drives, layout)),
         weak=weak,
     )
 
 
-def _drives(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[str, ...]:
-    """The names of the drives: those of `reference`, else all voltages and currents of role reference; DataError where there are none."""
+def _check_inputs(columns: ComplexArray, noise: ComplexArray, frequency: FloatArray, drives: Sequence[str], layout: ChannelLayout) -> None:
+    """DataError where the drives move a force no further than its noise does; *columns*, *noise* of all channels as in `due_to_drives`."""
+    for number in layout.inputs:
+        moved = np.linalg.norm(columns[:, number], axis=1)
+        strength = np.divide(moved, np.sqrt(noise[:, number, number].real), out=np.full(moved.shape, np.inf), where=moved > 0)
+        check_moved(strength, frequency, drives, [layout.channels[number].name])
+
+
+def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
+    """The names of the drives: those of `reference`, else all voltages and currents of role reference; DataError where there are none.
+
+    ConfigError where more of them stand beside fewer forces: a command that the loop makes is no drive, and only its user knows it.
+    """
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
     if settings.reference:
@@ -134,6 +164,10 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[str
             if name not in every:
                 raise ConfigError(f"'{name}' is no channel of the recordings", hint=nearest(name, dict.fromkeys(every)), field="reference")
         names = settings.reference
+    elif len(names) > len(layout.inputs) > 0:
+        what = f"{', '.join(names)} have the role reference, more than there are forces or currents ({len(layout.inputs)})"
+        hint = f"name what is injected from outside, not what the loop makes: frf: {{reference: {names[0]}}}"
+        raise ConfigError(what, hint=hint, field="reference")
     if not names:
         hint = "record the drives of the shakers as channels of quantity: voltage, role: reference, or use a periodic excitation"
         raise DataError("random excitation needs a recorded drive of every shaker: each measured channel has noise", hint=hint)
@@ -182,6 +216,12 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
         hint = "excite by independent random signals, one after the other or together"
         raise DataError(f"the {word}s {', '.join(drives)} are not independent", hint=hint)
     return np.linalg.cholesky(s_rr)
+
+
+def _fed_back(sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout) -> tuple[Finding, ...]:
+    """The warning `feedback` where a drive follows the responses: it is made in the loop."""
+    responses = [channel.name for channel in layout.channels if channel.role == "output"]
+    return feedback_of_drives(sources, drives, responses)
 
 
 def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:

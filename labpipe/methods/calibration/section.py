@@ -90,7 +90,7 @@ def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
 
 
 def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column) -> list[Fit]:
-    """One line per value of the group column; the linear range over the groups goes with the first."""
+    """One line per value of the group column, each with the linear range over the groups."""
     positions = np.unique(group.values)
     fits = []
     for position in positions:
@@ -101,7 +101,7 @@ def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Colu
     if settings.tolerance is not None:
         slopes = np.array([fit.parameter("slope").value for fit in fits])
         reach = Parameter("linear_range", linear_range(positions, slopes, settings.tolerance), group.unit, derived=True)
-        fits[0] = replace(fits[0], parameters=(*fits[0].parameters, reach))
+        fits = [replace(fit, parameters=(*fit.parameters, reach)) for fit in fits]
     return fits
 
 

@@ -82,7 +82,8 @@ def levitation_of(
     chosen = [spectra.channels[n] for n in currents]
     lines: BoolArray = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
     if np.count_nonzero(lines) < LEAST_LINES:
-        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
+        hint = f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current exceeds its noise are left out"
+        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[np.arange(n), currents] = 1.0

@@ -1,6 +1,4 @@
-"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval.
-
-Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval, and a verdict.
+"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval, and a verdict.
 
 Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file its unknowns are fitted to
 all that was recorded, and what the fitted loop says holds between the lines and beyond the measured band as well.
@@ -15,16 +13,23 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile
-from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.budget import matrix_errors
+from labpipe.errors import ConfigError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.measured import chosen_ports, measured_part
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings, Limit, below, verdict_of, words
+from labpipe.methods.magnetic_bearing.limits import (
+    CertificateSettings,
+    Limit,
+    below,
+    probabilities,
+    undecided,
+    verdict_of,
+    words,
+)
 from labpipe.methods.magnetic_bearing.loop import margins
 from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH, LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
-from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, with_unknowns
+from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
+from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
 from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, measured_margins, peak_of
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
@@ -39,7 +44,7 @@ from labpipe.methods.magnetic_bearing.stability import (
 from labpipe.records.comparison import Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.uncertain import Budget, MatrixError, Uncertainty
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
@@ -219,25 +224,17 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
     certificate_settings = resolved(settings)
     matrix = sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     peaks = _peaks(matrix, response)
-    measured_amounts, budget = _measured_amounts(matrix, peaks)
-    amounts, budgets, limits = list(measured_amounts), [budget], []
     worst = max(peaks, key=lambda peak: peak.value)
-    fit, loop = None, None
-    if file is not None:
-        fit, loop = _fitted(settings, certificate_settings, response, matrix, file)
-    if loop is None or loop.unstable or "sensitivity_peak" not in loop.amounts:
-        limits.append(_zone_limit(certificate_settings, worst.value, worst.combined, "measured"))
-    else:
-        limits.append(
-            _zone_limit(certificate_settings, loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak"), "of the fitted loop")
-        )
-    if loop is not None:
-        of_loop, budget = loop.parameters(normal_quantile(0.975))
+    measured_amounts, budget = _measured_amounts(matrix, peaks)
+    model = None if file is None else _fitted(settings, certificate_settings, response, matrix, file)
+    limits = [_zone_limit(certificate_settings, worst, model), *_decrement_limits(certificate_settings, model)]
+    amounts, budgets = list(measured_amounts), [budget]
+    if model is not None and model.loop is not None:
+        of_loop, budget = model.loop.parameters(normal_quantile(0.975))
         amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
-        limits += [_decrement_limit(certificate_settings, loop)] if loop.modes() and not loop.unstable else []
-    amounts += [Parameter(f"probability_{limit.name}", limit.probability, "1", derived=True) for limit in limits]
-    if fit is not None:
-        amounts, budgets = [*amounts, *goodness(fit), *fit.parameters], [*budgets, fit.budget]
+    amounts += probabilities(limits)
+    if model is not None:
+        amounts, budgets = [*amounts, *goodness(model.fit), *model.fit.parameters], [*budgets, model.fit.budget]
     verdict = verdict_of(limits, certificate_settings.confidence)
     return Comparison(
         name=settings.name,
@@ -247,12 +244,38 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=_statement(verdict, limits, worst, loop, fit),
-        curves=_curves(matrix, file, fit, certificate_settings),
-        correlations=() if fit is None else fit.correlations,
-        findings=_findings(worst, file, fit, loop),
+        statement=_statement(verdict, limits, worst, model),
+        curves=_curves(matrix, model),
+        correlations=() if model is None else model.fit.correlations,
+        findings=_findings(worst, model),
         budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
+        undecided=(*undecided(limits), *_unfounded(settings, model)),
     )
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no intervals.
+
+    rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in continuous time.
+    """
+
+    file: MagneticFile
+    fit: LoopFit
+    loop: ClosedLoop | None
+    rejected: str
+    rate: float | None
+
+
+# Amounts of a fitted closed loop by the first part of their names.
+OF_LOOP = ("sensitivity_*", "gain_margin_*", "phase_margin", "delay_margin", "disk_margin", "f_n_*", "log_decrement_*", "pole_*")
+
+
+def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
+    """What rests on a model that is rejected, with the reason: no rule is kept by it."""
+    if model is None or not model.rejected:
+        return []
+    return [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
 
 
 def resolved(settings: CompareSettings) -> CertificateSettings:
@@ -300,89 +323,71 @@ def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple
 
 def _fitted(
     settings: CompareSettings, own: CertificateSettings, response: FrequencyResponse, matrix: SensitivityMatrix, file: MagneticFile
-) -> tuple[LoopFit, ClosedLoop | None]:
-    """The fit of the file's unknowns to all recorded signals, and its closed loop; none where the fit has no intervals."""
+) -> FittedModel:
+    """The fit of the file's unknowns to all recorded signals, its closed loop, and why nothing is decided by it."""
     if len(matrix.loops) != 1:
         raise ConfigError("a bearing file describes one loop", hint="leave theory out, or certify one loop at a time")
     rate = own.rate or file.loop.rate
-    fit = loop_fit([_observation(own, response, file, rate)], settings.estimate)
-    if not fit.usable and settings.estimate:
-        return fit, None
-    return fit, closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1]))
+    fit = loop_fit([recorded_loop(own, response, file)], settings.estimate)
+    given = fit.usable or not settings.estimate
+    loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
+    if sound(fit):
+        unstable = "" if loop is None or not loop.unstable else f"the fitted loop is unstable, {loop.unstable} poles grow"
+        return FittedModel(file, fit, loop, unstable and f"{unstable}, so it cannot be the recorded one", rate)
+    cause = cause_of(own, response, file, settings.estimate) or "check signs, units, delays and the controller of the bearing file"
+    return FittedModel(file, fit, loop, f"{_why_rejected(fit)}; {cause}", rate)
 
 
-def _observation(own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, rate: float | None) -> LoopObservation:
-    """All recorded signals and their prediction.
+def _why_rejected(fit: LoopFit) -> str:
+    if fit.chi2_p < MISMATCH_P:
+        return f"the fitted loop leaves more than noise (chi-square per degree of freedom {fit.chi2_reduced:.3g})"
+    return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
-    With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so that neither gain nor delay
-    of the recorded excitation counts; a quotient by the noisy difference of both sides would be biased.
+
+def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None) -> Limit:
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm; of a sound model that of the fitted loop.
+
+    The measured peak at an edge of the band is the least that it can be.
     """
-    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
-    named |= {"before": own.before[0]} if own.before else {}
-    signals = {signal: chosen_ports(response.outputs, (name,), "response")[0] for signal, name in named.items() if name}
-    if len(response.inputs) != 1:
-        raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint="role: input for the excitation alone")
-    lines = np.ones(response.frequency.size, bool)
-    measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
-    if measured.covariance is None:
-        raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
-    weights = np.linalg.inv(measured.covariance)
-
-    def per_added(changed: MagneticFile) -> ComplexArray:
-        signal = open_loop(changed.levitated(), measured.omega, rate, own.filtered).signals(own.injection)
-        return np.stack([signal[name] for name in signals], axis=1)
-
-    def along(per: ComplexArray, vectors: ComplexArray) -> ComplexArray:
-        """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
-        weighted = np.einsum("la,lab->lb", per.conj(), weights)
-        added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per, axis=1)
-        return np.asarray(per * added[:, None])
-
-    def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
-        per = per_added(changed)
-        return np.asarray((along(per, measured.matrix[:, :, 0]) if own.before else per)[:, :, None])
-
-    def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
-        if not own.before:
-            return matrix_errors(measured)
-        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
-        uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
-        per = per_added(changed)
-        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in uncertainties]
-
-    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
+    peak, error, whose = worst.value, worst.combined, "measured"
+    by_model = model is not None and model.loop is not None and not model.rejected and "sensitivity_peak" in model.loop.amounts
+    if by_model and model is not None and model.loop is not None:
+        peak, error, whose = model.loop.amounts["sensitivity_peak"], model.loop.error("sensitivity_peak"), "of the fitted loop"
+    probability = below(np.log(peak), error / peak, np.log(dict(ZONES)[own.zone]))
+    zone = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
+    if worst.at_edge and not by_model and probability > 1 - own.confidence:
+        why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
+        return Limit("zone", None, f"{zone}; zone {own.zone} or better not judged, since {why}", why)
+    return Limit("zone", probability, f"{zone}; zone {own.zone} or better with {words(probability)}")
 
 
-def _zone_limit(own: CertificateSettings, peak: float, error: float, whose: str) -> Limit:
-    """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
-    end = dict(ZONES)[own.zone]
-    probability = below(np.log(peak), error / peak, np.log(end))
-    said = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose}); zone {own.zone} or better with {words(probability)}"
-    return Limit("zone", probability, said)
-
-
-def _decrement_limit(own: CertificateSettings, loop: ClosedLoop) -> Limit:
-    """Probability that the least damped mode has its decrement."""
+def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
+    """Probability that the least damped mode has its decrement; none where neither a model nor a decrement was asked for."""
+    if model is None and own.log_decrement is None:
+        return []
+    why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
+    if why or model is None or model.loop is None:
+        return [Limit("log_decrement", None, f"log decrement above {own.least_decrement:g} not judged, since {why}", why)]
+    loop = model.loop
+    if not loop.modes():
+        return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
     value = loop.amounts[least]
-    probability = min(below(-loop.amounts[name], loop.error(name), -own.log_decrement) for name in loop.modes())
-    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.log_decrement:g} with {words(probability)}"
-    return Limit("log_decrement", probability, said)
+    probability = min(below(-loop.amounts[name], loop.error(name), -own.least_decrement) for name in loop.modes())
+    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.least_decrement:g} with {words(probability)}"
+    return [Limit("log_decrement", probability, said)]
 
 
-def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, loop: ClosedLoop | None, fit: LoopFit | None) -> str:
+def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, model: FittedModel | None) -> str:
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
-    if loop is not None and loop.unstable:
-        parts.append(f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one")
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
-    model = "" if fit is None else f" {fit_statement(fit)}"
-    return f"{verdict.capitalize()}: {'; '.join(parts)}.{model}"
+    return f"{verdict.capitalize()}: {'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
 
 
-def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> tuple[Curve, ...]:
+def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
     """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary part of L."""
     curves = []
-    fitted = _fitted_size(matrix.frequency, file, fit, own)
+    fitted = _fitted_size(matrix.frequency, model)
     several = len(matrix.loops) > 1
     named = [(f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n)) for n, name in enumerate(matrix.loops)]
     if several:
@@ -398,11 +403,11 @@ def _curves(matrix: SensitivityMatrix, file: MagneticFile | None, fit: LoopFit |
     return tuple(curves)
 
 
-def _fitted_size(frequency: FloatArray, file: MagneticFile | None, fit: LoopFit | None, own: CertificateSettings) -> FloatArray:
-    if file is None or fit is None or not (fit.usable or not fit.parameters):
+def _fitted_size(frequency: FloatArray, model: FittedModel | None) -> FloatArray:
+    if model is None or model.loop is None:
         return np.empty(0)
-    plant = with_unknowns(file, fit.values()).levitated()
-    return np.abs(open_loop(plant, 2 * np.pi * frequency, own.rate or file.loop.rate).sensitivity)
+    plant = with_unknowns(model.file, model.fit.values()).levitated()
+    return np.abs(open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
 
 
 def _curve(
@@ -414,20 +419,19 @@ def _curve(
     return Curve("", quantity, "1", frequency=lists[0], matched=lists[1], measured=lists[2], low=lists[3], high=lists[4])
 
 
-def _findings(worst: Peak, file: MagneticFile | None, fit: LoopFit | None, loop: ClosedLoop | None) -> tuple[Finding, ...]:
+def _findings(worst: Peak, model: FittedModel | None) -> tuple[Finding, ...]:
     findings = []
     if worst.at_edge:
         what = f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be larger beyond"
         findings.append(Finding("sensitivity-edge", what))
-    if loop is not None and loop.unstable:
-        findings.append(Finding("unstable-loop", f"the fitted loop is unstable: {loop.unstable} poles grow; check signs, mass and delay"))
-    if fit is not None:
-        findings += identifiability_findings(fit)
-        findings += [] if loop is None else bent_findings(loop)
-        if fit.chi2_p < MISMATCH_P:
-            excess = f"chi-square per degree of freedom {fit.chi2_reduced:.3g}"
-            what = f"the fitted loop leaves more than noise ({excess}): its intervals are too short"
-            findings.append(Finding("model-mismatch", what))
-    if file is not None:
-        findings.append(note("assumptions", file.assumptions()))
-    return tuple(findings)
+    if model is None:
+        return tuple(findings)
+    if model.loop is not None and model.loop.unstable:
+        what = f"the fitted loop is unstable: {model.loop.unstable} poles grow; check signs, mass and delay"
+        findings.append(Finding("unstable-loop", what))
+    findings += identifiability_findings(model.fit)
+    findings += [] if model.loop is None else bent_findings(model.loop)
+    if model.fit.chi2_p < MISMATCH_P:
+        what = f"{model.rejected}. What intervals there are count the misfit as noise; this model decides nothing"
+        findings.append(Finding("model-mismatch", what))
+    return (*findings, note("assumptions", model.file.assumptions()))

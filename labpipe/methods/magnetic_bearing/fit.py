@@ -126,6 +126,17 @@ def mismatch_findings(best: MagnetEstimate, factor: float) -> tuple[Finding, ...
     return (Finding("model-mismatch", message),)
 
 
+def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
+    """A warning where a magnet's force per current along its own axis is negative beyond its uncertainty."""
+    pairs = zip(model.places, parameters, strict=False)
+    own = [parameter for (kind, row, column), parameter in pairs if kind == "k_i" and row == column]
+    negative = [parameter.name for parameter in own if parameter.ci95 is not None and parameter.ci95[1] < 0]
+    if not negative:
+        return ()
+    what = f"{', '.join(negative)} is negative: the sign of a current or of a reading is wrong"
+    return (Finding("unphysical", f"{what}; `invert: true` for one of the two in the rig file"),)
+
+
 def noise_findings(rotor: Levitation) -> tuple[Finding, ...]:
     """A note where few periods or blocks widen the intervals."""
     noise = noise_of(rotor)
@@ -242,6 +253,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *estimate_findings(as_estimate, model.names, rotor.omega.size, model.units, remedy),
         *goodness_findings(gof),
         *mismatch_findings(best, factor),
+        *sign_findings(model, parameters),
         *noise_findings(rotor),
         *spectra.findings,
     )

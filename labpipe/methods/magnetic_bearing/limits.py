@@ -11,7 +11,7 @@ from labpipe.distributions import normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.stability import INPUT, OUTPUT
 from labpipe.records.comparison import Comparison
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.settings import Settings, setting
 from labpipe.uncertainty.amounts import with_error
@@ -21,6 +21,8 @@ from labpipe.uncertainty.settings import CompareSettings
 
 # Zones that a peak of the sensitivity may have to lie in; D has no upper end.
 ZONE_NAMES = ("A", "B", "C")
+# The limit of a decrement where none is given.
+LEAST_DECREMENT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,19 +37,26 @@ class CertificateSettings(Settings):
     injection: str = setting("choice", "where the excitation is added: the controller's side", choices=(INPUT, OUTPUT), default=INPUT)
     rate: float | None = setting("value", "sampling rate of the controller; default: that of discrete blocks", unit="Hz", default=None)
     filtered: bool = setting("flag", "current and displacement were recorded through a filter against aliasing", default=False)
-    log_decrement: float = setting("value", "least logarithmic decrement of every mode", unit="1", default=0.1)
+    log_decrement: float | None = setting(
+        "value", "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none", unit="1", default=None
+    )
     zone: str = setting("choice", "worst zone of ISO 14839-3", choices=ZONE_NAMES, default="B")
     confidence: float = setting("value", "probability from which a limit counts as kept, or as broken", unit="1", default=0.95)
 
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
             raise ConfigError("'confidence' must lie between 50 and 100 %", field="confidence")
-        if not self.log_decrement > 0:
+        if self.log_decrement is not None and not self.log_decrement > 0:
             raise ConfigError("'log_decrement' must be above zero", field="log_decrement")
         if self.rate is not None and not self.rate > 0:
             raise ConfigError("'rate' must be above zero", field="rate")
         if self.before and len(self.before) != len(self.after):
             raise ConfigError(f"{len(self.before)} points ahead of a sum and {len(self.after)} behind", hint="one per loop", field="before")
+
+    @property
+    def least_decrement(self) -> float:
+        """The least logarithmic decrement [1]."""
+        return LEAST_DECREMENT if self.log_decrement is None else self.log_decrement
 
     @property
     def recorded(self) -> tuple[str, ...]:
@@ -62,11 +71,15 @@ KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so."""
+    """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so.
+
+    Without a probability it could not be judged, and *why* says the reason.
+    """
 
     name: str
-    probability: float
+    probability: float | None
     sentence: str
+    why: str = ""
 
 
 def below(value: float, error: float, limit: float) -> float:
@@ -83,10 +96,25 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it."""
-    if any(limit.probability < 1 - confidence for limit in limits):
+    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else undecided."""
+    judged = [limit.probability for limit in limits if limit.probability is not None]
+    if any(probability < 1 - confidence for probability in judged):
         return BROKEN
-    return KEPT if all(limit.probability >= confidence for limit in limits) else UNDECIDED
+    kept = len(judged) == len(limits) > 0 and all(probability >= confidence for probability in judged)
+    return KEPT if kept else UNDECIDED
+
+
+def probabilities(limits: Sequence[Limit]) -> list[Parameter]:
+    """The probability that each limit is kept, of those that were judged."""
+    judged = ((limit.name, limit.probability) for limit in limits if limit.probability is not None)
+    return [Parameter(f"probability_{name}", probability, "1", derived=True) for name, probability in judged]
+
+
+def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
+    """The probabilities that are not known, and the verdict that rests on them, with the reason."""
+    unjudged = [limit for limit in limits if limit.probability is None]
+    reasons = "; ".join(dict.fromkeys(limit.why for limit in unjudged))
+    return [*((f"probability_{limit.name}", limit.why) for limit in unjudged), *([("verdict", reasons)] if reasons else [])]
 
 
 # Logarithmic decrements of the modes of a fit (an FRF's modal model, a ring-down, one degree of freedom)
@@ -101,23 +129,38 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
     Equation (comp-decrement).
     """
     certificate_settings: CertificateSettings = settings.kind_settings
-    amounts = [amount for fit in fits for amount in _decrements(fit, len(fits) > 1)]
+    several = len(fits) > 1
+    amounts = [amount for fit in fits for amount in _decrements(fit, several)]
     if not amounts:
         hint = "a fit of model modal, decay, or sdof"
-        raise ConfigError(f"fit '{settings.fit}' has no damping ratio with a standard error", hint=hint)
-    limits = [_limit(certificate_settings, amounts)]
+        raise ConfigError(f"fit '{settings.fit}' has no damping ratio", hint=hint)
+    limits = [_limit(certificate_settings, amounts, "; ".join(filter(None, (_why_undecided(fit, several) for fit in fits))))]
     verdict = verdict_of(limits, certificate_settings.confidence)
-    probability = Parameter(f"probability_{DECREMENT}", limits[0].probability, "1", derived=True)
     return Comparison(
         name=settings.name,
         kind="certificate",
         subject=f"logarithmic decrements of {settings.fit}",
         unit="1",
         points=(),
-        amounts=(*amounts, probability),
+        amounts=(*amounts, *probabilities(limits)),
         verdict=verdict,
         statement=f"{verdict.capitalize()}: {limits[0].sentence}.",
+        undecided=tuple(undecided(limits)),
     )
+
+
+# Warnings of a fit with which its decrements decide nothing.
+REJECTING = ("feedback", "no-convergence", "model-mismatch")
+
+
+def _why_undecided(fit: Fit, several: bool) -> str:
+    """Why the decrements of a fit decide nothing; empty where they do."""
+    of_test = f" of test '{fit.test}'" if several and fit.test else ""
+    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings) if finding.code in REJECTING))
+    if codes or not fit.converged:
+        return f"the fit{of_test} is rejected ({', '.join(codes) or 'no-convergence'})"
+    plain = [amount.name for amount in _decrements(fit, several) if amount.full_error is None and np.isfinite(amount.value)]
+    return f"{', '.join(plain)} has no standard error" if plain else ""
 
 
 def _decrements(fit: Fit, several: bool) -> list[Parameter]:
@@ -125,14 +168,17 @@ def _decrements(fit: Fit, several: bool) -> list[Parameter]:
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
     decrements = given or [_of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO]
     suffix = f"_{fit.test}" if several and fit.test else ""
-    return [replace(parameter, name=parameter.name + suffix) for parameter in decrements if parameter.full_error is not None]
+    return [replace(parameter, name=parameter.name + suffix) for parameter in decrements]
 
 
 def _of_ratio(ratio: Parameter) -> Parameter:
+    """The decrement of a damping ratio; infinite to either side of a mode that does not swing, |z| >= 1."""
     name = DECREMENT + ratio.name.removeprefix(RATIO)
-    if ratio.full_error is None or not abs(ratio.value) < 1:
-        return Parameter(name, np.nan, "1")
+    if not abs(ratio.value) < 1:
+        return Parameter(name, float(np.copysign(np.inf, ratio.value)), "1", derived=True)
     value, slope = 2 * np.pi * ratio.value / np.sqrt(1 - ratio.value**2), 2 * np.pi / (1 - ratio.value**2) ** 1.5
+    if ratio.full_error is None:
+        return Parameter(name, float(value), "1", derived=True)
     plain = with_error(name, "1", float(value), float(slope) * ratio.full_error, normal_quantile(0.975))
     if ratio.ci95 is None or max(abs(end) for end in ratio.ci95) >= 1:
         return plain
@@ -140,8 +186,10 @@ def _of_ratio(ratio: Parameter) -> Parameter:
     return replace(plain, ci95=(low, high))
 
 
-def _limit(own: CertificateSettings, amounts: Sequence[Parameter]) -> Limit:
+def _limit(own: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
-    probability = min(below(-amount.value, amount.full_error or 0.0, -own.log_decrement) for amount in amounts)
-    said = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.log_decrement:g} with {words(probability)}"
-    return Limit(DECREMENT, probability, said)
+    said = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.least_decrement:g}"
+    if why:
+        return Limit(DECREMENT, None, f"{said} not judged, since {why}", why)
+    probability = min(below(-amount.value, amount.full_error or 0.0, -own.least_decrement) for amount in amounts)
+    return Limit(DECREMENT, probability, f"{said} with {words(probability)}")

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.descent import Minimum, linearised, minimise
-from labpipe.estimation.diagnostics import COLLINEAR_CONDITION
+from labpipe.estimation.diagnostics import COLLINEAR_CONDITION, MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import correlation, explained, steps_by, student_limit
 from labpipe.estimation.weights import has_noise, weight_uncertainty
@@ -313,7 +313,9 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         converged=minimum.converged,
         at_zero=tuple(entry.name for entry, share in zip(problem.unknowns, minimum.values, strict=False) if share == ZERO),
     )
-    return _with_errors(whole, at_end, uncertainty.inflation, dof) if whole.usable else whole
+    # What a model does not explain widens the intervals as if all noise were larger.
+    misfit = max(reduced, 1.0) if whole.chi2_p < MISMATCH_P else 1.0
+    return _with_errors(whole, at_end, misfit * uncertainty.inflation, dof, following=misfit == 1.0) if whole.usable else whole
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
@@ -326,8 +328,11 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
     return condition, tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
 
 
-def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) -> LoopFit:
-    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both."""
+def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, following: bool) -> LoopFit:
+    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both.
+
+    *following*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow.
+    """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
     random, steps = at_end.random(inflation), at_end.steps
@@ -343,7 +348,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int) 
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
-    if max(size for _, size in bent) > CURVED:
+    if following and max(size for _, size in bent) > CURVED:
         parameters = tuple(
             _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
         )

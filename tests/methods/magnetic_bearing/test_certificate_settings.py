@@ -22,7 +22,7 @@ from labpipe.methods.magnetic_bearing.limits import CertificateSettings
     ],
 )
 def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]) -> None:
-    assert CertificateSettings(**entries).log_decrement == 0.1
+    assert CertificateSettings(**entries).least_decrement == 0.1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,75 @@
+"""What is no injection, and what is too weak to be one: from raw files of a rig of its own with k_i = 120 N/A and k_s = -420 kN/m."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.methods.magnetic_bearing.recorded_axis import Axis, fit_pipeline, written
+
+RANDOM = Axis(random=True, periods=40)
+PERIODIC = Axis(lines=np.unique(np.round(np.geomspace(4, 400, 120))).astype(int))
+SIDE_BY_SIDE = "{{excitation: {kind}, {length}: 500 ms, band: 6-800 Hz, result: spectra{more}}}"
+FRF = "{{excitation: {kind}, {length}: 500 ms, band: 6-800 Hz, reference: e}}"
+MAGNET, SDOF = "{model: magnet}", "{model: sdof, mass: 6.5 kg}"
+# Current as force, by the true force per current.
+FORCE = "{i: {quantity: force, sensitivity: 0.0083333333333333 A/N}}"
+
+
+@pytest.fixture
+def fitted(labpipe_without_report, tmp_path: Path):
+    """How the command ended, and the fit as a dictionary; None where there is none."""
+
+    def run(axis: Axis, columns: dict[str, np.ndarray], frf: str, fit: str, channels: str = "{}"):
+        kind = {"kind": "random", "length": "block"} if axis.random else {"kind": "periodic", "length": "period"}
+        written(tmp_path, axis, columns)
+        file = fit_pipeline(tmp_path, frf.format(**kind, more=""), fit, channels)
+        ended = labpipe_without_report("run", file, "-o", tmp_path / "out")
+        result = tmp_path / "out/identification.json"
+        return ended, json.loads(result.read_text())["fits"][0] if ended.code != 2 else None
+
+    return run
+
+
+def codes(fit: dict) -> list[str]:
+    return [finding["code"] for finding in fit["warnings"]]
+
+
+def test_a_command_beside_the_injection_is_no_drive(fitted) -> None:
+    """Both have the role reference; which of them comes from outside only the user knows."""
+    columns = RANDOM.record(np.random.default_rng(2))
+    ended, _ = fitted(RANDOM, columns, SIDE_BY_SIDE, MAGNET)
+    assert ended.code == 2 and "name what is injected from outside" in ended.err and "reference: e" in ended.err
+    ended, fit = fitted(RANDOM, columns, SIDE_BY_SIDE.replace("spectra", "spectra, reference: e"), MAGNET)
+    k_i = fit["parameters"][0]
+    assert ended.code == 0 and k_i["ci95"][0] < 120 < k_i["ci95"][1]
+    pushed = RANDOM.other(disturbance=10.0)
+    ended, fit = fitted(pushed, pushed.record(np.random.default_rng(2)), SIDE_BY_SIDE.replace("spectra", "spectra, reference: u"), MAGNET)
+    assert ended.code == 1 and "feedback" in codes(fit)
+
+
+@pytest.mark.parametrize(("axis", "rms"), [(RANDOM, 2e-4), (PERIODIC, 1e-3)])
+@pytest.mark.parametrize(("frf", "fit", "channels"), [(SIDE_BY_SIDE, MAGNET, "{}"), (FRF, SDOF, FORCE)])
+def test_an_injection_far_too_weak_is_refused(fitted, axis: Axis, rms: float, frf: str, fit: str, channels: str) -> None:
+    weak = axis.other(rms=rms)
+    more = frf.replace("spectra", "spectra, reference: e") if axis.random else frf
+    ended, _ = fitted(weak, weak.record(np.random.default_rng(4)), more, fit, channels)
+    assert ended.code == 2 and "noise" in ended.err and "level" in ended.err
+
+
+def test_a_negative_force_per_current_is_a_warning(fitted) -> None:
+    columns = PERIODIC.record(np.random.default_rng(3))
+    ended, fit = fitted(PERIODIC, {**columns, "i": -columns["i"]}, SIDE_BY_SIDE, MAGNET)
+    assert ended.code == 0 and "unphysical" in codes(fit)
+    ended, fit = fitted(PERIODIC, columns, SIDE_BY_SIDE, MAGNET)
+    assert ended.code == 0 and not codes(fit)
+
+
+@pytest.mark.parametrize(("frf", "fit", "channels"), [(SIDE_BY_SIDE, MAGNET, "{}"), (FRF, SDOF, FORCE)])
+def test_a_clipped_current_is_said_of_every_fit(fitted, frf: str, fit: str, channels: str) -> None:
+    columns = PERIODIC.record(np.random.default_rng(3))
+    _, found = fitted(PERIODIC, {**columns, "i": np.clip(columns["i"], -0.4, 0.4)}, frf, fit, channels)
+    assert "clipped" in codes(found)
