@@ -21,6 +21,7 @@ from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
+from labpipe.spectra.settling import is_unsettled
 
 # Independent motions of the responses: singular values of the FRF against those of its noise.
 
@@ -278,8 +279,11 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
 def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> list[Finding]:
     """A warning where much of a response on the fit's *lines*, a mask (n_frequency,), is noise, by its power over all of them.
 
-    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an antiresonance, do no harm.
+    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an antiresonance, do no harm. None where
+    it is motion that has not died away.
     """
+    if is_unsettled(response.findings):
+        return []
     power = np.abs(response.matrix[lines][:, rows][:, :, columns]) ** 2
     if response.multiple_coherence is not None:
         share = _noise_share(np.sum(power, axis=2), response.multiple_coherence[lines][:, rows])

@@ -17,6 +17,7 @@ from scipy import special
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
+from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.bands import line_range, mask_findings, masked_bands
@@ -28,6 +29,7 @@ from labpipe.spectra.ports import check_rates, lines_left, source_findings
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settling import settling_finding
 from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # All channels under periodic excitation: averages over periods, and their covariance from the scatter
@@ -44,7 +46,8 @@ def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layou
 
     DataError for a single period, and where no force exceeds its noise.
     """
-    averaged = [_averaged(source, settings, layout, number) for number, source in enumerate(sources)]
+    both = [_averaged(source, settings, layout, number) for number, source in enumerate(sources)]
+    averaged = [spectrum for spectrum, _ in both]
     n_period = min(spectrum.n_period for spectrum in averaged)
     if n_period < 2:
         raise DataError("one period is left, so the noise of the channels is unknown", hint="record at least 2 after the transient ones")
@@ -66,13 +69,13 @@ def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layou
         covariance=covariance,
         runs=tuple(source.name or f"run {number}" for number, source in enumerate(sources, 1)),
         dof=min(spectrum.dof for spectrum in spectra),
-        findings=findings,
+        findings=(*(finding for _, unsettled in both for finding in unsettled), *findings),
         weak=weak,
     )
 
 
-def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int) -> LineSpectrum:
-    """The lines of the recorded channels of one recording in the band."""
+def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int) -> tuple[LineSpectrum, tuple[Finding, ...]]:
+    """The lines of the recorded channels of one recording in the band, and whether its motion had settled."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     average = PeriodAverage(
@@ -83,7 +86,8 @@ def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout
     spectrum = average.spectrum(source.sample_rate)
     spectrum = spectrum.select(lines_left(spectrum.frequency, settings))
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
-    return LineSpectrum(spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof)
+    picked = LineSpectrum(spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof)
+    return picked, settling_finding(average.differences, source.channels, source.name, settings.skip)
 
 
 def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:

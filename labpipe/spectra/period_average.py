@@ -11,6 +11,7 @@ from scipy import fft, special
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
+from labpipe.spectra.settling import Differences
 
 # Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for example).
 OUTLIER_LEVEL = 1e-3
@@ -64,6 +65,7 @@ class PeriodAverage:
         n_line = self._line_numbers.size
         self._mean = np.zeros((n_line, n_channel), np.complex128)
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
+        self.differences = Differences(n_line)
         self.n_period = 0
 
     def add(self, block: FloatArray) -> None:
@@ -81,6 +83,7 @@ class PeriodAverage:
         # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
         amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (2 / self._n_sample)
         self.n_period += 1
+        self.differences.add(amplitude)
         before = amplitude - self._mean
         self._mean += before / self.n_period
         after = amplitude - self._mean

@@ -25,6 +25,7 @@ from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.random import cut_at, rest_of_mean
 from labpipe.spectra.random_lines import check_moved
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settling import settling_finding
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
 
@@ -38,7 +39,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     """
     assert settings.period is not None
     averaged = [_period_average(source, settings) for source in sources]
-    single = [spectrum for spectrum, _ in averaged]
+    single = [spectrum for spectrum, _, _ in averaged]
+    unsettled = tuple(finding for *_, findings in averaged for finding in findings)
     spectra = [smoothed_noise(spectrum, settings.smooth) for spectrum in single]
     acting = _acting(spectra, layout)
     lines = np.all(acting, axis=1)
@@ -62,7 +64,9 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and snr is not None:
         for number, port in enumerate(layout.inputs):
             check_moved(snr[:, number], spectra[0].frequency, settings.reference, [port.label])
-    findings = _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout)
+    findings: tuple[Finding, ...] = (
+        _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout, not unsettled)
+    )
     open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
     if open_loop is not None and covariance is not None:
         findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
@@ -76,9 +80,9 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         covariance=covariance,
         averages=averages,
         dof=dof,
-        findings=findings,
+        findings=(*unsettled, *findings),
         snr=snr,
-        change=_change(spectra, [half for _, half in averaged], lines, layout),
+        change=None if unsettled else _change(spectra, [half for _, half, _ in averaged], lines, layout),
         open_loop=open_loop,
     )
 
@@ -145,8 +149,8 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
     return acting
 
 
-def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None]:
-    """The averaged lines of one recording in the band, and those of the first half of its periods."""
+def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
+    """The averaged lines of one recording in the band, those of the first half of its periods, and whether its motion had settled."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
@@ -159,7 +163,8 @@ def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSp
             half = average.spectrum(source.sample_rate)
     spectrum = average.spectrum(source.sample_rate)
     chosen = lines_left(spectrum.frequency, settings)
-    return spectrum.select(chosen), None if half is None else half.select(chosen)
+    unsettled = settling_finding(average.differences, source.channels, source.name, settings.skip)
+    return spectrum.select(chosen), None if half is None else half.select(chosen), unsettled
 
 
 def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
@@ -175,8 +180,11 @@ def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
-    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise."""
+def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout, settled: bool) -> tuple[Finding, ...]:
+    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise.
+
+    Not responses that have not *settled*: their scatter is not noise.
+    """
     assert snr is not None
     n_input = len(layout.inputs)
     poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
@@ -191,7 +199,7 @@ def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout) ->
     responses = (
         Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in power over the band")
         for port, is_weak in zip(layout.outputs, weak, strict=True)
-        if is_weak
+        if is_weak and settled
     )
     return (*forces, *responses)
 

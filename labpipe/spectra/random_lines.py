@@ -45,8 +45,8 @@ def check_moved(strength: FloatArray, frequency: FloatArray, injected: Sequence[
     if share <= POOR_SHARE:
         return
     what = (
-        f"the reference {', '.join(injected)} does not move the force {', '.join(forces)} beyond its noise at {100 * share:.0f} % of the lines "
-        f"in {frequency[0]:g}-{frequency[-1]:g} Hz"
+        f"the reference {', '.join(injected)} does not move the force {', '.join(forces)} beyond its noise at {100 * share:.0f} % "
+        f"of the lines in {frequency[0]:g}-{frequency[-1]:g} Hz"
     )
     raise DataError(what, hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it")
 

@@ -62,6 +62,7 @@ CASES = (
     Case("constant", "dead channel", of.screened, {"fault": ""}, {"fault": "constant"}),
     Case("aliasing", "mode just above half the sampling rate, no filter", of.sampled, {"filtered": True}, {"filtered": False}),
     Case("not-died-away", "blocks of 1 s for a time constant of .44 s", of.taps, {"block": 4.0}, {"block": 1.0}),
+    Case("not-settled", ".3 % of damping, recorded from rest", of.from_rest, {"waited": 20}, {"waited": 0}),
     Case("hit-rejected", "the last five of ten hits double", of.taps, {"block": 4.0}, {"block": 4.0, "bounce": True}),
     Case("at-bound", "wear of 40 um, searched to 30 um", of.worn, {"depth": 22.27}, {"depth": 40.19, "depth_limit": 30e-6}, FEW),
     Case("healthy", "no wear", of.worn, {"depth": 22.27}, {"depth": 0.0}, FEW),

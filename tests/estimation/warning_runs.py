@@ -51,6 +51,23 @@ def pedestal(seed: int, settings: FitSettings = PEDESTAL, level: float = 1.0) ->
     return codes(measure(MAGNETIC_RIG.recordings(rig, seed, ("pedestal",)), PERIODIC), settings)
 
 
+def from_rest(seed: int, waited: int) -> frozenset[str]:
+    """Twenty periods of 2 s on 2 kg and 40 kN/m, damping ratio .3 %, *waited* periods after the force began; exact free motion."""
+    rng = np.random.default_rng(seed)
+    t, lines = np.arange(20 * 500) / 250, np.arange(30, 61)
+    w, forces = np.pi * lines, 0.2 * np.exp(2j * np.pi * rng.uniform(size=lines.size))
+    decay, damped = 0.003 * np.sqrt(2e4), np.sqrt(2e4 * (1 - 0.003**2))
+    moved = forces / (2 * (2e4 + 2j * decay * w - w**2))
+    applied, steady = (np.sum((a[:, None] * np.exp(1j * w[:, None] * t)).real, axis=0) for a in (forces, moved))
+    begin, speed = moved.sum().real, (1j * w * moved).sum().real
+    free = np.exp(-decay * (t + 2 * waited)) * (begin * np.cos(damped * t) + (speed + decay * begin) / damped * np.sin(damped * t))
+    channels = (Channel("f", "force", "input", "x"), Channel("x", "displacement", "output", "x"))
+    noise = rng.normal(size=(t.size, 2)) * (5e-3, 2e-7)
+    record = Recording(channels, np.stack([applied, steady - free], axis=1) + noise, 250.0)
+    settings = FrfSettings(excitation="periodic", period=2.0, skip=1, band=(14.9, 30.1))
+    return codes(measure([record], settings), FitSettings("sdof", mass=2.0))
+
+
 def two_directions(seed: int, settings: FitSettings, inputs: int = 2) -> frozenset[str]:
     """A symmetric rotor (0.92 kg, 180 kN/m, 190 N s/m) under forces along x and y, or one at 45 degrees, 65-80 Hz, noise 0.4 %."""
     f = np.arange(65.0, 81.0)

@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.designs import A, D, optimum
-from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities, vector_information
+from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, residual_whitener, sensitivities, vector_information
 from labpipe.raw_files.excitation import _signals, one_period, peaks
 
 # How a spectrum is put on the shakers: one after the other, or both at once. SCHEMES by name.
@@ -345,6 +345,50 @@ def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
     stopped = started - np.pad(started[:, n_force:], ((0, 0), (0, on)))
     between = np.cos(np.pi / SAMPLES)
     return np.maximum(largest, np.abs(np.hstack([running, stopped])).max(axis=1) / between)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """What the motion that starts with every test does to the coefficients of a campaign.
+
+    shift (n_test, n_coefficient, n_state) [1 per state]: of relative coefficients by the motion left at the first measured period; begin
+    (n_test, n_state) [m, m/s]: that motion at rest; over (n_state, n_state) [1]: what a period leaves of it.
+    """
+
+    shift: FloatArray
+    begin: FloatArray
+    over: FloatArray
+
+    def shifts(self, skip: int) -> FloatArray:
+        """Shifts (n_coefficient,) [1] of the relative coefficients where *skip* periods are dropped."""
+        return np.einsum("tcs,ts->c", self.shift, self.begin @ np.linalg.matrix_power(self.over, skip).T)
+
+
+def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | None:
+    """The effect of free motion on tests of *periods* measured periods each, at first order; None where it does not die away.
+
+    Motion z of the state equation z' = A z adds 2 / (P T) C (A - jw)^-1 (exp(A P T) - 1) z to the average over P periods, and that acts
+    on the coefficients as an error of the response does. Equation (plan-settling).
+    """
+    free = rig.model.free_motion
+    if free is None:
+        return None
+    seconds = np.array(periods) / rig.spacing
+    total = sum(rig.rate(test) * time for test, time in zip(timed.tests, seconds, strict=True))
+    if timed.known is not None:
+        total = total + timed.known.information
+    n_dof, n_state = rig.model.n_dof, len(free)
+    shifts, begins = [], []
+    for test, time in zip(timed.tests, seconds, strict=True):
+        omega = rig.omega(test)
+        motion = rig.motion(test)
+        begins.append(-np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real]))
+        left = np.linalg.solve(free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state))
+        moved = 2 / time * left[:, :n_dof]
+        whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(rig.model.receptance(omega), moved)
+        told = np.einsum("lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions)
+        shifts.append(-time * np.linalg.solve(total, np.einsum("lni,lis->ns", told.conj(), whitened).real))
+    return Settling(np.array(shifts), np.array(begins), expm(free / rig.spacing))
 
 
 def crest_factors(test: Multisines) -> FloatArray:

@@ -225,7 +225,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
         return None
 
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
-        planned = tuple(planned_test(settings, rig, test, number) for test, number in zip(tests, periods, strict=True))
+        planned = tuple(planned_test(rig, test, number, 1) for test, number in zip(tests, periods, strict=True))
         with_masses = any(name[0] == "m" for name in rig.model.names)
         with tempfile.TemporaryDirectory() as folder:
             pipeline = _loaded(Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder))

@@ -211,11 +211,16 @@ def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> Compl
     A relative change of coefficient i changes the residual of a force u by that times u, in units of the residual's noise.
     Equation (plan-sensitivity).
     """
+    changed = model.elements_at(omega) @ model.receptance(omega)[:, None] * model.scales[:, None, None]
+    return np.asarray(residual_whitener(model, noise, omega)[:, None] @ changed)
+
+
+def residual_whitener(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
+    """L^-1 of the residual's noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega (n_line,) [rad/s]."""
     stiffness = model.stiffness(omega)
     plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
     density = plain * np.eye(model.n_dof) + noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)
-    whitener = np.linalg.inv(np.linalg.cholesky(density))
-    return np.asarray(whitener[:, None] @ model.elements_at(omega) @ model.receptance(omega)[:, None] * model.scales[:, None, None])
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(density)))
 
 
 def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> FloatArray:

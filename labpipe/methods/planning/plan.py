@@ -16,11 +16,13 @@ from labpipe.methods.planning.campaigns import (
     Limits,
     Multisines,
     Rig,
+    Settling,
     crest_factors,
     from_rest,
     largest_motion,
     running_shakers,
     score,
+    settling,
     with_shares,
 )
 from labpipe.methods.planning.expectation import Earlier, Excitation, Expected, identifiability, spread, spread_notes
@@ -59,6 +61,9 @@ LONGEST = 1e6
 NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
+# Share of its standard error by which motion that has not died away may shift a coefficient, from which share on a plan says so, and the
+# most periods that are looked at: a motion that lasts longer is said to.
+SETTLED, NOTICED, MOST_SKIPPED = 0.1, 0.3, 1000
 
 
 @dataclass(frozen=True)
@@ -108,11 +113,15 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     rig, wanted = question.rig, question.wanted
     design = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
     periods = _periods(settings, design.campaign)
-    lengths = [(settings.skip + number) * settings.period for number in periods]
+    skip = _skip(settings, rig, design.campaign, periods)
+    lengths = [(skip + number) * settings.period for number in periods]
     tests = [from_rest(rig, test, seconds) for test, seconds in zip(design.campaign.tests, lengths, strict=True)]
     timed = with_shares(rig, tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
-    plan = _plan(question, design, timed, periods)
+    plan = _plan(question, design, timed, periods, skip)
+    if settings.skip is None and skip > 1:
+        said = f"Every test begins with {skip} periods, {skip * settings.period:.4g} s, that are skipped: motion takes so long to die away."
+        plan = replace(plan, notes=(*plan.notes, said))
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
@@ -280,7 +289,37 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
     return periods
 
 
-def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...]) -> Plan:
+def _skip(settings: PlanSettings, rig: Rig, design: Campaign, periods: tuple[int, ...]) -> int:
+    """Transient periods of every test: those asked for, or as many as free motion needs to no longer count, one at least."""
+    if settings.skip is not None:
+        return settings.skip
+    motion = settling(rig, with_shares(rig, design.tests, np.array(periods) / sum(periods)), periods)
+    return 1 if motion is None else _settled_after(motion, design.errors(sum(periods) * settings.period))
+
+
+def _settled_after(motion: Settling, errors: FloatArray) -> int:
+    """The first number of skipped periods, from one on, that shifts no coefficient by SETTLED of its *errors* (n_coefficient,) [1]."""
+    settled = (n for n in range(1, MOST_SKIPPED) if np.all(np.abs(motion.shifts(n)) <= SETTLED * errors))
+    return next(settled, MOST_SKIPPED)
+
+
+def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: int) -> Iterator[str]:
+    """What it costs where motion that starts with a test is not waited for to die away."""
+    motion = settling(rig, timed, periods)
+    if motion is None:
+        return
+    errors = timed.errors(sum(periods) / rig.spacing)
+    shifts = np.abs(motion.shifts(skip))
+    worst = int(np.argmax(shifts / errors))
+    if shifts[worst] > NOTICED * errors[worst]:
+        yield (
+            f"Motion has not died away after `skip: {skip}`: what is left of it shifts {rig.model.names[worst]} by about "
+            f"{100 * shifts[worst]:.2g} %, {shifts[worst] / errors[worst]:.2g} times its standard error. "
+            f"`skip: {_settled_after(motion, errors)}` is long enough."
+        )
+
+
+def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int) -> Plan:
     settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
     of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
@@ -303,11 +342,11 @@ def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple
         efficiency=certificate.efficiency,
         factor=factor,
         coefficients=tuple(_coefficients(question, timed, factor, duration)),
-        tests=tuple(planned_test(settings, rig, test, number) for test, number in zip(timed.tests, periods, strict=True)),
+        tests=tuple(planned_test(rig, test, number, skip) for test, number in zip(timed.tests, periods, strict=True)),
         gains=gains,
         needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
-        notes=_notes(rig, question.lines, found, wanted),
+        notes=(*_notes(rig, question.lines, found, wanted), *settling_notes(rig, timed, periods, skip)),
         combined=rig.known is not None,
     )
 
@@ -346,8 +385,8 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
     return float(duration * np.exp(high))
 
 
-def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: int) -> PlannedTest:
-    """A test of so many periods as it is written down."""
+def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> PlannedTest:
+    """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
     running = running_shakers(test)
     forces: ComplexArray = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
@@ -356,7 +395,7 @@ def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: in
     return PlannedTest(
         name=stem,
         periods=periods,
-        skip=settings.skip,
+        skip=skip,
         shakers=names,
         files=files,
         frequency=tuple((rig.spacing * test.lines).tolist()),
@@ -364,7 +403,7 @@ def planned_test(settings: PlanSettings, rig: Rig, test: Multisines, periods: in
         phase=tuple(tuple(column) for column in np.angle(forces).T.tolist()),
         crest_factor=tuple(crest_factors(test).tolist()),
         peak_force=tuple(peaks(test.lines, forces).tolist()),
-        peak_displacement=tuple(largest_motion(rig, test, (settings.skip + periods) * settings.period).tolist()),
+        peak_displacement=tuple(largest_motion(rig, test, (skip + periods) / rig.spacing).tolist()),
     )
 
 

@@ -124,7 +124,9 @@ class PlanSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", unit="Hz", default=())
     speed: float | None = setting("value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None)
     mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
-    skip: int = setting("integer", "transient periods before the measured ones, in every test", default=1)
+    skip: int | None = setting(
+        "integer", "transient periods before the measured ones, in every test; default: until motion has died away", default=None
+    )
     uncertainties: Uncertainties = ()
     sensors: Rig | None = None
 

@@ -23,7 +23,15 @@ from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
 from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
-from labpipe.methods.planning.plan import FEWEST_PERIODS, bench, period_signals, planned_lines, planned_test, weighting_factor
+from labpipe.methods.planning.plan import (
+    FEWEST_PERIODS,
+    bench,
+    period_signals,
+    planned_lines,
+    planned_test,
+    settling_notes,
+    weighting_factor,
+)
 from labpipe.methods.planning.plan_file import PlanFile, write_runs
 from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
@@ -144,13 +152,14 @@ class BearingState:
 
 @dataclass(frozen=True)
 class StateTest:
-    """The test of a state: the rig, its multisine, and the information (8, 8) [1/units] of the coefficients by one run."""
+    """The test of a state: the rig, its multisine, the information (8, 8) [1/units] of the coefficients by one run, and what to note."""
 
     state: BearingState
     rig: Rig
     multisine: Multisines
     planned: PlannedTest
     information: FloatArray
+    notes: tuple[str, ...] = ()
 
 
 def state_tests(settings: StatePlanSettings, states: Sequence[BearingState]) -> list[StateTest]:
@@ -164,7 +173,9 @@ def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
     campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
     factor = weighting_factor(settings.periods, of_spectra=True)
     information = campaign.rate * settings.periods * settings.period / factor**2 / np.outer(state.model.scales, state.model.scales)
-    return StateTest(state, rig, campaign.tests[0], planned_test(state_settings, rig, campaign.tests[0], settings.periods), information)
+    planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
+    notes = tuple(f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip))
+    return StateTest(state, rig, campaign.tests[0], planned, information, notes)
 
 
 def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]) -> RunQuestion:
@@ -254,7 +265,8 @@ def plan_states(settings: StatePlanSettings, title: str, folder: Path) -> tuple[
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
     if common and len(answered.plan.runs) < len(tests):
         answered = answered.noted([UNTESTED])
-    return answered, {test.state.name: test for test in tests}
+    of_state = {test.state.name: test for test in tests}
+    return answered.noted(note for run in answered.plan.runs for note in of_state[run.name].notes), of_state
 
 
 def _common(bearing: BearingFile, name: str) -> Common:
