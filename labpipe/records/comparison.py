@@ -107,7 +107,7 @@ class Comparison:
     *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
     of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
     *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
-    *budgets*: of amounts to whose uncertainty systematic sources add, each of those that rest on the same data. *undecided*: amounts by name,
+    *budgets*: of amounts to whose uncertainty systematic sources add, those on the same data one by one. *undecided*: amounts by name,
     or patterns of them (`pole_*`), and the verdict, that could not be judged, each with the reason.
     """
 

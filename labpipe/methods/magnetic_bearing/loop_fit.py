@@ -331,7 +331,8 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, following: bool) -> LoopFit:
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both.
 
-    *following*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow.
+    *following*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow,
+    unless an unknown stands at zero, where its interval has one side only.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
@@ -348,7 +349,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
-    if following and max(size for _, size in bent) > CURVED:
+    if (following or fit.at_zero) and max(size for _, size in bent) > CURVED:
         parameters = tuple(
             _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
         )
