@@ -16,7 +16,7 @@ from typing import Any
 import labpipe
 from labpipe import __version__
 from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
-from labpipe.artefacts.json_file import current
+from labpipe.artefacts.json_file import json_value
 from labpipe.artefacts.places import origin
 from labpipe.artefacts.writing import shown
 from labpipe.errors import DataError
@@ -132,7 +132,7 @@ def _asdicts(records: Iterable[Any]) -> list[dict[str, Any]]:
 def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "") -> Header:
     """The header read from an artefact with its verified *digest*; DataError when it is another kind, a newer schema, or none at all."""
     try:
-        entries = current(text if isinstance(text, str) else text.decode())
+        entries = json_value(text if isinstance(text, str) else text.decode())
     except (ValueError, RecursionError):
         entries = None
     if not isinstance(entries, dict):

@@ -214,7 +214,7 @@ def read_bytes(path: Path) -> bytes:
 def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
     """The entries of a JSON object; DamagedError for anything else."""
     try:
-        entries = current(content.decode("utf-8"))
+        entries = json_value(content.decode("utf-8"))
     except RecursionError:
         raise DamagedError(f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN) from None
     except ValueError as error:
@@ -228,7 +228,7 @@ def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
 NAMES_BEFORE = {"doubt": "uncertainty", "doubts": "uncertainties"}
 
 
-def current(text: str) -> Any:
+def json_value(text: str) -> Any:
     """The value of a JSON text with its entries under the names of this version; ValueError, RecursionError as from json.loads."""
     old = any(f'"{name}"' in text for name in NAMES_BEFORE)
     return json.loads(text, object_hook=_under_new_names if old else None)

@@ -61,16 +61,17 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
     whole = measured.plus_offset(measured.matrix)
     for ports, sign in ((measured.outputs, 1.0), (measured.inputs, -1.0)):
         for number, port in enumerate(ports):
-            for uncertain in port.uncertainties:
-                if uncertain.effect in COURSES:
-                    slope, power = COURSES[uncertain.effect]
+            for calibration in port.uncertainties:
+                if calibration.effect in COURSES:
+                    slope, power = COURSES[calibration.effect]
                     change = np.zeros_like(whole)
                     at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
-                    change[at] = (sign * uncertain.uncertainty.std_error * slope * measured.omega**power)[:, None] * whole[at]
-                    add(uncertain.uncertainty, change)
+                    change[at] = (sign * calibration.uncertainty.std_error * slope * measured.omega**power)[:, None] * whole[at]
+                    add(calibration.uncertainty, change)
                 elif directions and (across := across_ports(ports)) is not None:
                     add(
-                        uncertain.uncertainty, uncertain.uncertainty.std_error * turned(measured.matrix, number, across, of_forces=sign < 0)
+                        calibration.uncertainty,
+                        calibration.uncertainty.std_error * turned(measured.matrix, number, across, of_forces=sign < 0),
                     )
     for error in measured.errors:
         add(error.uncertainty, error.change)
@@ -234,9 +235,9 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Chan
     changes: dict[str, list[tuple[Uncertainty, Change]]] = {}
     for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
         for number, port in enumerate(ports):
-            for uncertain in port.uncertainties:
-                entry = (uncertain.uncertainty, _change_of(uncertain.effect, number, sign))
-                changes.setdefault(uncertain.uncertainty.source, []).append(entry)
+            for calibration in port.uncertainties:
+                entry = (calibration.uncertainty, _change_of(calibration.effect, number, sign))
+                changes.setdefault(calibration.uncertainty.source, []).append(entry)
     for matrix_error in measured.errors:
         changes.setdefault(matrix_error.uncertainty.source, []).append((matrix_error.uncertainty, _change_by(matrix_error)))
     mass = mass_uncertainty(setup.settings)

@@ -173,8 +173,8 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
         columns[f"{amount.name} [{amount.unit}]"] = np.array([point.rest[number].value for point in coefficients])
     uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
     if uncertainties:
-        columns |= _by_element("u_k", coefficients[0], np.stack([uncertain.stiffness_error for uncertain in uncertainties]))
-        errors = np.stack([uncertain.damping_error for uncertain in uncertainties])
+        columns |= _by_element("u_k", coefficients[0], np.stack([source.stiffness_error for source in uncertainties]))
+        errors = np.stack([source.damping_error for source in uncertainties])
         columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
     return columns

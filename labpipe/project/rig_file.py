@@ -28,7 +28,7 @@ from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
-class UncertaintyOfChain(Settings):
+class ChainUncertaintySettings(Settings):
     """Standard uncertainties of a channel's chain beside those of its numbers; how else they are meant stands in brackets."""
 
     gain: str = setting("text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default="")
@@ -46,7 +46,7 @@ class Written:
     sensitivity: str
     dof: str
     uncertainties: Uncertainties
-    chain: UncertaintyOfChain | None
+    chain: ChainUncertaintySettings | None
 
 
 def channel_uncertainties(written: Written, node: Marked, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
@@ -219,8 +219,8 @@ class ChannelSettings(Settings):
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
     range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
-    uncertainty: UncertaintyOfChain | None = setting(
-        "section", "uncertainty of the whole chain", section=UncertaintyOfChain, default=None, before="doubt"
+    uncertainty: ChainUncertaintySettings | None = setting(
+        "section", "uncertainty of the whole chain", section=ChainUncertaintySettings, default=None, before="doubt"
     )
     derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
     uncertainties: Uncertainties = ()

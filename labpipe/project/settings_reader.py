@@ -194,8 +194,8 @@ def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting
     new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}
     names = {old: new[old] for old in node.content if old in new}
     for old, name in names.items():
-        told = f"{node.content[old].place}: {join(key, old)} is called '{name}' now; the old key is read in this version for the last time"
-        warnings.warn(told, FutureWarning, stacklevel=2)
+        note = f"{node.content[old].place}: {join(key, old)} is called '{name}' now; the old key is read in this version for the last time"
+        warnings.warn(note, FutureWarning, stacklevel=2)
     return replace(node, content={names.get(name, name): entry for name, entry in node.content.items()}) if names else node
 
 

@@ -105,16 +105,16 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
                 yield _Effect(Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0)
-            for uncertain in by_name[term.channel].uncertainties:
-                if uncertain.effect in COURSES:
-                    course, power = COURSES[uncertain.effect]
-                    yield _Effect(uncertain.uncertainty, port, term.channel, term.factor * course, power)
+            for calibration in by_name[term.channel].uncertainties:
+                if calibration.effect in COURSES:
+                    course, power = COURSES[calibration.effect]
+                    yield _Effect(calibration.uncertainty, port, term.channel, term.factor * course, power)
 
 
 def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
     """What the directions of recorded channels do to a sum at a port: a member reads something of the channel across it."""
     for number, channel in enumerate(recorded):
-        directions = [uncertain.uncertainty for uncertain in channel.uncertainties if uncertain.effect == "direction"]
+        directions = [calibration.uncertainty for calibration in channel.uncertainties if calibration.effect == "direction"]
         if not sensor.terms or not directions:
             continue
         changes = {sensor_channel.name: row for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)}

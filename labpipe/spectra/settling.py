@@ -61,7 +61,7 @@ class Differences:
         squares = np.array(self._squares)[:, :, columns]
         tiny = np.maximum(NEGLIGIBLE * self._signal[:, columns], np.finfo(float).tiny)
         logs = np.log(np.maximum(squares, tiny))
-        found: dict[int, tuple[int, float]] = {}
+        unsettled: dict[int, tuple[int, float]] = {}
         for group, number in zip(*np.nonzero(self._falling(logs) & (squares[0] > tiny)), strict=True):
             course = np.exp(logs[:, group, number])
             half = len(course) - len(course) // 2
@@ -71,8 +71,8 @@ class Differences:
             decay = float(np.clip(above[1:].sum() / above.sum(), 1e-6, 0.99))
             noise = float(course.min()) / self._sizes[group]
             more = int(np.ceil(np.log(above[0] / (noise * SETTLED) * len(course)) / -np.log(decay)))
-            found[columns[number]] = max(found.get(columns[number], (0, 0.0)), (max(more, 1), float(np.sqrt(decay))))
-        return found
+            unsettled[columns[number]] = max(unsettled.get(columns[number], (0, 0.0)), (max(more, 1), float(np.sqrt(decay))))
+        return unsettled
 
     def _falling(self, logs: FloatArray) -> BoolArray:
         """Whether the first of *logs* (n_difference, n_group, n_channel) [1] is far above the later ones, or all fall evenly."""

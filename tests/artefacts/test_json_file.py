@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from labpipe.artefacts.json_file import current, write_json
+from labpipe.artefacts.json_file import json_value, write_json
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
 PLAIN = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False) | TEXTS
@@ -81,5 +81,5 @@ def test_letters_of_other_languages_stay_readable(tmp_path: Path) -> None:
 def test_entries_that_versions_before_wrote_are_read_under_their_new_names() -> None:
     text = '{"channels": [{"label": "doubt", "doubts": [{"effect": "gain", "doubt": {"source": "x", "std_error": 0.01}}]}]}'
     uncertainty = {"effect": "gain", "uncertainty": {"source": "x", "std_error": 0.01}}
-    assert current(text) == {"channels": [{"label": "doubt", "uncertainties": [uncertainty]}]}
-    assert current('{"other": [1]}') == {"other": [1]}
+    assert json_value(text) == {"channels": [{"label": "doubt", "uncertainties": [uncertainty]}]}
+    assert json_value('{"other": [1]}') == {"other": [1]}

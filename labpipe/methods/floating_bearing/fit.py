@@ -327,13 +327,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     likely = settings.estimates.likelihood
     best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
     of_given = systematic(solved.uncertainties, best.values.size)
-    uncertain = FittedStiffness(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
+    fitted = FittedStiffness(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
     shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
-    main = coefficients(uncertain, inflation_factors(best.design))
+    main = coefficients(fitted, inflation_factors(best.design))
     # A baseline is no bearing of a shaft.
-    others, turning = ((), None) if given.absolute else derived_values(uncertain, stator.omega, shaft)
+    others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
     parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof)
     fit = _reported(settings, balance, solved, whole_band, parameters)
@@ -346,8 +346,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
     )
-    notes = (*given_notes(given, solved.uncertainties, uncertain), motion_note(stator), *(() if likely else (LS_NOTE,)))
-    shown = shown_course(balance, uncertain, solved.uncertainties, given, shaft.sense)
+    notes = (*given_notes(given, solved.uncertainties, fitted), motion_note(stator), *(() if likely else (LS_NOTE,)))
+    shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
     shown = replace(shown, excitations=solved.excitations)
     return replace(fit, findings=(*findings, *spectra.findings), notes=notes, details=(shown,), budget=budget if fit.converged else None)
 

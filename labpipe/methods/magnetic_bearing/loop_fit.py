@@ -315,7 +315,11 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     )
     # What a model does not explain widens the intervals as if all noise were larger.
     misfit = max(reduced, 1.0) if whole.chi2_p < MISMATCH_P else 1.0
-    return _with_errors(whole, at_end, misfit * uncertainty.inflation, dof, following=misfit == 1.0) if whole.usable else whole
+    return (
+        _with_errors(whole, at_end, misfit * uncertainty.inflation, dof, curved=misfit == 1.0 or bool(whole.at_zero))
+        if whole.usable
+        else whole
+    )
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
@@ -328,10 +332,10 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
     return condition, tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
 
 
-def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, following: bool) -> LoopFit:
+def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
     """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both.
 
-    *following*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow,
+    *curved*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow,
     unless an unknown stands at zero, where its interval has one side only.
     """
     problem = at_end.problem
@@ -349,7 +353,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
-    if (following or fit.at_zero) and max(size for _, size in bent) > CURVED:
+    if curved and max(size for _, size in bent) > CURVED:
         parameters = tuple(
             _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
         )

@@ -72,7 +72,7 @@ def _errors(
     """dH (n_line, n_output, n_input) by one standard uncertainty of every source in the channels and their sums."""
     outputs, inputs = places
     uncertainties = {
-        uncertain.uncertainty.source: uncertain.uncertainty for channel in spectra.channels for uncertain in channel.uncertainties
+        calibration.uncertainty.source: calibration.uncertainty for channel in spectra.channels for calibration in channel.uncertainties
     }
     omega = 2 * np.pi * spectra.frequency
     errors = []
@@ -87,7 +87,7 @@ def _errors(
 def _port(spectra: ChannelSpectra, number: int) -> Port:
     channel = spectra.channels[number]
     factor_sources = {factor.source for factor in spectra.factors}
-    left = tuple(uncertain for uncertain in channel.uncertainties if uncertain.uncertainty.source not in factor_sources)
+    left = tuple(calibration for calibration in channel.uncertainties if calibration.uncertainty.source not in factor_sources)
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
 

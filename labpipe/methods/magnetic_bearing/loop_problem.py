@@ -150,7 +150,7 @@ def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
 
 def directions_left_out(ports: Iterable[Port]) -> list[str]:
     """Labels of the ports whose direction has an uncertainty."""
-    return list(dict.fromkeys(port.label for port in ports if any(uncertain.effect == "direction" for uncertain in port.uncertainties)))
+    return list(dict.fromkeys(port.label for port in ports if any(calibration.effect == "direction" for calibration in port.uncertainties)))
 
 
 # Measured responses of a control loop beside the prediction of a bearing file: the residual over its
@@ -386,7 +386,7 @@ def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[Matri
 
 
 def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
-    return [uncertain.uncertainty for uncertain in port.uncertainties if uncertain.effect == "direction" and port.angle is not None]
+    return [calibration.uncertainty for calibration in port.uncertainties if calibration.effect == "direction" and port.angle is not None]
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:

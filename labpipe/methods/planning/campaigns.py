@@ -386,8 +386,8 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
         left = np.linalg.solve(free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state))
         moved = 2 / time * left[:, :n_dof]
         whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(rig.model.receptance(omega), moved)
-        told = np.einsum("lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions)
-        shifts.append(-time * np.linalg.solve(total, np.einsum("lni,lis->ns", told.conj(), whitened).real))
+        responses = np.einsum("lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions)
+        shifts.append(-time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real))
     return Settling(np.array(shifts), np.array(begins), expm(free / rig.spacing))
 
 

@@ -160,11 +160,11 @@ def decay_sources(parameters: Sequence[Parameter], settings: FitSettings, ports:
         scaled = np.array(
             [parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for parameter in parameters]
         )
-        for uncertain in port.uncertainties:
-            if uncertain.effect == "gain":
-                source = uncertain.uncertainty.source
-                uncertainties.setdefault(source, uncertain.uncertainty)
-                changes[source] = changes.get(source, np.zeros(len(parameters))) + uncertain.uncertainty.std_error * scaled
+        for calibration in port.uncertainties:
+            if calibration.effect == "gain":
+                source = calibration.uncertainty.source
+                uncertainties.setdefault(source, calibration.uncertainty)
+                changes[source] = changes.get(source, np.zeros(len(parameters))) + calibration.uncertainty.std_error * scaled
     return [*mass_source(parameters, settings), *((uncertainties[source], change) for source, change in changes.items())]
 
 

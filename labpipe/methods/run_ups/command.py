@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -25,23 +25,7 @@ from labpipe.cli import options
 @click.option("--load", help="Static load on the bearing, for that table, e.g. '3.66 N'.")
 @click.option("--unbalance", multiple=True, metavar="PLANE=SIZE", help="Known unbalance, for that table: 'disc 1=50 g.mm at 0 deg'.")
 @options.quiet
-def orders(
-    recording: Path,
-    output: Path,
-    rig_path: Path | None,
-    tacho: str | None,
-    pulses: int,
-    speed: str | None,
-    order: float,
-    harmonics: int,
-    revolutions: int,
-    gap: str | None,
-    limit: str,
-    save_run_up: Path | None,
-    load: str | None,
-    unbalance: tuple[str, ...],
-    quiet: bool,
-) -> None:
+def orders(**settings: Any) -> None:
     """Track an order of the shaft speed: amplitude and phase over the run, total motion, orbits, forward and backward.
 
     Responses with dofs such as front.x and front.y form a plane.
@@ -51,6 +35,4 @@ def orders(
     """
     from labpipe.methods.run_ups.orders import track_and_write
 
-    track_and_write(
-        recording, output, rig_path, tacho, pulses, speed, order, harmonics, revolutions, gap, limit, save_run_up, load, unbalance, quiet
-    )
+    track_and_write(**settings)

@@ -234,12 +234,12 @@ def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
         for row, column in enumerate(plane.columns):
             along = plane.directions[row]
             across = np.array([-along[1], along[0]])
-            for uncertain in track.ports[column].uncertainties:
-                slope, power = COURSES.get(uncertain.effect, (0.0, 0))
-                read = -across if uncertain.effect == "direction" else slope * along
+            for calibration in track.ports[column].uncertainties:
+                slope, power = COURSES.get(calibration.effect, (0.0, 0))
+                read = -across if calibration.effect == "direction" else slope * along
                 matrix = np.zeros((len(track.planes), 2, 2), np.complex128)
                 matrix[at] = np.outer(to_plane[:, row], read)
-                yield ProbeError(uncertain.uncertainty, matrix, power)
+                yield ProbeError(calibration.uncertainty, matrix, power)
 
 
 def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:

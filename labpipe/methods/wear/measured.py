@@ -80,11 +80,11 @@ def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray
     errors = []
     for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
         for number, port in enumerate(ports):
-            for uncertain in port.uncertainties:
-                if uncertain.effect == "direction" and port.angle is not None:
+            for calibration in port.uncertainties:
+                if calibration.effect == "direction" and port.angle is not None:
                     ahead, behind = (_turn(_with_angle(response, of_forces, number, step), frame) for step in (SMALL_ANGLE, -SMALL_ANGLE))
                     slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (2 * SMALL_ANGLE)
-                    errors.append(MatrixError(uncertain.uncertainty, uncertain.uncertainty.std_error * slope))
+                    errors.append(MatrixError(calibration.uncertainty, calibration.uncertainty.std_error * slope))
     return errors
 
 
