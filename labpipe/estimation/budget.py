@@ -27,8 +27,8 @@ from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings, Support
-from labpipe.estimation.statistics import Estimate
-from labpipe.estimation.weights import Weights, equal_weights, has_noise, whitener
+from labpipe.estimation.statistics import Estimate, Stated, pulls_of
+from labpipe.estimation.weights import Weights, equal_weights, fit_weights, has_noise, weight_uncertainty, whitener
 from labpipe.records.finding import Contribution, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
@@ -157,6 +157,73 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     return Budget(
         tuple(parameter.name for parameter in parameters), random, dof, tuple(sources[n][0] for n in kept), np.array(changes)[kept]
     )
+
+
+# Change of chi-square below which stated numbers are where data and statements together have them, and most steps on the way.
+NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
+
+
+def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
+    """The fit with stated numbers where data and statements together have them, the sources, and what these still change of its residual.
+
+    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of these: far above the noise it is
+    not linear. Of unknown noise the fit as it was made. FitError as `solve_scaled`.
+    """
+    sources, known = sources_of(case.setup, case.measured), has_noise(case.measured)
+    noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if known else 1.0
+    weights, uncertainties = fit_weights(case.measured), tuple(uncertainty for uncertainty, _ in sources)
+    moved, at, before = case, np.zeros(len(sources)), np.inf
+    likely, followed = (case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))), np.zeros(case.estimate.values.size)
+    for number in range(MOST_ROUNDS if sources else 0):
+        problem = OutputError(moved.measured, expected(moved.measured, moved.model), weights)
+        values = moved.estimate.values
+        residual, jacobian = problem.residual(values), problem.jacobian(values)
+        inverse = solve_scaled(jacobian, residual)[1]
+        along = inverse @ (jacobian.T @ residual)
+        # What an estimate other than ml is away from the minimum stays.
+        followed = along if number == 0 else followed
+        across = residual - jacobian @ along
+        squares = float(across @ across + noise * at @ at)
+        if not squares < before:
+            break
+        before, stated = squares, Stated(_residual_changes(moved, sources, weights), at)
+        likely = moved, uncertainties, stated
+        move = pulls_of(across, stated, jacobian, inverse, noise).likely - at
+        change = move @ stated.changes
+        step = inverse @ (jacobian.T @ change)
+        left = change - jacobian @ step
+        if not known or left @ left < NEGLIGIBLE:
+            break
+        at = at + move
+        moved = _moved(case, sources, at, values - step - along + followed)
+    return likely
+
+
+def _moved(case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatArray, values: FloatArray) -> Case:
+    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,) [parameter units]."""
+    moved = case
+    for (uncertainty, change), amount in zip(sources, at, strict=True):
+        setup, measured = change(moved, amount * uncertainty.std_error)
+        moved = replace(moved, setup=setup, measured=measured)
+    model = case.model if moved.setup is case.setup else case.model_of(moved.setup)
+    return replace(moved, model=model, estimate=replace(case.estimate, values=values))
+
+
+def _residual_changes(case: Case, sources: Sequence[tuple[Uncertainty, Change]], weights: Weights) -> FloatArray:
+    """Changes of the whitened residual (n_source, n_equation) [1] by one standard uncertainty of each source.
+
+    A gain acts on the fitted response here, not on the measured one: times its noise it would take the residual's own noise for an error.
+    """
+    values = case.estimate.values
+    fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
+    case = replace(case, measured=replace(case.measured, matrix=fitted))
+
+    def residual(setup: Setup, measured: Measured) -> FloatArray:
+        model = case.model if setup is case.setup else case.model_of(setup)
+        return OutputError(measured, expected(measured, model), weights).residual(values)
+
+    ends = [[residual(*change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)] for uncertainty, change in sources]
+    return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:

@@ -1,4 +1,6 @@
-"""Causes of a mismatch that the data show: a wrong given mass, drift within the record.
+"""Causes of a mismatch that the data show: a stated number, a wrong given mass, drift within the record.
+
+A stated number whose most likely value lies further from what was stated than its uncertainty and that of the data allow.
 
 The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the fit.
 
@@ -14,6 +16,7 @@ the covariance is known.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +33,45 @@ from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.residual import line_scatter
+from labpipe.estimation.statistics import Pulls, Stated, pulls_of, steps_by
 from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.finding import Finding
+from labpipe.records.uncertain import Uncertainty
+
+# A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
+# data allow.
+
+
+def stated_findings(uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]) -> list[Finding]:
+    """Findings that name every stated number that the data contradict, with the value that they ask for; masses by the code `mass`.
+
+    *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are one number.
+    """
+    said: dict[bool, list[str]] = {True: [], False: []}
+    for number in np.flatnonzero(pulls.far):
+        said[uncertainties[int(number)].unit == "kg"].append(_asked(uncertainties[int(number)], pulls, int(number), values))
+    what = (
+        "Each is judged with all others within what was stated, and counts in the intervals with its distance. One of these numbers is "
+        "wrong, or its uncertainty is larger than stated: weigh or calibrate again"
+    )
+    masses, others = (f"the data contradict {'; '.join(said[of_mass])}. {what}" for of_mass in (True, False))
+    return [*([Finding("mass", masses)] if said[True] else []), *([Finding("stated-value", others)] if said[False] else [])]
+
+
+def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
+    size, unit = uncertainty.std_error, uncertainty.unit
+    asked, error = pulls.asked[number] * size, pulls.error[number] * size
+    relative = unit == "1"
+    stated = f"{uncertainty.source} (stated +- {f'{100 * size:.2g} %' if relative else amount_text(size, None, unit)})"
+    if uncertainty.source in values:
+        wanted = amount_text(values[uncertainty.source] + asked, error, unit, "+-")
+    elif relative:
+        wanted = f"a change by {change_text(100 * asked, 100 * error, '%')}"
+    else:
+        shown = shown_unit(unit, asked, error)
+        wanted = f"a change by {change_text(difference_in(asked, shown), difference_in(error, shown), shown)}"
+    return f"{stated}: they ask for {wanted}, {pulls.sizes[number]:.2g} standard uncertainties of both from what was stated"
+
 
 # The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good
 # the fit.
@@ -63,17 +103,18 @@ class _FreeFit:
     dof: float
 
 
-def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, setup: Setup) -> list[Finding]:
+def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, setup: Setup, stated: Stated | None = None) -> list[Finding]:
     """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the fit with it.
 
     Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least squares would be biased by
     noise. No finding where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then. Nor in
-    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass. Equation (est-mass).
+    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass. What *stated* numbers
+    change adds to the uncertainty of the free mass. Equation (est-mass).
     """
     freed = _freed(model, setup)
     if freed is None or setup.settings.sliding is not None:
         return []
-    fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]))
+    fit = _free_fit(measured, freed.model, np.concatenate([values, freed.given]), stated)
     if fit is None:
         return []
     p_value = _p_value(fit, freed.given)
@@ -100,7 +141,7 @@ def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
     return _Freed(free, tuple(parts), amounts)
 
 
-def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _FreeFit | None:
+def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None) -> _FreeFit | None:
     """The fit from *start* (n_parameter,); None where the data cannot tell the mass.
 
     Its covariance comes from the measured noise where that explains the residual. Else it comes from the residual's own scatter along the
@@ -114,17 +155,22 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray) -> _Fr
             return None
         linear = problem.linearised(minimum.values)
         inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
+        jacobian, residual = problem.jacobian(minimum.values), problem.residual(minimum.values)
+        steps = np.zeros((0, start.size)) if stated is None else steps_by(stated.changes, jacobian, inverse)
         if weighted:
             uncertainty = weight_uncertainty(measured, dof)
-            after, of_noise = linear.chi2, dof * uncertainty.excess
+            by_stated = (
+                0.0 if stated is None else pulls_of(residual, Stated.of(stated.changes), jacobian, inverse, uncertainty.inflation).explained
+            )
+            after, of_noise = linear.chi2 - by_stated, dof * uncertainty.excess
             if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
-                return _FreeFit(minimum.values, uncertainty.inflation * inverse, dof)
+                return _FreeFit(minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof)
             if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
-        scatter = line_scatter(problem.jacobian(minimum.values), problem.residual(minimum.values), measured.omega.size)
+        scatter = line_scatter(jacobian, residual, measured.omega.size)
     except (FitError, np.linalg.LinAlgError):
         return None
-    return _FreeFit(minimum.values, scatter.covariance, float(np.min(scatter.dof)))
+    return _FreeFit(minimum.values, scatter.covariance + steps.T @ steps, float(np.min(scatter.dof)))
 
 
 def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> float:

@@ -61,7 +61,7 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
 # band.
 
 # Findings that name a cause, where a biased FRF alone makes them appear.
-OF_ANOTHER_CAUSE = ("mass", "unphysical")
+OF_ANOTHER_CAUSE = ("mass", "stated-value", "unphysical")
 
 
 def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
-from labpipe.estimation.budget import Case, budget_of, sources_of, with_contributions, with_given_mass
-from labpipe.estimation.causes import drift_findings, mass_findings
+from labpipe.estimation.budget import Case, budget_of, mass_uncertainty, most_likely, sources_of, with_contributions, with_given_mass
+from labpipe.estimation.causes import EXPLAINED, drift_findings, mass_findings, stated_findings
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.estimation.derived import (
     BandModel,
@@ -22,6 +23,7 @@ from labpipe.estimation.derived import (
     without_intervals,
 )
 from labpipe.estimation.diagnostics import (
+    MISMATCH_P,
     covariance_findings,
     estimate_findings,
     goodness_findings,
@@ -37,19 +39,22 @@ from labpipe.estimation.diagnostics import (
 )
 from labpipe.estimation.draws import bootstrapped, propagated
 from labpipe.estimation.leakage import expected
+from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, judge
-from labpipe.estimation.model import DynamicModel, Setup, constrained
+from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup, constrained
+from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import FitSettings, check_kind
-from labpipe.estimation.statistics import Estimate, condition_number, correlation, student_limit
+from labpipe.estimation.statistics import Estimate, Stated, condition_number, correlation, student_limit
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
-from labpipe.records.uncertain import Budget
+from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import FormView
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -184,7 +189,9 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     shown = expected(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = leakage_findings(measured, model.whole(estimate.values), estimator)
-    judgement = judge(measured, model, estimate, settings, n_band, leaking=bool(leakage)) if judging else Judgement()
+    case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
+    judged = _judged(case, n_band, leaking=bool(leakage)) if judging else _Judged(estimate)
+    estimate, judgement = judged.estimate, judged.judgement
     parameters = reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
@@ -192,8 +199,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
-    case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    budgeted = _with_budget(case, parameters, fitted)
+    budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
     notes = (*notes, *motion_notes(measured))
     # Candidates show whether proportional damping is justified.
@@ -223,7 +229,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
             *judged_findings(judgement.judged),
             *goodness_findings(estimate.gof),
             *leakage,
-            *(_mass_findings(measured, model, estimate, setup) if judging else ()),
+            *(_mass_findings(case, judged) if judging else ()),
             *_parameter_findings(parameters, band, setup),
             *budgeted.findings,
             *comparison_findings(compared_models),
@@ -245,10 +251,10 @@ class _Budgeted:
     notes: tuple[str, ...] = ()
 
 
-def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray) -> _Budgeted:
+def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]) -> _Budgeted:
     """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by draws.
 
-    ConfigError for draws where no number has an uncertainty.
+    *factors* [1] by source: how much larger than stated its uncertainty counts. ConfigError for draws where no number has an uncertainty.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
         hint = "bootstrap: 1000 draws the noise alone; or state an uncertainty, as mass: 0.92 kg +- 1 %"
@@ -256,6 +262,7 @@ def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexA
     budget = budget_of(case, parameters)
     if budget is None:
         return _Budgeted(parameters)
+    budget = budget.enlarged(factors)
     expanded = with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
     if not draws:
@@ -288,11 +295,81 @@ def _with_honest_intervals(
     return widened_parameters(parameters, *pair)
 
 
-def _mass_findings(measured: Measured, model: BandModel, estimate: Estimate, setup: Setup) -> list[Finding]:
-    """The given mass against a free one, for models linear in their parameters and responses of reliable phase to a force."""
-    if not isinstance(model, DynamicModel) or setup.settings.kind.of_base or not setup.settings.estimates.phase or not estimate.converged:
+@dataclass(frozen=True)
+class _Judged:
+    """An estimate whose chi-square allows for stated numbers, and the judgement of its residual.
+
+    *stated*: what these change of the residual, None without any; findings: those that the data contradict; factors [1] by source: how
+    much larger their uncertainty counts.
+    """
+
+    estimate: Estimate
+    judgement: Judgement = field(default_factory=Judgement)
+    stated: Stated | None = None
+    findings: tuple[Finding, ...] = ()
+    factors: Mapping[str, float] = field(default_factory=dict)
+
+
+def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
+    """Chi-square and judgement with every stated number where data and statements together have it.
+
+    Amplitudes alone and fits without convergence are judged as if all numbers were exact.
+    """
+    estimate, settings = case.estimate, case.setup.settings
+    unknown = estimate.gof.chi2_reduced is None
+    try:
+        if not (settings.estimates.phase and estimate.converged) or (unknown and has_noise(case.measured)):
+            raise FitError("no residual to judge stated numbers by")
+        likely, uncertainties, stated = most_likely(case)
+    except FitError:
+        uncertainties = ()
+    if not uncertainties:
+        return _Judged(estimate, judge(case.measured, case.model, estimate, settings, n_band, leaking=leaking))
+    findings: tuple[Finding, ...] = ()
+    factors: dict[str, float] = {}
+    if not unknown:
+        model = expected(likely.measured, likely.model) if settings.estimates.models_leakage else likely.model
+        problem: OutputError[ReceptanceModel] = OutputError(likely.measured, model, fit_weights(case.measured))
+        assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
+        findings, factors = _contradicted(case, uncertainties, assessed)
+        if findings:
+            # What is named is no second time a sign of a wrong model.
+            by = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
+            stated = Stated(by[:, None] * stated.changes, stated.at / by)
+            assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
+        gof = replace(estimate.gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
+        estimate, likely = replace(estimate, gof=gof), replace(likely, estimate=replace(likely.estimate, gof=gof))
+    judgement = judge(likely.measured, likely.model, likely.estimate, settings, n_band, leaking=leaking, stated=stated)
+    return _Judged(estimate, judgement, stated, findings, factors)
+
+
+def _contradicted(case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed) -> tuple[tuple[Finding, ...], dict[str, float]]:
+    """Findings on stated numbers that the data contradict, and by what their uncertainty grows.
+
+    Where chi-square then is that of noise, or most of its excess is gone: else something other than a stated number is wrong. Not in
+    sliding bands: stiffness that changes with frequency looks like another mass within a band.
+    """
+    settings, before, after, pulls = case.setup.settings, case.estimate.gof.chi2_reduced, assessed.reduced, assessed.pulls
+    assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
+    if settings.sliding is not None or (assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)):
+        return (), {}
+    mass = mass_uncertainty(settings)
+    values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]
+    factors = dict(zip((uncertainty.source for uncertainty in uncertainties), map(float, pulls.factors), strict=True))
+    return tuple(stated_findings(uncertainties, pulls, values)), factors
+
+
+def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
+    """Stated numbers against the data, and a mass without uncertainty against a free one.
+
+    The latter for models linear in their parameters and responses of reliable phase to a force.
+    """
+    model, setup = case.model, case.setup
+    if not isinstance(model, DynamicModel) or setup.settings.kind.of_base or mass_uncertainty(setup.settings) is not None:
+        return list(judged.findings)
+    if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
-    return mass_findings(measured, model, estimate.values, setup)
+    return [*judged.findings, *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated)]
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:

@@ -21,7 +21,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel, ResponseModel, compliance
 from labpipe.estimation.output_error import NormalEquations, OutputError, has_line_products, normal_equations
 from labpipe.estimation.regression import equation_solution, inverse_of, regression, solve_scaled
-from labpipe.estimation.statistics import Estimate, determination
+from labpipe.estimation.statistics import Estimate, Pulls, Stated, determination, pulls_of
 from labpipe.estimation.transfer_mode import TransferMode, transfer_start
 from labpipe.estimation.weights import WeightUncertainty, complex_rows, fit_weights, fitted_uncertainty, has_noise, weight_uncertainty
 from labpipe.records.identification import Goodness
@@ -195,13 +195,14 @@ class Assessed:
     """What noise leaves of a minimum: the estimates' covariance (n, n) [parameter units], and chi-square where the noise is known.
 
     *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its *p_value*, None for an
-    unknown noise, whose size the residual gives.
+    unknown noise, whose size the residual gives. *pulls* of stated numbers, whose most likely values chi-square allows for.
     """
 
     covariance: FloatArray
     inverse: FloatArray
     reduced: float | None = None
     p_value: float | None = None
+    pulls: Pulls | None = None
 
 
 def assess(
@@ -210,12 +211,13 @@ def assess(
     problem: OutputError[ReceptanceModel],
     values: FloatArray,
     linear: Linearisation | None = None,
+    stated: Stated | None = None,
 ) -> Assessed:
     """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among
     them.
 
     *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated covariance and for noise that lines
-    share as in `weights`. Equation (est-unweighted).
+    share as in `weights`. *stated*: numbers that chi-square allows for, of a known noise. Equation (est-unweighted).
     """
     linear = linear or problem.linearised(values)
     inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
@@ -228,8 +230,15 @@ def assess(
     covariance = uncertainty.inflation * inverse
     if noise is not None:
         covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, problem.jacobian(values), inverse)
+    pulls = None
+    if stated is not None:
+        jacobian, residual = problem.jacobian(values), problem.residual(values)
+        # An estimate other than ml is no minimum: what the parameters would still take away says nothing of stated numbers.
+        residual = residual - jacobian @ (inverse @ (jacobian.T @ residual))
+        pulls = pulls_of(residual, stated, jacobian, inverse, float(np.max(np.diag(covariance) / np.diag(inverse))))
+        squares -= pulls.explained
     reduced = squares / dof / uncertainty.excess
-    return Assessed(covariance, inverse, reduced, uncertainty.p_value(reduced, dof))
+    return Assessed(covariance, inverse, reduced, uncertainty.p_value(reduced, dof), pulls)
 
 
 def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:

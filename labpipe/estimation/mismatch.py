@@ -25,7 +25,7 @@ from labpipe.estimation.model import FittedModel, ReceptanceModel
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.residual import DRAWS, Null, Structure, line_scatter, residual_structure
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, student_limit
+from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
 from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.records.finding import Finding
 
@@ -127,8 +127,8 @@ class _Minimum:
 class _Judge:
     """Judges minima of the output error of one measurement.
 
-    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short; *factor*: the excess over the
-    measured noise, or None.
+    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short; *stated*: numbers that the
+    judgement allows for; *factor*: the excess over the measured noise, or None.
     """
 
     measured: Measured
@@ -137,6 +137,7 @@ class _Judge:
     settings: FitSettings
     n_band: int
     leaking: bool
+    stated: Stated | None
     factor: float | None
 
     def finding(self, said: str, remedy: str) -> tuple[Finding, ...]:
@@ -156,7 +157,7 @@ class _Judge:
             minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
             if not minimum.converged:
                 return None
-            assessed = assess(self.measured, self.model, problem, minimum.values)
+            assessed = assess(self.measured, self.model, problem, minimum.values, stated=self.stated)
         except (FitError, np.linalg.LinAlgError):
             return None
         if self.exact(model, minimum.values):
@@ -173,7 +174,12 @@ class _Judge:
     def structure(self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null) -> Structure | None:
         """The structure of the residual at *values* (n_parameter,) [parameter units] against noise."""
         size = np.abs(self.measured.matrix).reshape(self.measured.omega.size, -1)
-        return residual_structure(problem.residual(values), problem.jacobian(values), size, null)
+        residual, jacobian = problem.residual(values), problem.jacobian(values)
+        if self.stated is not None:
+            # What stated numbers change is no structure of a wrong model, of whatever size: the noise that would limit it is not known.
+            jacobian = orthonormal(np.column_stack([jacobian, self.stated.changes.T]))
+            residual = residual - jacobian @ (jacobian.T @ residual)
+        return residual_structure(residual, jacobian, size, null)
 
     def uneven(self, own: _Minimum) -> bool:
         """True where noise that grows with the response explains the residual of unknown noise."""
@@ -196,14 +202,21 @@ class _Judge:
 
 
 def judge(
-    measured: Measured, model: FittedModel, estimate: Estimate, settings: FitSettings, n_band: int = 1, *, leaking: bool = False
+    measured: Measured,
+    model: FittedModel,
+    estimate: Estimate,
+    settings: FitSettings,
+    n_band: int = 1,
+    *,
+    leaking: bool = False,
+    stated: Stated | None = None,
 ) -> Judgement:
     """Whether the residual of *estimate* is noise, and the intervals that hold if it is not.
 
-    p-values are for the best of *n_band* bands (Bonferroni); *leaking*: a finding says that blocks are short. Without convergence, or of
-    amplitudes alone, nothing is judged but a measured excess over the noise.
+    p-values are for the best of *n_band* bands (Bonferroni); *leaking*: a finding says that blocks are short; *stated*: numbers
+    that it allows for. Without convergence, or of amplitudes alone, nothing is judged but a measured excess over the noise.
     """
-    judged = _Judge(measured, model, estimate, settings, n_band, leaking, excess(estimate))
+    judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated, excess(estimate))
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
     if judged.exact(expected(measured, model), estimate.values):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.distributions import student_quantile
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Goodness
 
@@ -153,6 +153,17 @@ def combination_text(names: Sequence[str], direction: FloatArray, least: float =
 # chi-square that they explain.
 
 
+# Singular values of columns of length 1 below which they are dependent.
+DEPENDENT = 1e-8
+
+
+def orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal columns (n_datum, rank) [1] that span *columns* (n_datum, n) [any units]."""
+    length = np.linalg.norm(columns, axis=0)
+    basis, singular, _ = np.linalg.svd(columns[:, length > 0] / length[length > 0], full_matrices=False)
+    return np.asarray(basis[:, singular > DEPENDENT])
+
+
 def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
     """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J.
 
@@ -162,15 +173,72 @@ def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) ->
     return np.asarray(-changes @ slopes @ covariance)
 
 
-def explained(residual: FloatArray, changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> float:
-    """The part of chi-square [1] that systematic errors explain, each of them 0 +- 1 standard uncertainty.
+# Distance between a stated number and what the data ask for, in the standard uncertainty of both together, beyond which they contradict
+# each other; with many numbers the one of chance among all of them.
+FAR, FAR_P = 3.0, 0.01
+# Part of a posterior variance by the data below which they say nothing of a number.
+SAYS_NOTHING = 1e-9
 
-    residual (n_datum,) [1] at the minimum; changes (n_source, n_datum) [1], with what the fit follows of them taken out; slopes
-    (n_datum, n_parameter) [1/parameter unit] and covariance (n_parameter, n_parameter) [parameter units] as for the steps.
-    Equation (unc-explained).
+
+@dataclass(frozen=True)
+class Pulls:
+    """What a residual says of numbers that were stated with their uncertainty, each 0 +- 1 standard uncertainty away from what was stated.
+
+    likely (n_source,) [standard uncertainties]: the most likely change of each number; asked, error (n_source,): that which the data by
+    themselves ask for, the others within what was stated, and its standard error, large where the data say nothing. explained [1]: what
+    the sum of squares of the residual loses by the most likely changes of all of them together.
     """
-    if not len(changes):
-        return 0.0
-    left = changes + steps_by(changes, slopes, covariance) @ slopes.T
-    projected = changes @ residual
-    return float(projected @ np.linalg.solve(np.eye(len(left)) + left @ changes.T, projected))
+
+    likely: FloatArray
+    asked: FloatArray
+    error: FloatArray
+    explained: float
+
+    @property
+    def sizes(self) -> FloatArray:
+        """|asked| over the standard uncertainty of what was asked and what was stated together (n_source,) [1]. Equation (unc-pull)."""
+        return np.asarray(np.abs(self.asked) / np.hypot(1.0, self.error))
+
+    @property
+    def far(self) -> BoolArray:
+        """Whether data and stated number contradict each other (n_source,)."""
+        by_chance = -normal_quantile(FAR_P / 2 / max(self.asked.size, 1))
+        return np.asarray(self.sizes > max(FAR, by_chance))
+
+    @property
+    def factors(self) -> FloatArray:
+        """By what the uncertainty of each number grows (n_source,) [1]: to the distance of what the data ask for where that is far."""
+        return np.where(self.far, np.abs(self.asked), 1.0)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard uncertainty of each.
+
+    at (n_source,) [standard uncertainties]: how far the numbers are from what was stated where the residual and its changes were computed.
+    """
+
+    changes: FloatArray
+    at: FloatArray
+
+    @classmethod
+    def of(cls, changes: FloatArray) -> Stated:
+        """The numbers as they were stated; *changes* (n_source, n_datum) [1]."""
+        return cls(changes, np.zeros(len(changes)))
+
+
+def pulls_of(residual: FloatArray, stated: Stated, slopes: FloatArray, covariance: FloatArray, noise: float = 1.0) -> Pulls:
+    """The most likely changes t of stated numbers, min over t and the parameters of |r + D^T t|^2 / s + |t|^2.
+
+    residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit] and covariance (n_parameter, n_parameter)
+    [parameter units] as for the steps; *noise* s [1]: variance of a projection of the residual by noise. Equation (unc-explained).
+    """
+    left = stated.changes + steps_by(stated.changes, slopes, covariance) @ slopes.T
+    information = left @ stated.changes.T / noise
+    score = stated.changes @ residual / noise + stated.at
+    posterior = np.linalg.inv(np.eye(stated.at.size) + information)
+    by_data = np.diag(posterior @ information)
+    share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
+    likely = stated.at - posterior @ score
+    error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / np.where(np.isinf(share), SAYS_NOTHING**2, share))
+    return Pulls(likely, likely / share, error, float(noise * (score @ posterior @ score - stated.at @ stated.at)))

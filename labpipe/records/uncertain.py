@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
@@ -215,6 +215,12 @@ class Budget:
     def with_sources(self, sources: tuple[Uncertainty, ...], changes: FloatArray) -> Budget:
         """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter]; draws did not hold these."""
         return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
+
+    def enlarged(self, factors: Mapping[str, float]) -> Budget:
+        """The budget with the uncertainty of sources times *factors* [1] by their names; as it is for others."""
+        by = np.array([factors.get(source.source, 1.0) for source in self.sources])
+        sources = tuple(replace(source, std_error=source.std_error * size) for source, size in zip(self.sources, by, strict=True))
+        return replace(self, sources=sources, changes=by[:, None] * self.changes)
 
     def shares(self, name: str) -> dict[str, float]:
         """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1.

@@ -12,7 +12,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.descent import Minimum, linearised, minimise
 from labpipe.estimation.diagnostics import COLLINEAR_CONDITION, MISMATCH_P
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.statistics import correlation, explained, steps_by, student_limit
+from labpipe.estimation.statistics import Stated, correlation, pulls_of, steps_by, student_limit
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
 from labpipe.records.finding import Finding, Parameter
@@ -133,7 +133,7 @@ class LoopMinimum:
         scale = np.sqrt(excess)
         # At the edge of what a bearing can have, the residual still has a part that the unknowns would take away.
         across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
-        by_uncertainties = explained(across / scale, self.changes / scale, self.jacobian, self.inverse)
+        by_uncertainties = pulls_of(across / scale, Stated.of(self.changes / scale), self.jacobian, self.inverse).explained
         return float(self.residual @ self.residual) / excess - by_uncertainties
 
     @property

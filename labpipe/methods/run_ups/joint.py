@@ -23,7 +23,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise, sum_of_squares
-from labpipe.estimation.statistics import combination_text, explained, steps_by
+from labpipe.estimation.statistics import Stated, combination_text, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.film_family import BOUND, PARAMETERS, PRIOR, FilmFamily, as_matrices
@@ -364,7 +364,7 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
         values=problem.values(parameters),
         covariance=covariance,
         at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        chi2=float(residual @ residual) - explained(residual, changes, slopes, free_covariance),
+        chi2=float(residual @ residual) - pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained,
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
         threshold_chi2=float(np.sum(residual[residual.size - n_threshold :] ** 2)),

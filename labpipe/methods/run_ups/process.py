@@ -28,7 +28,7 @@ from scipy import linalg, optimize
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
-from labpipe.estimation.statistics import explained, steps_by
+from labpipe.estimation.statistics import Stated, pulls_of, steps_by
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.run_ups.amplitudes import displacement_slopes
 from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily, as_matrices
@@ -413,7 +413,7 @@ def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int
         loads=tuple(group.load for group in problem.groups),
         values=values,
         covariance=covariance,
-        chi2=float(residual @ residual) - explained(residual, changes, slopes, covariance),
+        chi2=float(residual @ residual) - pulls_of(residual, Stated.of(changes), slopes, covariance).explained,
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
         rank=int(rank),
