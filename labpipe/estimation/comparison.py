@@ -13,11 +13,12 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.damping import FactorModel, damped
 from labpipe.estimation.descent import Linearisation, linearised, minimise, sum_of_squares
 from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.model import DynamicModel, ProportionalModel, Setup, constrained
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import Estimate
 from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.finding import Finding
@@ -214,7 +215,7 @@ def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = 
     """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of those that did not converge.
 
     None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is fitted again. Every descent is
-    bounded. Without `compare` only the alternative to proportional damping: independent damping coefficients.
+    bounded. Without `compare` only the alternative to a damping law: independent damping coefficients.
     p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
     (likelihood ratio, chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
     """
@@ -281,7 +282,7 @@ def _variants(settings: FitSettings) -> list[_Variant]:
 
 def _damping_variants(settings: FitSettings) -> list[_Variant]:
     plain = replace(settings, weight="none", sliding=None)
-    viscous = replace(plain, damping="viscous")
+    viscous = replace(plain, damping=VISCOUS)
     return [_Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)), _Variant(_described(viscous), viscous)]
 
 
@@ -291,8 +292,8 @@ def _richer(settings: FitSettings) -> list[_Variant]:
         changes.append({"model": kind.richer})
     if settings.symmetric:
         changes.append({"symmetric": False})
-    if settings.damping == "proportional":
-        changes.append({"damping": "viscous"})
+    if settings.damping != VISCOUS:
+        changes.append({"damping": VISCOUS})
     if kind.frees_mass and settings.mass != ESTIMATE:
         changes.append({"mass": ESTIMATE, "scale_mass": False})
     return [_Variant(_described(other), other) for other in _changed(settings, changes)]
@@ -305,7 +306,7 @@ def _simpler(settings: FitSettings) -> list[_Variant]:
         changes.append({"model": kind.simpler})
     if "symmetric" in kind.keys and not settings.symmetric:
         changes.append({"symmetric": True})
-    if "damping" in kind.keys and settings.damping == "viscous":
+    if "damping" in kind.keys and settings.damping == VISCOUS:
         changes.append({"damping": "proportional"})
     if "lumped_mass" in kind.keys and settings.mass == ESTIMATE and not settings.lumped_mass:
         changes.append({"lumped_mass": True})
@@ -323,22 +324,22 @@ def _described(settings: FitSettings) -> str:
     parts = [settings.model]
     if "symmetric" in settings.kind.keys:
         parts.append("symmetric" if settings.symmetric else "general")
-    if settings.damping == "proportional":
-        parts.append("proportional damping")
+    if settings.damping != VISCOUS:
+        parts.append(f"{settings.damping} damping")
     if settings.mass == ESTIMATE:
         parts.append("lumped mass estimated" if settings.lumped_mass else "mass estimated")
     return ", ".join(parts)
 
 
-def _model(setup: Setup) -> DynamicModel | ProportionalModel | None:
+def _model(setup: Setup) -> DynamicModel | FactorModel | None:
     """The model of a variant; None where it does not suit these ports."""
     try:
-        return constrained(setup.settings.kind.model(setup), setup.settings)
+        return damped(setup.settings.kind.model(setup), setup.settings)
     except ConfigError:
         return None
 
 
-def _estimate(measured: Measured, model: DynamicModel | ProportionalModel) -> Estimate | None:
+def _estimate(measured: Measured, model: DynamicModel | FactorModel) -> Estimate | None:
     try:
         return maximum_likelihood(measured, model, most_steps=MOST_COMPARED_STEPS)
     except FitError:

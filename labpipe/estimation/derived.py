@@ -11,8 +11,9 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
+from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.linear_models import PER_MASS
-from labpipe.estimation.model import DynamicModel, Matrices, ProportionalModel, Setup
+from labpipe.estimation.model import DynamicModel, Matrices, Setup
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.estimation.statistics import Estimate, derived, estimated, inflation_factors, widened
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
@@ -87,9 +88,10 @@ Quantities = dict[str, tuple[str, FloatArray]]
 class Modes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
-    frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi; damping (n_case, n_mode) = -Re lambda / |lambda|; shapes
-    (n_case, n_dof, n_mode) real, the first large entry 1; participation (n_case, n_mode, n_input) [1/kg]:
-    H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped system.
+    frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping (n_case, n_mode)
+    = -Re lambda / |lambda|; shapes (n_case, n_dof, n_mode) real, the first large entry 1; participation (n_case, n_mode, n_input)
+    [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped
+    system.
     """
 
     frequency: FloatArray
@@ -101,6 +103,8 @@ class Modes:
 def modes(matrices: Matrices) -> Modes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
+    With a loss factor K is complex and has a meaning for positive frequencies alone: of each pair of eigenvalues the one that decays.
+
     None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
     """
     k, c, m = matrices.stiffness, matrices.damping, matrices.mass
@@ -111,18 +115,19 @@ def modes(matrices: Matrices) -> Modes | None:
     identity = np.broadcast_to(np.eye(n), k.shape)
     state = np.block([[np.zeros_like(k), identity], [-by_mass[:, :, :n], -by_mass[:, :, n:]]])
     values = np.linalg.eigvals(state)
-    undamped, right = np.linalg.eig(by_mass[:, :, :n])
+    undamped, right = np.linalg.eig(by_mass[:, :, :n].real)
     if np.any(np.sum(values.imag > 0, axis=1) != n) or np.any(undamped.real <= 0) or np.any(undamped.imag != 0):
         return None
     upper = values[values.imag > 0].reshape(n_case, n)
     upper = np.take_along_axis(upper, np.argsort(np.abs(upper), axis=1), axis=1)
+    frequency = np.sqrt(-(upper**2).real) if np.iscomplexobj(k) else np.abs(upper)
     shapes = np.take_along_axis(right.real, np.argsort(undamped.real, axis=1)[:, None], axis=2)
     size = np.abs(shapes)
     leading = np.argmax(size >= LEADING * np.max(size, axis=1, keepdims=True), axis=1)
     shapes = shapes / np.take_along_axis(shapes, leading[:, None], axis=1)
     # Rows of (M Phi)^-1 are the left vectors with y^T M x = 1.
     participation = np.linalg.solve(m @ shapes, matrices.force)
-    return Modes(np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), shapes, participation)
+    return Modes(frequency / (2 * np.pi), -upper.real / np.abs(upper), shapes, participation)
 
 
 def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Quantities:
@@ -144,7 +149,7 @@ def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple
 # coefficients.
 
 # What one band is fitted with.
-BandModel = DynamicModel | ProportionalModel | TransferMode
+BandModel = DynamicModel | FactorModel | TransferMode
 
 # Steps of numerical slopes: in standard errors, and as a share of the value where there is no noise.
 STEP, SMALLEST_STEP = 1e-3, 1e-7
@@ -158,7 +163,7 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     parameters: list[Parameter] = []
     if settings.kind.one_mode:
         parameters.extend(_resonance(total, setup, dof))
-    if isinstance(model, ProportionalModel):
+    if isinstance(model, FactorModel) and model.law.viscous:
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
     if settings.kind.matrix_modes:
         ports = tuple(port.dof or port.label for port in setup.outputs), tuple(port.label for port in setup.inputs)
@@ -173,7 +178,7 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     return parameters
 
 
-def _damping_coefficients(model: ProportionalModel, values: FloatArray) -> Quantities:
+def _damping_coefficients(model: FactorModel, values: FloatArray) -> Quantities:
     """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
     damping = model.whole(values).damping
     coefficients: Quantities = {}
@@ -269,7 +274,7 @@ def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> 
         estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
         for name, unit, vif, dof in zip(reported.names, reported.units, vifs, estimate.student_dof, strict=True)
     ]
-    # alpha and beta of proportional damping come after the terms.
+    # The factors of a damping law come after the terms.
     pairs = zip(coefficients, model.terms, strict=False)
     return coefficients + [replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases]
 

@@ -256,7 +256,7 @@ def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True,
         message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
         warnings.append(Finding("insignificant", message))
     judged = [p for p in parameters if driving and is_direct(p.name) and not (held and is_stiffness(p))]
-    negative = [p.name for p in judged if p.value < 0 and p.significant]
+    negative = [p.name for p in (*judged, *(p for p in parameters if p.name == "eta")) if p.value < 0 and p.significant]
     if negative:
         warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
     return [*warnings, *(held_findings(parameters) if held else ()), *_modal_findings(parameters)]

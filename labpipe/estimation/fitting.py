@@ -13,6 +13,7 @@ from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.budget import Case, budget_of, mass_uncertainty, most_likely, sources_of, with_contributions, with_given_mass
 from labpipe.estimation.causes import EXPLAINED, drift_findings, mass_findings, stated_findings
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
+from labpipe.estimation.damping import damped
 from labpipe.estimation.derived import (
     BandModel,
     drawn_densely,
@@ -43,9 +44,9 @@ from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, judge
-from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup, constrained
+from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.settings import FitSettings, check_kind
+from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, condition_number, correlation, student_limit
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.estimation.weights import fit_weights, has_noise
@@ -159,10 +160,10 @@ class _BandFit:
 def _model(setup: Setup) -> BandModel:
     """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations."""
     settings = setup.settings
-    plain = not (settings.fixed or settings.tied or settings.eliminate or is_corrected(settings))
+    plain = settings.damping == VISCOUS and not (settings.fixed or settings.tied or settings.eliminate or is_corrected(settings))
     if settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain and transfer_of(setup):
         return TransferMode()
-    return constrained(settings.kind.model(setup), settings)
+    return damped(settings.kind.model(setup), settings)
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
@@ -202,12 +203,10 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
     notes = (*notes, *motion_notes(measured))
-    # Candidates show whether proportional damping is justified.
+    # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     ml_estimate = estimate if of_model else None
-    compared_models, left_out = (
-        candidates(measured, setup, ml_estimate) if settings.compare or settings.damping == "proportional" else ((), ())
-    )
+    compared_models, left_out = candidates(measured, setup, ml_estimate) if settings.compare or settings.damping != VISCOUS else ((), ())
     notes = (*notes, *comparison_notes(left_out))
     fit = Fit(
         name=settings.name,

@@ -158,7 +158,7 @@ def _need_ports(setup: Setup, model: str, n_output: int) -> None:
         raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
 
 
-SDOF = linear_kind(sdof, "peaks", one_frf=True, one_mode=True, one_direction=True, frees_mass=True)
+SDOF = linear_kind(sdof, "peaks", "damping", one_frf=True, one_mode=True, own_damping=True, one_direction=True, frees_mass=True)
 ROTOR_2DOF = linear_kind(rotor_2dof, "tied", "damping", simpler="rotor-2dof-direct")
 ROTOR_2DOF_DIRECT = linear_kind(rotor_2dof_direct, "tied", one_direction=True, richer="rotor-2dof")
 

@@ -1,4 +1,4 @@
-"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces, constraints, proportional damping."""
+"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces, constraints."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CACHED_ELEMENTS = 1 << 16
 class Matrices:
     """Contribution of one parameter (or of all constants) to the equation of motion.
 
-    stiffness K [N/m], damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
+    stiffness K [N/m] (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
     """
 
     stiffness: FloatArray
@@ -184,7 +184,7 @@ class DynamicModel:
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
-        return Matrices(square[..., 0, :, :], square[..., 1, :, :], square[..., 2, :, :], force)
+        return Matrices(square[..., 0, :, :], square[..., 1, :, :].real, square[..., 2, :, :].real, force.real)
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation (est-stiffness)."""
@@ -357,123 +357,11 @@ def angle_of(port: Port) -> float | None:
     return port.angle if port.angle is not None else AXIS_ANGLES.get(port.dof)
 
 
-# Proportional (Rayleigh) damping: C = alpha M + beta K with alpha [1/s] and beta [s] for all damping
-# coefficients.
-
-# Least number of damping coefficients that alpha and beta replace.
-FEWEST_DAMPING_TERMS = 3
+# Constraints on single coefficients: fixed values, equal values.
 
 
-@dataclass(frozen=True)
-class ProportionalModel:
-    """A model with damping alpha M + beta K; parameters: *free* (all but damping), then alpha, beta.
-
-    *linear*: the model with independent damping coefficients, for the start. *expanded*: with terms beta k_j and alpha m_j;
-    *by_stiffness*, *by_mass*: the free parameter of each of them, -1 for the constants. Equation (est-proportional).
-    """
-
-    free: DynamicModel
-    linear: DynamicModel
-    expanded: DynamicModel
-    by_stiffness: tuple[int, ...]
-    by_mass: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        return self.free.name
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return (*self.free.names, "alpha", "beta")
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return (*self.free.units, "1/s", "s")
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """The free terms; alpha and beta have no matrices of their own."""
-        return self.free.terms
-
-    def expanded_values(self, parameters: FloatArray) -> FloatArray:
-        """(free, beta k_j, alpha m_j), (..., n_expanded) [N.s/m for damping], from *parameters* (..., n_parameter)."""
-        free, alpha, beta = parameters[..., :-2], parameters[..., -2:-1], parameters[..., -1:]
-        return np.concatenate([free, beta * _picked(free, self.by_stiffness), alpha * _picked(free, self.by_mass)], axis=-1)
-
-    def from_linear(self, values: FloatArray) -> FloatArray:
-        """The free parameters and the alpha, beta with alpha M + beta K closest to C, (n_parameter,) [parameter units]."""
-        by_name = dict(zip(self.linear.names, values, strict=True))
-        whole = self.linear.whole(values)
-        columns = np.column_stack([whole.mass.reshape(-1), whole.stiffness.reshape(-1)])
-        scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-        ratios = np.linalg.lstsq(columns / scale, whole.damping.reshape(-1), rcond=None)[0] / scale
-        return np.array([*(by_name[name] for name in self.free.names), *ratios])
-
-    def slopes(self, parameters: FloatArray) -> FloatArray:
-        """d (expanded values) / d (parameters), (n_expanded, n_parameter) [unit ratios]."""
-        free, alpha, beta = parameters[:-2], parameters[-2], parameters[-1]
-        n_free, n_stiffness = free.size, len(self.by_stiffness)
-        slopes = np.zeros((n_free + n_stiffness + len(self.by_mass), n_free + 2))
-        slopes[:n_free, :n_free] = np.eye(n_free)
-        for factor, column, offset, owners in (
-            (beta, -1, n_free, self.by_stiffness),
-            (alpha, -2, n_free + n_stiffness, self.by_mass),
-        ):
-            for row, number in enumerate(owners, offset):
-                slopes[row, column] = free[number] if number >= 0 else 1.0
-                if number >= 0:
-                    slopes[row, number] = factor
-        return slopes
-
-    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) [m/N], (n_line, n_dof, n_input)."""
-        return self.expanded.receptance(self.expanded_values(parameters), omega)
-
-    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        expanded = self.expanded.jacobian(self.expanded_values(parameters), omega)
-        jacobian: ComplexArray = np.tensordot(self.slopes(parameters).T, expanded, 1)
-        return jacobian
-
-    def whole(self, parameters: FloatArray) -> Matrices:
-        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter)."""
-        return self.expanded.whole(self.expanded_values(parameters))
-
-
-def proportional(model: DynamicModel) -> ProportionalModel:
-    """*model* with its damping coefficients replaced by alpha M + beta K; ConfigError when it has fewer than three of them."""
-    if sum(_acts(term.matrices.damping) for term in model.terms) < FEWEST_DAMPING_TERMS:
-        raise ConfigError("proportional damping needs a model with several damping coefficients", hint="leave `damping` out")
-    free = replace(model, terms=tuple(term for term in model.terms if not _acts(term.matrices.damping)))
-    stiffness = [n for n, term in enumerate(free.terms) if _acts(term.matrices.stiffness)]
-    mass = [n for n, term in enumerate(free.terms) if _acts(term.matrices.mass)]
-    by_stiffness = (*stiffness, *([-1] if _acts(model.constant.stiffness) else []))
-    by_mass = (*mass, *([-1] if _acts(model.constant.mass) else []))
-    damping = [
-        *(("beta", model.constant.stiffness if n < 0 else free.terms[n].matrices.stiffness, n) for n in by_stiffness),
-        *(("alpha", model.constant.mass if n < 0 else free.terms[n].matrices.mass, n) for n in by_mass),
-    ]
-    empty = no_matrices(*model.constant.force.shape)
-    products = tuple(
-        Term(f"{factor}*{'given' if n < 0 else free.names[n]}", "N.s/m", replace(empty, damping=matrix)) for factor, matrix, n in damping
-    )
-    return ProportionalModel(free, model, replace(free, terms=(*free.terms, *products)), by_stiffness, by_mass)
-
-
-def _acts(matrix: FloatArray) -> bool:
-    return bool(np.any(matrix != 0))
-
-
-def _picked(free: FloatArray, indices: tuple[int, ...]) -> FloatArray:
-    ones = np.ones((*free.shape[:-1], 1))
-    return np.concatenate([free, ones], axis=-1)[..., list(indices)]
-
-
-# Constraints on single coefficients: fixed values, equal values, proportional damping.
-
-
-def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | ProportionalModel:
-    """*model* with its `fixed`, `tied` and `damping` settings applied; ConfigError for names the model does not have."""
+def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel:
+    """*model* with its `fixed` and `tied` settings applied; ConfigError for names the model does not have."""
     for name, value in settings.fixed:
         _check_names(model, name, "fixed")
         model = model.fixed(name, value)
@@ -481,7 +369,7 @@ def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel | Pr
         model = _tied(model, group)
     if not model.terms:
         raise ConfigError("every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`")
-    return proportional(model) if settings.damping == "proportional" else model
+    return model
 
 
 def _tied(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:

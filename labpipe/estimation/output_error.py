@@ -19,9 +19,10 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.descent import Linearisation, linearised, sum_of_squares, triangle_of_products
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ProportionalModel, ReceptanceModel, compliance
+from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.weights import ProductWeights, Weights, is_short, short_weights, weights_at, whitened, whitened_columns
 
 # Normal equations of an output error from products of small matrices line by line, without the derivatives
@@ -115,10 +116,11 @@ def _gathered(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArra
     whole = dict(zip(sums, _whole(np.array(list(sums.values())), model.constant.force.shape[0]), strict=True))
     for first, other in combinations_with_replacement(kinds, 2):
         (factor, exponent), (other_factor, other_exponent) = FACTORS[first], FACTORS[other]
-        elements = (np.conj(factor) * other_factor * whole[exponent + other_exponent]).real
+        elements = np.conj(factor) * other_factor * whole[exponent + other_exponent]
         acting, other_acting = model.acting[first], model.acting[other]
         assert acting is not None and other_acting is not None
-        combined = acting.combined(other_acting.combined(elements).T).T.real
+        # Re of conj(matrices)^T elements matrices: those of a loss factor are imaginary.
+        combined = acting.combined(other_acting.combined(elements).T.conj()).T.real
         products[_block(acting, other_acting)] += combined
         if first != other:
             products[_block(other_acting, acting)] += combined.T
@@ -156,7 +158,7 @@ def _projected(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArra
     for kind, side in sides.items():
         acting = model.acting[kind]
         assert acting is not None
-        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).real).real
+        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).conj()).real
     return projected
 
 
@@ -224,7 +226,7 @@ class OutputError(Generic[Model]):
 
     def _linear_at(self, parameters: FloatArray) -> tuple[DynamicModel, FloatArray, FloatArray] | None:
         """A model linear in its parameters, their values (n,) and derivatives by *parameters* (n, n_parameter) [their units]; or None."""
-        if isinstance(self.model, ProportionalModel):
+        if isinstance(self.model, FactorModel):
             return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
         return (self.model, parameters, np.eye(parameters.size)) if isinstance(self.model, DynamicModel) else None
 

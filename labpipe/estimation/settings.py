@@ -48,9 +48,10 @@ class ModelKind:
     estimator by likelihood takes. estimators: names of those that fit it;
     empty: any. equations: of a model linear in its parameters, from ports and settings; None for a model fitted in its own way.
 
-    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes: the
-    modes of its K, C and M are derived. one_direction: a stiffness and a damping for each direction, uncoupled. of_base: its input is
-    the motion of a base. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare with.
+    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes:
+    the modes of its K, C and M are derived. one_direction: a stiffness and a damping for each direction, uncoupled. of_base: its
+    input is the motion of a base. own_damping: every mode has one damping of its own. frees_mass: a given mass can as well be
+    estimated. richer, simpler: models to compare with.
     """
 
     fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
@@ -71,6 +72,7 @@ class ModelKind:
     matrix_modes: bool = False
     one_direction: bool = False
     of_base: bool = False
+    own_damping: bool = False
     frees_mass: bool = False
     richer: str = ""
     simpler: str = ""
@@ -116,7 +118,12 @@ ESTIMATORS = Registry(
     },
 )
 WEIGHTS = ("none", "noise")
-DAMPINGS = ("viscous", "proportional")
+# Laws that put factors in place of the damping coefficients, which are `viscous`.
+VISCOUS = "viscous"
+DAMPINGS = Registry(
+    "damping law",
+    {"proportional": "labpipe.estimation.damping:PROPORTIONAL", "hysteretic": "labpipe.estimation.damping:HYSTERETIC"},
+)
 
 Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
 
@@ -163,7 +170,12 @@ class FitSettings(Settings):
     lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
     scale_mass: bool = setting("flag", "the given mass is known but for a factor, which is estimated", default=False)
     relative: bool = setting("flag", "the response is measured relative to the base", default=False)
-    damping: str = setting("choice", "viscous, or proportional: C = alpha M + beta K", choices=DAMPINGS, default="viscous")
+    damping: str = setting(
+        "choice",
+        "viscous; proportional: C = alpha M + beta K; hysteretic: K (1 + j eta), eta the loss factor",
+        choices=(VISCOUS, *DAMPINGS),
+        default=VISCOUS,
+    )
     fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
     tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
     weight: str = setting("choice", "all lines weigh alike, or by their noise (as they always do for ml)", choices=WEIGHTS, default="none")
@@ -221,9 +233,12 @@ class FitSettings(Settings):
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
         if not 0 < self.coverage < 1:
             raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
-        if self.damping == "proportional" and self.eliminate:
+        if self.damping != VISCOUS and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1:
+            what = f"{self.damping} damping is of several coefficients, every mode of model {self.model} has its own"
+            raise ConfigError(what, hint="leave it out", field="damping")
+        if self.damping != VISCOUS and self.eliminate:
             hint = "leave one of them out"
-            raise ConfigError("'eliminate' cannot be combined with proportional damping", hint=hint, field="eliminate")
+            raise ConfigError(f"'eliminate' cannot be combined with {self.damping} damping", hint=hint, field="eliminate")
         if self.scale_mass and self.mass == ESTIMATE:
             hint = "for example mass: [1 kg, 2 kg]"
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint=hint, field="scale_mass")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.estimation.damping import PROPORTIONAL, FactorModel, damped
 from labpipe.estimation.fitting import identify
-from labpipe.estimation.model import ProportionalModel, Setup, constrained, proportional
+from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import MODELS, FitSettings
 from tests.estimation.conftest import DAMPING, MASS
 
@@ -65,8 +66,8 @@ def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> Non
 def test_slopes_of_proportional_models_are_central_differences(three_dof_response, mass) -> None:  # type: ignore[no-untyped-def]
     response = three_dof_response()
     setup = Setup(response.outputs, response.inputs, replace(RAYLEIGH, mass=mass, fixed=(("k_1_3", 0.1),)))
-    model = constrained(MODELS["mdof"].model(setup), setup.settings)
-    assert isinstance(model, ProportionalModel)
+    model = damped(MODELS["mdof"].model(setup), setup.settings)
+    assert isinstance(model, FactorModel)
     start = 1 + 0.1 * np.arange(len(model.names))
     own = dict(zip(model.names, start, strict=True))
     whole = model.whole(start)
@@ -82,11 +83,13 @@ def test_slopes_of_proportional_models_are_central_differences(three_dof_respons
 
 
 def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -> None:
-    with pytest.raises(ConfigError, match=r"'damping' is not for model sdof; leave it out; models that take it: rotor-2dof, mdof$"):
-        FitSettings("sdof", mass=0.79, damping="proportional")
+    for model in ("sdof", "modal"):
+        with pytest.raises(ConfigError, match=f"proportional damping is of several coefficients, every mode of model {model} has its own"):
+            FitSettings(model, damping="proportional")
     setup = Setup((), (), FitSettings("sdof"))
     with pytest.raises(ConfigError, match="several damping coefficients"):
-        proportional(MODELS["sdof"].model(replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)))
+        ports = replace(setup, outputs=sdof_response().outputs, inputs=sdof_response().inputs)
+        PROPORTIONAL(MODELS["sdof"].model(ports))
 
 
 @pytest.mark.parametrize(

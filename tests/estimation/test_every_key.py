@@ -80,7 +80,7 @@ WRITTEN = {
     "lumped_mass": "true",
     "scale_mass": "true",
     "relative": "true",
-    "damping": "proportional",
+    "damping": "hysteretic",
     "fixed": "{c: 1 N.s/m}",
     "tied": "[[k_xx, k_yy]]",
     "weight": "noise",

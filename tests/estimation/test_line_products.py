@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
+from labpipe.estimation.damping import damped
 from labpipe.estimation.descent import linearised
 from labpipe.estimation.likelihood import starts
 from labpipe.estimation.linear_models import mdof
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.model import ResponseModel, Setup, constrained
+from labpipe.estimation.model import ResponseModel, Setup
 from labpipe.estimation.output_error import OutputError, has_line_products
 from labpipe.estimation.regression import equation_solution, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings
@@ -27,7 +28,7 @@ DAMPING = np.array([[0.05, -0.01, 0.0], [-0.02, 0.06, -0.01], [0.0, -0.01, 0.04]
 
 def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, noise: str = "independent") -> OutputError[ResponseModel]:
     """Forty lines with 2 % noise of another size at every line and FRF; *noise* with a part in "common", or a "product" as that of H1."""
-    model = constrained(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
+    model = damped(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
     omega = np.linspace(0.2, 2.5, 40)
     w = omega[:, None, None]
     h = np.linalg.inv(STIFFNESS + 1j * w * DAMPING - w**2 * np.eye(3))[:, :, :n_input]

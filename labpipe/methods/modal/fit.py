@@ -16,7 +16,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
@@ -228,7 +228,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
-    sides = _sides(measured_part(response, rows, columns, chosen), response.form)
+    sides = _sides(measured_part(response, rows, columns, chosen), response.form, hysteretic=_is_hysteretic(settings, modal))
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
     highest = _highest_order(sides.lines, modal)
@@ -260,12 +260,23 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     return replace(fit, findings=(*fit.findings, *quality), curve=curve, details=(modes,))
 
 
-def _sides(measured: Measured, form: str) -> _Sides:
+def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
+    """Whether modes are damped by a loss factor; ConfigError for real shapes beside one."""
+    if settings.damping == VISCOUS:
+        return False
+    if modal.shapes == "real":
+        hint = "leave one of `shapes` and `damping` out"
+        raise ConfigError(f"'shapes: real' cannot be combined with {settings.damping} damping", hint=hint, field="shapes")
+    return True
+
+
+def _sides(measured: Measured, form: str, *, hysteretic: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turned(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
-    return _Sides(turned, Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor)), forces_move)
+    lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
+    return _Sides(turned, lines, forces_move)
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:

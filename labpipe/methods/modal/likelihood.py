@@ -1,11 +1,12 @@
 """Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
 
-Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
-
 H(s) = s^p (sum over modes of psi l^T / (s - lambda) + conj. + sum over terms of C rho(s)), p = 0, 1, 2 for receptance, mobility and
 accelerance. Given lambda and l everything else is linear, separately for each output, and is eliminated; the Gram matrix of
 u = a + b, v = j (a - b) with a = s^p / (s - lambda), b = s^p / (s - conj lambda), of their derivatives and of the residual terms, and
 its products with the data are all that an iteration needs of the lines.
+
+With a loss factor of each mode, w_r^2 (1 + j eta) - w^2 = s^2 - lambda^2: in place of the conjugate pair stands psi l^T (1 / (s - lambda)
+- 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
 
 Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is psi_real l^T / (2 j w_d).
 """
@@ -27,12 +28,14 @@ class Lines:
     """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF], *power* p of s of their form.
 
     weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over lines are weighted with it.
+    hysteretic: whether modes are damped by a loss factor, else viscously.
     """
 
     omega: FloatArray
     matrix: ComplexArray
     power: int
     weight: FloatArray
+    hysteretic: bool = False
 
     @property
     def s(self) -> ComplexArray:
@@ -127,6 +130,7 @@ class Refined:
     information: float
     converged: bool
     steps: int
+    hysteretic: bool = False
 
     def place(self, mode: int, reference: int) -> int | None:
         """Place of the real part of an entry of the participation among the parameters; None for the fixed one."""
@@ -262,9 +266,8 @@ class _State:
         n_line = self.lines.omega.size
         rss = _rss(self.sums, self.participation, psi)
         information = 2 * n_line * float(np.sum(np.log(rss)))
-        return Refined(
-            self.poles, self.participation, psi, covariance, shape_covariance, crossed, self.variance, information, converged, steps
-        )
+        modes = self.poles, self.participation, psi, covariance, shape_covariance, crossed
+        return Refined(*modes, self.variance, information, converged, steps, self.lines.hysteretic)
 
 
 def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
@@ -299,11 +302,22 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
 
 def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
     """u, v of every mode in turn, then their counterparts with squared denominators, (n_line, 4 n_mode)."""
-    s = lines.s[:, None]
-    a, b = 1 / (s - poles), 1 / (s - poles.conj())
-    first = np.stack([a + b, 1j * (a - b)], axis=-1).reshape(s.size, -1)
-    second = np.stack([a**2 + b**2, 1j * (a**2 - b**2)], axis=-1).reshape(s.size, -1)
-    return np.hstack([first, second]) * s**lines.power * lines.weight[:, None]
+    pairs = pole_functions(lines.s, poles, lines.hysteretic)
+    columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
+    return np.asarray(np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None])
+
+
+def pole_functions(s: ComplexArray, poles: ComplexArray, hysteretic: bool) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
+    """a, b (n_line, n_mode) [s] with H = sum over modes of R a + conj(R) b, and the same of dH / d lambda [s^2]; *s* (n_line,) [rad/s].
+
+    b = 1 / (s - conj lambda); hysteretic modes have a = 1 / (s - lambda) - 1 / (s + lambda) and no b.
+    """
+    a = 1 / (s[:, None] - poles)
+    if hysteretic:
+        other, none = 1 / (s[:, None] + poles), np.zeros_like(a)
+        return (a - other, none), (a**2 + other**2, none)
+    b = 1 / (s[:, None] - poles.conj())
+    return (a, b), (a**2, b**2)
 
 
 def _sums(lines: Lines, terms: ResidualTerms, poles: ComplexArray) -> _Sums:

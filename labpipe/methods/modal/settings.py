@@ -48,5 +48,13 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
 
 
 MODAL = ModelKind(
-    _fit, "modal", ModalSettings, "modal: {order: 60}", optional=True, times_mass=True, keys=("mass", "input", "output"), estimators=("ml",)
+    _fit,
+    "modal",
+    ModalSettings,
+    "modal: {order: 60}",
+    optional=True,
+    times_mass=True,
+    own_damping=True,
+    keys=("mass", "input", "output", "damping"),
+    estimators=("ml",),
 )

@@ -1,8 +1,4 @@
-"""What people read of refined modes: natural frequencies, damping ratios, shapes with their uncertainty.
-
-What people read of refined modes: natural frequencies, damping ratios, and stiffness, damping and mass where a mass or a driving point
-is known, each with its standard error.
-"""
+"""What people read of refined modes: frequencies, damping, shapes, and stiffness and mass where a mass or a driving point is known."""
 
 from __future__ import annotations
 
@@ -70,10 +66,14 @@ def phase_collinearity(shapes: ComplexArray) -> FloatArray:
 # where a mass or a driving point
 
 Function = Callable[[FloatArray], float]
-# Of the pole x_0 + j x_1.
-POLE: tuple[tuple[str, str, Function], ...] = (
+# Of the pole x_0 + j x_1; with a loss factor its square is -w_n^2 (1 + j eta).
+VISCOUS: tuple[tuple[str, str, Function], ...] = (
     ("f_n", "Hz", lambda x: float(np.hypot(x[0], x[1]) / (2 * np.pi))),
     ("zeta", "1", lambda x: float(-x[0] / np.hypot(x[0], x[1]))),
+)
+HYSTERETIC: tuple[tuple[str, str, Function], ...] = (
+    ("f_n", "Hz", lambda x: float(np.sqrt(x[1] ** 2 - x[0] ** 2) / (2 * np.pi))),
+    ("eta", "1", lambda x: float(-2 * x[0] * x[1] / (x[1] ** 2 - x[0] ** 2))),
 )
 # Relative step of the central differences of functions of pole and residue.
 STEP = 1e-6
@@ -91,15 +91,18 @@ class DrivingPoint:
 def modal_parameters(
     refined: Refined, dof: int, mass: float | None, driving: Sequence[DrivingPoint], inflation: float | None
 ) -> tuple[Parameter, ...]:
-    """f_n, zeta of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
+    """f_n, zeta (eta) of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
 
     k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the shape 1 there: the residue
-    is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any.
+    is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any. Hysteretic modes have eta in place of zeta, no c, and
+    m = Re(1 / (2 lambda R)). Equation (modal-loss-factor).
     *inflation*: factor on the standard errors where the residual exceeds the noise. Equation (modal-frequency).
     """
-    weigh: Function = _at_driving_point if mass is None else _given(mass)
+    weigh = _at_driving_point(refined.hysteretic) if mass is None else _given(mass)
     functions: list[tuple[str, str, Function]] = []
-    if mass is not None or driving:
+    if (mass is not None or driving) and refined.hysteretic:
+        functions = [("k", "N/m", lambda x: weigh(x) * float(x[1] ** 2 - x[0] ** 2))]
+    elif mass is not None or driving:
         functions = [
             ("k", "N/m", lambda x: weigh(x) * float(x[0] ** 2 + x[1] ** 2)),
             ("c", "N.s/m", lambda x: -2 * weigh(x) * float(x[0])),
@@ -108,7 +111,7 @@ def modal_parameters(
         functions.insert(0, ("m", "kg", weigh))
     strongest = strongest_points(refined, driving)
     ordered = list(enumerate(_ascending(refined), start=1))
-    main = [_value(refined, mode, None, f"{name}_{n}", unit, of, dof) for n, mode in ordered for name, unit, of in POLE]
+    main = [_value(refined, mode, None, f"{name}_{n}", unit, of, dof) for n, mode in ordered for name, unit, of in _of_pole(refined)]
     rest = [
         _value(refined, mode, strongest[n - 1] if strongest else None, f"{name}_{n}", unit, of, dof)
         for n, mode in ordered
@@ -139,7 +142,7 @@ def frequency_correlation(refined: Refined) -> FloatArray:
     slopes = np.zeros((2 * n, refined.covariance.shape[0]))
     for row, mode in enumerate(_ascending(refined)):
         values, _ = _pole_and_residue(refined, mode, None)
-        for number, (_, _, function) in enumerate(POLE):
+        for number, (_, _, function) in enumerate(_of_pole(refined)):
             slopes[2 * row + number, 2 * mode : 2 * mode + 2] = _gradient(function, values)
     return correlation(slopes @ refined.covariance @ slopes.T)
 
@@ -155,10 +158,18 @@ def _given(mass: float) -> Function:
     return lambda _: mass
 
 
-def _at_driving_point(x: FloatArray) -> float:
+def _at_driving_point(hysteretic: bool) -> Function:
     """Modal mass [kg] of pole x_0 + j x_1 with residue (x_2 + j x_3)(x_4 + j x_5)."""
-    residue = (x[2] + 1j * x[3]) * (x[4] + 1j * x[5])
-    return float((1 / (2j * x[1] * residue)).real)
+
+    def mass(x: FloatArray) -> float:
+        residue = (x[2] + 1j * x[3]) * (x[4] + 1j * x[5])
+        return float((1 / (2 * ((x[0] if hysteretic else 0.0) + 1j * x[1]) * residue)).real)
+
+    return mass
+
+
+def _of_pole(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
+    return HYSTERETIC if refined.hysteretic else VISCOUS
 
 
 def _pole_and_residue(refined: Refined, mode: int, driving: DrivingPoint | None) -> tuple[FloatArray, FloatArray]:

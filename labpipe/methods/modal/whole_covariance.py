@@ -14,7 +14,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.weights import has_noise, singular_lines, weight_uncertainty, whitener
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, pole_functions
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
@@ -116,10 +116,8 @@ class ModalReceptance:
         rows, columns = np.nonzero(mask)
         return rows, columns
 
-    @staticmethod
-    def _of_modes(poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray) -> ComplexArray:
-        s = 1j * omega[:, None]
-        a, b = 1 / (s - poles), 1 / (s - poles.conj())
+    def _of_modes(self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray) -> ComplexArray:
+        a, b = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)[0]
         residue = shapes[:, None, :] * participation.T[None]
         return np.asarray(np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj()))
 
@@ -131,13 +129,12 @@ class ModalReceptance:
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
         poles, participation, shapes, _ = self.split(parameters)
-        s = 1j * omega[:, None]
-        a, b = 1 / (s - poles), 1 / (s - poles.conj())
+        (a, b), (a_slope, b_slope) = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)
         slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
         at = 0
         for mode in range(self.n_mode):
             residue = np.outer(shapes[:, mode], participation[mode])
-            slopes[at] = _pair(a[:, mode] ** 2, b[:, mode] ** 2, residue)
+            slopes[at] = _pair(a_slope[:, mode], b_slope[:, mode], residue)
             at += 1
         for mode, column in zip(*self._free, strict=True):
             slopes[at, :, :, :, column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
