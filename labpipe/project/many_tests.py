@@ -25,8 +25,8 @@ from labpipe.project.tests import Test
 from labpipe.records.dataset import DatasetSummary, PartialOutcome, TestResult, summary_of
 from labpipe.records.identification import Identification, RuleOutcome
 
-# From so many tests on, where nothing needs all of them at once.
-DATASET_FROM = 100
+# From so many tests on people are told of the dataset.
+MANY_TESTS = 100
 # Tests whose rows make a part of the dataset.
 PART_TESTS = 500
 
@@ -36,12 +36,21 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
 
     *independent*: the fits that need no other one.
     """
-    if pipeline.results == "whole" or (pipeline.results == "auto" and len(pipeline.tests) < DATASET_FROM):
+    if pipeline.results == "whole":
         return False
     what = hindrance(pipeline, independent)
-    if what and pipeline.results == "dataset":
+    if what:
         raise ConfigError(f"results: {what}, which needs all tests at once", where=str(pipeline.path), hint="write results: whole")
-    return not what
+    return True
+
+
+def advice(pipeline: Pipeline, independent: Sequence[str]) -> str:
+    """That a dataset would hold the results of so many tests in less memory; empty where there are few, or it cannot."""
+    if pipeline.results == "dataset" or len(pipeline.tests) < MANY_TESTS or hindrance(pipeline, independent):
+        return ""
+    return (
+        f"{len(pipeline.tests)} tests stand whole in {NAME}; `results: dataset` keeps them as rows of tables, in a fraction of the memory"
+    )
 
 
 def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:

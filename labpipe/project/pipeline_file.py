@@ -236,8 +236,8 @@ BEFORE = ("title", "rig", "recordings", "tests", "frfs", "conditions", "frf", "u
 AFTER = ("report", "accept", "expect")
 RECORDED = ("recordings", "tests", "frfs")
 REPORT_FORMATS = ("html", "md", "pdf")
-# How the results of many tests are kept: all in identification.json, as a dataset, or by their number.
-RESULTS = ("auto", "whole", "dataset")
+# How results are kept: all in identification.json, or as a dataset. What a result is does not depend on the number of tests.
+RESULTS = ("whole", "dataset")
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ class Pipeline:
     rules: tuple[Rule, ...]
     rig: Rig | None
     sections: Mapping[str, Any] = field(default_factory=dict)
-    results: str = "auto"
+    results: str = "whole"
 
     @property
     def folder(self) -> Path:
@@ -334,7 +334,10 @@ def _loaded(path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader
         if of_all is not None and "identify" in settings:
             settings["identify"] = tuple(of_all(fit) for fit in settings["identify"])
     rules = tuple(rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names))
-    results = entries["results"].text if "results" in entries else "auto"
+    results = entries["results"].text if "results" in entries else "whole"
+    if results == "auto":
+        # Of files written before: by the number of tests.
+        results = "whole"
     if results not in RESULTS:
         faults.add(entries["results"], "results", f"no way '{results}' to keep results", nearest(results, RESULTS))
     _check_whole(tree, entries, tests, frf, faults)

@@ -16,7 +16,7 @@ from labpipe.project.executors import Execute, serially
 from labpipe.project.frf import frf_file_name
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
-from labpipe.project.many_tests import Gathered, identified, keeps_dataset
+from labpipe.project.many_tests import Gathered, advice, identified, keeps_dataset
 from labpipe.project.measured import MeasuredTest
 from labpipe.project.one_test import Done, Job, Tell, brought, finished_fits, measure, measured_of, measured_refs, silent, work
 from labpipe.project.pipeline_file import Pipeline
@@ -62,6 +62,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     independent = independent_fits(pipeline)
     if keeps_dataset(pipeline, independent):
         return _run_many(pipeline, output, manner, independent)
+    output.remarks.extend(filter(None, [advice(pipeline, independent)]))
     measured = measure_tests(pipeline, output, manner, independent)
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from labpipe.artefacts.parquet import header_of
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import many_tests
 from labpipe.project.executors import in_processes
+from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner
 from labpipe.records.identification import Identification
 from tests.project.laboratory import PIPELINE, contents, done, laboratory
@@ -158,8 +160,26 @@ def test_levels_are_judged_over_all_tests(tmp_path: Path) -> None:
         done(tmp_path / "pipeline.yaml", tmp_path / "out")
 
 
-def test_from_a_number_of_tests_on_the_dataset_is_kept_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(many_tests, "DATASET_FROM", 2)
-    laboratory(tmp_path)
-    assert done(tmp_path / "pipeline.yaml", tmp_path / "out").dataset is not None
-    assert done(tmp_path / "pipeline.yaml", tmp_path / "one", ["results=whole"]).dataset is None
+def test_what_a_result_is_does_not_depend_on_the_number_of_tests(tmp_path: Path) -> None:
+    # 120 recordings of one support, each a copy: every fit stands in identification.json, and a remark names the dataset.
+    force = np.random.default_rng(5).standard_normal(2000)
+    response = np.fft.irfft(np.fft.rfft(force) / (40e3 + 60j * (w := 2 * np.pi * np.arange(1001)) - 0.5 * w**2), 2000)
+    table = pd.DataFrame({"t": np.arange(6000) / 2000, "f": np.tile(force, 3), "x": np.tile(response, 3)})
+    (tmp_path / "runs").mkdir()
+    for number in range(120):
+        table.assign(x=table.x + 1e-8 * np.random.default_rng(number).standard_normal(6000)).to_parquet(
+            tmp_path / f"runs/{number:03}.parquet"
+        )
+    (tmp_path / "rig.yaml").write_text(
+        "name: R\ntime: t\nmass: 0.5 kg\nchannels:\n"
+        "  f: {quantity: force, unit: N, role: input, dof: x}\n  x: {quantity: displacement, unit: m, role: output, dof: x}\n"
+    )
+    (tmp_path / "p.yaml").write_text(
+        "rig: rig.yaml\ntests:\n  - {each: runs/*.parquet}\nfrf: {excitation: periodic, period: 1 s, band: 20-80 Hz}\n"
+        "identify:\n  s: {model: sdof, mass: 0.5 kg}\nreport: {formats: []}\n"
+    )
+    result = done(tmp_path / "p.yaml", tmp_path / "out")
+    assert result.dataset is None and len(json.loads((tmp_path / "out/identification.json").read_text())["fits"]) == 120
+    assert "results: dataset" in many_tests.advice(load_pipeline(tmp_path / "p.yaml"), ["s"])
+    (tmp_path / "old.yaml").write_text((tmp_path / "p.yaml").read_text() + "results: auto\n")
+    assert load_pipeline(tmp_path / "old.yaml").results == "whole"
