@@ -20,7 +20,7 @@ from labpipe.artefacts.header import commit
 from labpipe.artefacts.writing import output_file
 from labpipe.cli import options
 from labpipe.cli.output import echo
-from labpipe.project.schema import pipeline_schema, rig_schema
+from labpipe.project.schema import SCHEMAS
 
 # labpipe doctor
 
@@ -97,21 +97,19 @@ def _temporary_folder() -> Check:
     return Check("temporary folder", tempfile.gettempdir())
 
 
-# labpipe schema [rig|pipeline]
-
-SCHEMAS = {"pipeline": pipeline_schema, "rig": rig_schema}
+# labpipe schema [pipeline|rig|bearing|plan]
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(list(SCHEMAS)), default="pipeline")
 @click.option("-o", "--output", type=options.PATH, metavar="FILE", help="File to write; default: standard output.")
 def schema(kind: str, output: Path | None) -> None:
-    """Print the JSON schema of a pipeline or rig file.
+    """Print the JSON schema of a pipeline, rig, bearing or plan file.
 
     Editors with support for YAML schemas complete and check a file that begins with the line
     `# yaml-language-server: $schema=pipeline.schema.json`.
     """
-    text = json.dumps(SCHEMAS[kind](), indent=2) + "\n"
+    text = json.dumps(SCHEMAS.load(kind)(), indent=2) + "\n"
     if output is None:
         echo(text, nl=False)
         return

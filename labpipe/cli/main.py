@@ -50,7 +50,7 @@ COMMANDS = {
     "excite": ("start", "Test signals: Schroeder, random-phase, optimised multisine, odd lines."),
     "calibrate": ("stages", "Sensor, actuator and stiffness calibration fits."),
     "export": ("report", "Write an artefact as CSV or Parquet."),
-    "schema": ("help", "The JSON schema of rig or pipeline files, for editors."),
+    "schema": ("help", "The JSON schema of the files that people write, for editors."),
     "completion": ("main", "Shell completion of commands and options."),
     "doctor": ("help", "Versions, threads, optional packages, and faults of the installation."),
 }

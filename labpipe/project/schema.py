@@ -1,16 +1,18 @@
-"""The JSON schema (draft 2020-12) of rig and pipeline files, made from the same settings that read them."""
+"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, made from the same settings that read them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from labpipe.bearings.kinds import BEARINGS
 from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
 from labpipe.project.tests import BY
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
+from labpipe.registry import Registry
 from labpipe.sections import PipelineSection, sections
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, comparison_kind, kinds_text
@@ -21,17 +23,28 @@ _TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array"
 _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
+# The kinds of files with a schema: functions to it.
+SCHEMAS = Registry(
+    "schema",
+    {
+        "pipeline": "labpipe.project.schema:pipeline_schema",
+        "rig": "labpipe.project.schema:rig_schema",
+        "bearing": "labpipe.project.schema:bearing_schema",
+    },
+)
+
+
 def rig_schema() -> dict[str, Any]:
     """The schema of a rig file."""
-    schema = _object(RigSettings)
-    schema["properties"]["channels"] = {"type": "object", "additionalProperties": _object(ChannelSettings)}
+    schema = object_schema(RigSettings)
+    schema["properties"]["channels"] = {"type": "object", "additionalProperties": object_schema(ChannelSettings)}
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     schema["properties"]["constants"] = {
         **constants,
         "description": "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg",
     }
     factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
-    listed = _object(ChannelSettings)
+    listed = object_schema(ChannelSettings)
     listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {"sum": factors}
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
     schema["properties"]["derived"] = {"type": "object", "additionalProperties": listed, "description": described}
@@ -55,7 +68,7 @@ def pipeline_schema() -> dict[str, Any]:
         "additionalProperties": False,
     }
     recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
-    described = _object(FrfLayout)
+    described = object_schema(FrfLayout)
     frfs = {"anyOf": [{"type": "string"}, described, {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}}]}
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
@@ -66,7 +79,7 @@ def pipeline_schema() -> dict[str, Any]:
         "together": {**_TEXTS, "description": "parts of the pattern in which the recordings of one test differ"},
         "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
         "conditions": conditions,
-        "frf": {**_object(FrfSettings), "description": "in place of the pipeline's, for this test"},
+        "frf": {**object_schema(FrfSettings), "description": "in place of the pipeline's, for this test"},
     }
     rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
     properties = {
@@ -76,11 +89,11 @@ def pipeline_schema() -> dict[str, Any]:
         "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
         "frfs": frfs,
         "conditions": conditions,
-        "frf": _object(FrfSettings),
-        "uncertainty": _object(UncertaintySettings),
-        "results": {"enum": list(RESULTS), "description": "How results of many tests are kept: by their number, whole, or as a dataset."},
+        "frf": object_schema(FrfSettings),
+        "uncertainty": object_schema(UncertaintySettings),
+        "results": {"enum": list(RESULTS), "description": "How results of many tests are kept: whole, or as a dataset."},
         **{name: _section(entry) for name, entry in sections()},
-        "report": _object(ReportSettings),
+        "report": object_schema(ReportSettings),
         "accept": rules,
         "expect": rules,
     }
@@ -93,13 +106,28 @@ def pipeline_schema() -> dict[str, Any]:
     }
 
 
+def bearing_schema() -> dict[str, Any]:
+    """The schema of a bearing file."""
+    return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
+
+
+def of_kinds(title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others; *above*: further entries."""
+    options = []
+    for name, owner in kinds.items():
+        schema = object_schema(owner)
+        schema["properties"] = {**(above or {}), **schema["properties"], key: {"enum": [name]}}
+        options.append({**schema, "required": list(dict.fromkeys([key, *schema["required"]]))})
+    return {"$schema": DRAFT, "title": f"labpipe {title}", "anyOf": options}
+
+
 def _section(entry: PipelineSection) -> dict[str, Any]:
     """A section, or a mapping of names to entries; of fits and comparisons with the sections that their kinds have."""
     owner = entry.settings
-    schema = _object(owner)
+    schema = object_schema(owner)
     if owner in OWN_SECTIONS:
         kinds, text = OWN_SECTIONS[owner]
-        parts = {kind.section: _object(kind.settings) for kind in kinds() if kind.settings is not None}
+        parts = {kind.section: object_schema(kind.settings) for kind in kinds() if kind.settings is not None}
         # Settings of a model that needs no section may stand in the fit itself.
         plain = [parts[kind.section]["properties"] for kind in kinds() if getattr(kind, "optional", False)]
         for name, described in schema["properties"].items():
@@ -115,7 +143,8 @@ OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] =
 }
 
 
-def _object(owner: type) -> dict[str, Any]:
+def object_schema(owner: type) -> dict[str, Any]:
+    """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {name: {**_kind(setting), "description": _described(setting)} for name, (setting, _) in settings.items()}
     required = [name for name, (_, needed) in settings.items() if needed]
@@ -128,7 +157,7 @@ def _described(setting: Setting) -> str:
 
 def _kind(setting: Setting) -> dict[str, Any]:
     if setting.section is not None:
-        section = _object(setting.section)
+        section = object_schema(setting.section)
         return {
             "section": section,
             "sections": {"type": "object", "additionalProperties": section},

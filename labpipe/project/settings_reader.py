@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -50,11 +51,11 @@ class Faults:
         """Add the faults of a referenced file."""
         self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
 
-    def unknown_keys(self, node: Marked, key: str, allowed: tuple[str, ...]) -> None:
-        """A fault for every key of the mapping that is not *allowed*, with the nearest allowed key."""
+    def unknown_keys(self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None) -> None:
+        """A fault for every key that is not *allowed*, with the nearest allowed one, or the one whose meaning names it."""
         for name, entry in node.content.items():
             if name not in allowed:
-                self.add(entry, join(key, name), "unknown key", nearest(name, allowed))
+                self.add(entry, join(key, name), "unknown key", _meant(name, allowed, meanings or {}))
 
     def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
         """The entries of a mapping, or none and a fault when the node is something else."""
@@ -70,6 +71,19 @@ class Faults:
 
     def __len__(self) -> int:
         return len(self._faults)
+
+
+# Likeness from which an unknown key is a typing error; below it, its word in the meaning of a key says more.
+TYPED = 0.75
+
+
+def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
+    """The hint for an unknown key: the allowed one that is spelt nearly so, else the only one whose meaning begins with the word."""
+    stem = name.lower().rstrip("s")
+    by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)] if len(stem) > 3 else []
+    if len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
+        return nearest(name, allowed)
+    return f"did you mean '{by_meaning[0]}' ({meanings[by_meaning[0]]})?"
 
 
 def join(*keys: str) -> str:
@@ -168,7 +182,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     node = _under_new_keys(node, key, settings)
     entries = faults.mapping(node, key)
     if entries:
-        faults.unknown_keys(node, key, tuple(settings))
+        faults.unknown_keys(node, key, tuple(settings), {name: declared.help for name, (declared, _) in settings.items()})
     fields: dict[str, Any] = dict(presets)
     unread: set[str] = set()
     for name, (setting, required) in settings.items():

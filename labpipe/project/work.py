@@ -77,19 +77,28 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         else:
             # A test that failed is named among the failures.
             check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
-            made = fits_of(work.tests, _begun(fit, fits, work.pipeline.path), work.pipeline.path)
+            made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path)
         from labpipe.estimation.levels import with_level_findings
 
         fits.extend(with_level_findings(made, conditions))
     return fits
 
 
-def _begun(settings: FitSettings, fits: Sequence[Fit], pipeline_path: Path) -> FitSettings:
-    """The settings with the result of the earlier fit that they begin with; LabpipeError names the fit."""
+def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
+    """The settings with the result of the earlier fit that they begin with; LabpipeError names the fit, and why the earlier one failed."""
+    where = f"{work.pipeline.path}: identify.{settings.name}"
+    earlier = settings.kind.earlier(settings)
+    if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):
+        named = next((fit for fit in work.pipeline.fits if fit.name == earlier), None)
+        tests = {earlier} if named is None else {*named.test} or {failure.name for failure in work.failed}
+        for failure in work.failed:
+            if failure.name in tests:
+                what = f"it begins with '{earlier}', which has no result: {failure.message}"
+                raise FitError(what, where=where, hint="mend that one first")
     try:
         return settings.kind.begin(settings, fits)
     except LabpipeError as error:
-        error.where = error.where or f"{pipeline_path}: identify.{settings.name}"
+        error.where = error.where or where
         raise
 
 

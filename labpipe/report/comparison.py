@@ -239,6 +239,7 @@ def _figure(comparison: Comparison, chart: Chart, meaning: str) -> Figure:
 FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "trend": _trend,
     "difference": _difference,
+    "quotient": _difference,
     "repeatability": _repeatability,
     "ratio": _ratio,
     "rayleigh": _rayleigh,
@@ -257,6 +258,7 @@ AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
     "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
+    "quotient": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
     "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the settings beyond it.",
     "ratio": (
         "A one-dof fit of a coupled transfer function is not K_ii, and the shaft bends. So the theory's stiffness matrix times the ratio, "

@@ -20,7 +20,7 @@ from labpipe.uncertainty.amounts import chance
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, group_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind
-from labpipe.uncertainty.trend import difference, trend
+from labpipe.uncertainty.trend import difference, quotient, trend
 from labpipe.uncertainty.weighted import repeatability
 
 # Reciprocity of every test: H_ij = H_ji within the standard errors.
@@ -124,12 +124,14 @@ TREND = ComparisonKind(
     needs=("fit", "over"),
     conditions=2,
 )
+# Groups of tests that share a condition, or, without `group`, two tests by their names.
 DIFFERENCE = ComparisonKind(
     lambda settings, evidence: difference(evidence.campaign(settings)),
     keys=(*OF_TESTS, "parameter", "groups", "tolerance", "setting_error", "level"),
-    needs=("fit", "group", "groups"),
+    needs=("fit", "groups"),
     conditions=2,
 )
+QUOTIENT = replace(DIFFERENCE, compare=lambda settings, evidence: quotient(evidence.campaign(settings)))
 REPEATABILITY = ComparisonKind(
     lambda settings, evidence: repeatability(evidence.campaign(settings)),
     keys=(*OF_TESTS, "parameter", "level"),

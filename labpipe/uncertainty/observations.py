@@ -163,7 +163,9 @@ def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
 
 
 def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
-    return _condition(settings.group, test, conditions) if settings.group else ""
+    if settings.group:
+        return _condition(settings.group, test, conditions)
+    return test if settings.groups else ""
 
 
 def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:

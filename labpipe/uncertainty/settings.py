@@ -136,6 +136,7 @@ COMPARISONS = Registry(
     {
         "trend": "labpipe.uncertainty.compare:TREND",
         "difference": "labpipe.uncertainty.compare:DIFFERENCE",
+        "quotient": "labpipe.uncertainty.compare:QUOTIENT",
         "repeatability": "labpipe.uncertainty.compare:REPEATABILITY",
         "reciprocity": "labpipe.uncertainty.compare:RECIPROCITY",
         "bands": "labpipe.uncertainty.compare:BANDS",
@@ -171,7 +172,7 @@ class CompareSettings(Settings):
     parameter: str = setting("text", "parameter that is compared", default="k")
     over: tuple[str, ...] = setting("names", "condition over which tests are ordered or paired, or two of them", default=())
     tolerance: float = setting("value", "values closer than this share of the largest are one", unit="1", default=1e-6)
-    group: str = setting("text", "condition that makes the groups", default="")
+    group: str = setting("text", "condition that makes the groups; default: each test is one", default="")
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
     law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
     setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)

@@ -132,28 +132,46 @@ def _comparison(campaign: Campaign, fit: WeightedFit, amounts: Sequence[Paramete
 
 
 def difference(campaign: Campaign) -> Comparison:
-    """Weighted mean of ln(second / first) over the conditions common to both groups, and its p-value.
+    """exp(mean) - 1 of the weighted mean of ln(second / first) over the conditions common to both groups, and its p-value.
 
     The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting each condition (n: exponent of
     the trend of all tests). ConfigError for groups without a common condition. Equation (comp-difference).
     """
     first, second = campaign.settings.groups
-    logs, errors, common = _paired(campaign, first, second)
-    mean = weighted_mean(logs, joint_errors(errors, common))
+    mean = _mean_of_logs(campaign)
     change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
-    p_value = mean.p_of(0)
-    verdict = "different" if p_value < campaign.settings.level else "no difference"
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
     result = f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
-    pairs = f"{logs.size} condition(s) tested both ways" if campaign.settings.over else "all tests"
+    return _of_groups(campaign, change, mean, result)
+
+
+def quotient(campaign: Campaign) -> Comparison:
+    """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests. Equation (comp-difference)."""
+    first, second = campaign.settings.groups
+    mean = _mean_of_logs(campaign)
+    ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    assert ratio.ci95 is not None
+    result = f"{campaign.subject}: {second} over {first} {ratio.value:.5g} (95 %: {ratio.ci95[0]:.5g} to {ratio.ci95[1]:.5g})"
+    return _of_groups(campaign, ratio, mean, result)
+
+
+def _mean_of_logs(campaign: Campaign) -> WeightedFit:
+    logs, errors, common = _paired(campaign, *campaign.settings.groups)
+    return weighted_mean(logs, joint_errors(errors, common))
+
+
+def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result: str) -> Comparison:
+    p_value = mean.p_of(0)
+    verdict = "different" if p_value < campaign.settings.level else "no difference"
+    pairs = f"{mean.dof + 1} condition(s) tested both ways" if campaign.settings.over else "all tests"
     return Comparison(
         name=campaign.settings.name,
-        kind="difference",
+        kind=campaign.settings.kind,
         subject=campaign.subject,
         unit=campaign.unit,
         points=campaign.points(),
-        amounts=(change, chance("p_value", p_value), chance("scatter_p", mean.p_value)),
+        amounts=(amount, chance("p_value", p_value), chance("scatter_p", mean.p_value)),
         verdict=verdict,
         statement=f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).",
         condition=campaign.settings.condition,
@@ -173,7 +191,8 @@ def _paired(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Fl
     groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):
         if name not in groups:
-            raise ConfigError(f"no test has {campaign.settings.group}: {name}", hint=f"known: {', '.join(sorted(set(groups)))}")
+            what = f"no test has {campaign.settings.group}: {name}" if campaign.settings.group else f"no test '{name}'"
+            raise ConfigError(what, hint=f"known: {', '.join(sorted(set(groups)))}")
     pairs = []
     for members in _strata(campaign):
         of_first, of_second = members & (groups == first), members & (groups == second)

@@ -10,7 +10,7 @@ from labpipe.errors import ConfigErrors
 from labpipe.estimation.settings import Sliding
 from labpipe.project.marked_yaml import load_marked
 from labpipe.project.pipeline_file import load_pipeline
-from labpipe.project.schema import pipeline_schema, rig_schema
+from labpipe.project.schema import SCHEMAS
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 ROOT = Path(__file__).parents[2]
@@ -131,10 +131,17 @@ def check_against(schema: dict, value: object, path: str = "") -> list[str]:  # 
     return found
 
 
-@pytest.mark.parametrize(
-    "path", sorted([*(ROOT / "pipelines").glob("*.yaml"), *(ROOT / "configs").glob("hmb-*.yaml")]), ids=lambda p: p.name
-)
-def test_shipped_files_meet_the_schema_that_editors_use(path: Path) -> None:
-    schema = pipeline_schema() if path.parent.name == "pipelines" else rig_schema()
+SHIPPED = {
+    "pipeline": (ROOT / "pipelines").glob("*.yaml"),
+    "rig": (ROOT / "configs").glob("hmb-*.yaml"),
+    "bearing": (ROOT / "configs/bearings").glob("*.yaml"),
+    "plan": (ROOT / "configs").glob("plan-*.yaml"),
+}
+
+
+@pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, paths in SHIPPED.items() for path in sorted(paths)])
+def test_shipped_files_meet_the_schema_that_editors_use(kind: str, path: Path) -> None:
+    schema = SCHEMAS.load(kind)()
+    assert set(SCHEMAS) == set(SHIPPED)
     assert check_against(schema, load_marked(path).plain()) == []
     assert check_against(schema, {"titel": "x"}) != []

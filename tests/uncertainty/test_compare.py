@@ -24,6 +24,7 @@ from tests.uncertainty.test_theory import BENDING, PEAKS, SHAFT, K, measured
 VERDICTS = {
     "trend": {"rising", "falling", "no trend"},
     "difference": {"different", "no difference"},
+    "quotient": {"different", "no difference"},
     "repeatability": {"settings differ", "settings alike"},
     "ratio": {"stiffer than theory", "softer than theory", "as theory"},
     "rayleigh": {"proportional", "not proportional"},
@@ -60,6 +61,7 @@ def every_kind(evidence: Evidence) -> dict[str, Comparison]:
     own = {
         "trend": CompareSettings(kind="trend", law="power", **SERIES),
         "difference": CompareSettings(kind="difference", group="way", groups=("up", "down"), **SERIES),
+        "quotient": CompareSettings(kind="quotient", group="way", groups=("up", "down"), **SERIES),
         "repeatability": CompareSettings(kind="repeatability", group="preload", **SERIES),
         "ratio": CompareSettings(kind="ratio", theory=THEORY, **SERIES),
         "rayleigh": CompareSettings(kind="rayleigh", **SERIES),
@@ -88,6 +90,7 @@ def test_the_numbers_are_those_of_the_making(evidence) -> None:
     """K grows as the preload, so the exponent of z is 1; the ratio is 1.12; beta 20 us; both ways are alike."""
     found = every_kind(evidence)
     within = {"trend": ("exponent", 1.0), "ratio": ("ratio", 1.12), "rayleigh": ("beta", 20e-6), "difference": ("difference", 0.0)}
+    within["quotient"] = ("quotient", 1.0)
     for kind, (name, truth) in within.items():
         amount = found[kind].amount(name)
         assert abs(amount.value - truth) < 4 * amount.std_error, kind

@@ -250,6 +250,7 @@ def test_the_schema_knows_comparisons() -> None:
     kinds = {
         "trend",
         "difference",
+        "quotient",
         "repeatability",
         "ratio",
         "rayleigh",

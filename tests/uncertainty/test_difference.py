@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.uncertainty.settings import CompareSettings
-from labpipe.uncertainty.trend import difference
+from labpipe.uncertainty.trend import difference, quotient
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
 PAIRED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis")
@@ -109,3 +109,15 @@ def test_tests_are_paired_by_both_conditions(campaign) -> None:
     found = difference(campaign(TWICE, tests))
     assert found.amount("difference").value == pytest.approx(0.02, rel=1e-9)
     assert "4 condition(s) tested both ways" in found.statement
+
+
+def test_a_quotient_is_the_ratio_of_two_tests_with_the_interval_of_its_logarithm(campaign) -> None:
+    """Closed form: ln(11 / 10) with the errors 1 % and 1/11 of 1 %-units, two tests named as they are."""
+    settings = CompareSettings(kind="quotient", fit="axial", groups=("test 0", "test 1"))
+    found = quotient(campaign(settings, [(10.0, 0.1, {}), (11.0, 0.1, {})]))
+    amount, error = found.amount("quotient"), np.hypot(0.01, 0.1 / 11)
+    assert amount.value == pytest.approx(1.1, rel=1e-12) and amount.std_error == pytest.approx(1.1 * error, rel=1e-9)
+    assert amount.ci95 == pytest.approx((1.1 * np.exp(-1.959964 * error), 1.1 * np.exp(1.959964 * error)), rel=1e-7)
+    assert found.kind == "quotient" and found.verdict == "different" and "test 1 over test 0 1.1 " in found.statement
+    with pytest.raises(ConfigError, match="no test 'wet'"):
+        quotient(campaign(CompareSettings(kind="quotient", fit="axial", groups=("test 0", "wet")), [(10.0, 0.1, {}), (11.0, 0.1, {})]))

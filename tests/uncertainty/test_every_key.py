@@ -90,6 +90,7 @@ PEAK = {"fit": "peaks", "term": "z", "over": "preload"}
 CASES: dict[str, tuple[Callable[[], Evidence], dict[str, Any]]] = {
     "trend": (preloads, PEAK),
     "difference": (preloads, {**PEAK, "group": "way", "groups": ("up", "down")}),
+    "quotient": (preloads, {**PEAK, "group": "way", "groups": ("up", "down")}),
     "repeatability": (preloads, {"fit": "peaks", "term": "z", "group": "way"}),
     "ratio": (preloads, {**PEAK, "theory": OF_SHAFT}),
     "rayleigh": (preloads, {**PEAK, "theory": OF_SHAFT}),

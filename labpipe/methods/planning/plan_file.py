@@ -18,6 +18,7 @@ from labpipe.methods.planning.records import Plan, RunPlan
 from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
 from labpipe.methods.planning.settings import PLANS, PlanKind
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.schema import of_kinds
 from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
 from labpipe.report.document import Document, Section
@@ -25,6 +26,14 @@ from labpipe.report.document import Document, Section
 # Reading a plan file: a title, and the section `plan:`, whose entries are those of the model it is for.
 
 KEYS = ("title", "plan")
+
+
+def plan_schema() -> dict[str, Any]:
+    """The JSON schema of a plan file."""
+    plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
+    head = {name: plan.pop(name) for name in ("$schema", "title")}
+    properties = {"title": {"type": "string"}, "plan": plan}
+    return {**head, "type": "object", "properties": properties, "required": ["plan"], "additionalProperties": False}
 
 
 @dataclass(frozen=True)

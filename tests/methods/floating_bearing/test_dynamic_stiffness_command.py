@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from labpipe.cli.main import run_command
@@ -114,3 +115,16 @@ def test_the_report_of_a_matrix_keeps_the_baseline(recorded: Path, tmp_path: Pat
     assert labpipe("run", recorded / "matrix.yaml", "-o", tmp_path / "out").code == 0
     page = (tmp_path / "out/report.md").read_text("utf-8")
     assert "Test matrix: water" in page and "Result: hoses, test dry" in page and "Result: seal" not in page
+
+
+def test_a_fit_whose_baseline_failed_says_why_that_failed(recorded: Path, tmp_path: Path, labpipe) -> None:
+    """The dry test has no third force channel: its own cause is told, not that a name is missing."""
+    text = PIPELINE.replace("  - {name: seal", "  - {name: spare, recordings: seal-*.parquet}\n  - {name: seal")
+    text = text.replace("name: dry, recordings: dry-*.parquet", "name: dry, recordings: short-*.parquet")
+    for path in recorded.glob("dry-*.parquet"):
+        table = pq.read_table(path)
+        pq.write_table(table.slice(0, 700), recorded / path.name.replace("dry-", "short-"))
+    (recorded / "short.yaml").write_text(text)
+    ended = labpipe("run", recorded / "short.yaml", "-o", tmp_path)
+    assert ended.code == 2 and "no earlier fit" not in ended.err
+    assert "identify.seal: it begins with 'hoses', which has no result: " in ended.err and "period" in ended.err

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from labpipe.artefacts.json_file import write_digested
-from labpipe.errors import DataError
-from labpipe.methods.planning.plan_file import read_any_plan, read_plan, write_plan
+from labpipe.errors import ConfigErrors, DataError
+from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_plan, write_plan
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest, RunPlan
 
 LINES = (60.0, 61.0, 64.0, 64.5)
@@ -39,3 +39,11 @@ def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
     write_digested(tmp_path / "plan.json", {"schema": "labpipe-sketch-1"})
     with pytest.raises(DataError, match="not a readable plan"):
         read_any_plan(tmp_path / "plan.json")
+
+
+def test_an_unknown_key_gets_the_one_whose_meaning_begins_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    for key, hint in (("directions", r"'shakers' \(directions of force"), ("duratoin", "'duration'")):
+        path.write_text(f"plan:\n  model: sdof\n  {key}: 45 deg\n")
+        with pytest.raises(ConfigErrors, match=rf"plan\.{key}: unknown key; did you mean {hint}"):
+            load_plan(path)
