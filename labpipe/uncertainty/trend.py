@@ -147,7 +147,7 @@ def difference(campaign: Campaign) -> Comparison:
 
 
 def quotient(campaign: Campaign) -> Comparison:
-    """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests. Equation (comp-difference)."""
+    """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
     first, second = campaign.settings.groups
     mean = _mean_of_logs(campaign)
     ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
