@@ -45,6 +45,7 @@ from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
+from labpipe.estimation.model_error import with_interval_parts
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, condition_number, correlation, student_limit
@@ -81,7 +82,7 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
         fits = tuple(with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits)
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
-    return tuple(with_contributions(fit, settings.coverage) for fit in fits)
+    return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
 
 
 def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
@@ -236,6 +237,7 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
         notes=notes,
         candidates=compared_models,
         budget=budgeted.budget,
+        discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
     return _BandFit(fit, fitted, model, estimate.values)
 
@@ -286,6 +288,8 @@ def _with_honest_intervals(
     setup: Setup,
 ) -> tuple[Parameter, ...]:
     """The parameters with the intervals that the judgement of the residual leaves them."""
+    if judgement.model_error is not None:
+        return judgement.model_error.stated(parameters)
     if judgement.refused:
         return without_intervals(parameters)
     if judgement.covariance is None:

@@ -22,6 +22,7 @@ from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel
+from labpipe.estimation.model_error import ModelError, model_error
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.residual import DRAWS, Null, Structure, line_scatter, residual_structure
 from labpipe.estimation.settings import FitSettings
@@ -103,13 +104,14 @@ class Judgement:
     """Findings on a residual, and what its intervals become.
 
     *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise hold. *refused*: no interval
-    holds. *judged*: whether anything could tell that the residual is noise.
+    holds. *judged*: whether anything could tell that the residual is noise. *model_error*: what stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
     covariance: FloatArray | None = None
     refused: bool = False
     judged: bool = True
+    model_error: ModelError | None = None
 
 
 @dataclass(frozen=True)
@@ -228,7 +230,7 @@ def judge(
         return _biased(judged, minimum)
     if judged.uneven(minimum):
         return _of_uneven_noise(judged, minimum)
-    return _explained(judged, minimum) or _unexplained(judged, minimum)
+    return _with_model_error(judged, minimum) or _explained(judged, minimum) or _unexplained(judged, minimum)
 
 
 def excess(estimate: Estimate) -> float | None:
@@ -265,6 +267,19 @@ def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
         f"{_grown(estimate, covariance)} since they come from the scatter of every line by itself"
     )
     return Judgement(judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"), covariance)
+
+
+def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
+    """The model error of one mode inside the interval; None for other models."""
+    error = model_error(judged.measured, judged.model, own.values, judged.settings)
+    if error is None:
+        return None
+    factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
+    said = (
+        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves unexplained, and are up to "
+        f"{factor:.3g} times as wide as noise alone makes them"
+    )
+    return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
 
 
 def _explained(judged: _Judge, own: _Minimum) -> Judgement | None:

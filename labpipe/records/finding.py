@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
 
 # A finding: something the user must know about the measurement or the fit, in a code and in words.
 
 NOTE, WARNING = "note", "warning"
+
+
+# Standard uncertainties of a 95 % interval of the normal distribution.
+NORMAL = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,26 @@ class Contribution:
 
 
 @dataclass(frozen=True)
+class IntervalParts:
+    """What the interval of a parameter holds, as standard uncertainties [unit of the parameter]: noise of the record, model error, scatter
+    between repeats, and given numbers.
+    """
+
+    noise: float
+    discrepancy: float = 0.0
+    repeats: float = 0.0
+    systematic: float = 0.0
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """What explains a residual that is not noise: *shares* [1] of the evidence by cause, and where a second mode would lie [Hz]."""
+
+    shares: Mapping[str, float]
+    second_mode_hz: float | None = None
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One estimated or derived parameter in SI units.
 
@@ -58,7 +82,9 @@ class Parameter:
     alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the uncertainty of given numbers.
     *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given numbers, where that is
     known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times *coverage_factor*, and the
-    *budget* of all sources, noise among them, the largest first.
+    *budget* of all sources, noise among them, the largest first. *interval*: the parts of the interval that is stated, and the *reason*
+    in words where it is wider than noise and given numbers make it, with the *discrepancy* behind it; *fitted*: what
+    the model alone gives, where the value is the mean over model errors.
     """
 
     name: str
@@ -78,6 +104,20 @@ class Parameter:
     expanded: float | None = None
     coverage_factor: float | None = None
     budget: tuple[Contribution, ...] = ()
+    interval: IntervalParts | None = None
+    reason: str = ""
+    discrepancy: Discrepancy | None = None
+    fitted: float | None = None
+
+    @property
+    def as_fitted(self) -> Parameter:
+        """The parameter as the model alone gives it, by noise and given numbers: for what is compared with the same model on other data."""
+        if self.fitted is None or self.std_error is None:
+            return self
+        error = math.hypot(self.std_error, self.systematic or 0.0)
+        reach = NORMAL * error
+        interval = None if self.ci95 is None else (self.fitted - reach, self.fitted + reach)
+        return replace(self, value=self.fitted, fitted=None, ci95=interval, std_error_inflated=error if self.systematic else None)
 
     @property
     def measured_ci95(self) -> tuple[float, float] | None:
@@ -85,6 +125,8 @@ class Parameter:
 
         What the model lacks, and the residual shows, it lacks on both sides.
         """
+        if self.fitted is not None:
+            return self.as_fitted.ci95
         if self.ci95 is None or not self.full_error or self.std_error is None:
             return self.ci95
         share = math.hypot(self.std_error, self.systematic or 0.0) / self.full_error

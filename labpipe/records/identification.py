@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, TypeVar
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
-from labpipe.records.finding import WARNING, Finding, Parameter, of_level
+from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, of_level
 from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
@@ -162,6 +162,7 @@ class Fit:
     candidates: tuple[Candidate, ...] = ()
     term: str = ""
     budget: Budget | None = None
+    discrepancy: Discrepancy | None = None
     details: tuple[FitDetail, ...] = field(default=(), metadata={"entry": False})
 
     def __repr__(self) -> str:
@@ -176,6 +177,11 @@ class Fit:
     def to_frame(self) -> Any:
         """The parameters as a pandas data frame, one row each [SI units]."""
         return VIEWS["frame"](self)
+
+    @property
+    def as_fitted(self) -> Fit:
+        """The fit with the values of its model alone: what the model lacks, it lacks in another test of the same structure as well."""
+        return replace(self, parameters=tuple(parameter.as_fitted for parameter in self.parameters))
 
     def detail(self, kind: type[Detail]) -> Detail | None:
         """The detail of that class; None where the fit has none."""

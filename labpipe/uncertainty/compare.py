@@ -106,6 +106,7 @@ class Evidence:
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
     """The comparison of the settings; *theory*: in place of their bearing file. LabpipeError where the tests do not allow it."""
+    evidence = replace(evidence, fits=tuple(fit.as_fitted for fit in evidence.fits))
     return comparison_kind(settings.kind).compare(settings, evidence if theory is None else replace(evidence, theory=theory))
 
 

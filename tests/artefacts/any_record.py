@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import types
+from collections.abc import Mapping
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -32,6 +33,8 @@ def any_of(hint: Any) -> st.SearchStrategy[Any]:
         return st.tuples(*(any_of(kind) for kind in kinds))
     if get_origin(hint) is dict:
         return st.dictionaries(TEXTS, NUMBERS | TEXTS | st.lists(NUMBERS, max_size=2), max_size=2)
+    if get_origin(hint) is Mapping:
+        return st.dictionaries(TEXTS, NUMBERS, max_size=2)
     if hint is Finding:
         return st.builds(Finding, TEXTS, TEXTS, st.sampled_from([NOTE, WARNING]))
     if dataclasses.is_dataclass(hint):

@@ -54,7 +54,7 @@ def test_a_mass_30_percent_off_is_named_though_the_curve_is_followed(estimator: 
     stiffness, uncertainty, before = map(float, re.findall(r"k is then ([\d.]+) \+- ([\d.]+) kN/m instead of ([\d.]+)", finding.message)[0])
     assert abs(mass - MASS) < 4 * error < 0.02
     assert abs(stiffness - STIFFNESS / 1e3) < 4 * uncertainty < 1
-    assert before == pytest.approx(fit.parameter("k").value / 1e3, rel=1e-4)
+    assert before == pytest.approx(fit.parameter("k").value / 1e3, rel=1e-3)
 
 
 def test_without_covariance_it_is_said_that_chi_square_could_not_be_checked() -> None:

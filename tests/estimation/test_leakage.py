@@ -95,7 +95,9 @@ def test_damping_is_the_true_one_though_blocks_are_short(form: str) -> None:
     (fit,) = identify(whole, SETTINGS)
     assert fit.parameter("c").value == pytest.approx(DAMPING, rel=2e-3)
     (plain,) = identify(replace(whole, blocks=None), SETTINGS)
-    assert plain.parameter("c").value > 1.015 * DAMPING
+    # Without the blocks leakage is a model error: the interval holds the damping, and is far wider.
+    c, modelled = plain.parameter("c"), fit.parameter("c")
+    assert c.ci95[0] < DAMPING < c.ci95[1] and c.interval.discrepancy > 3 * modelled.full_error
 
 
 def blocks_of_white_noise(rng: np.random.Generator, n: int, n_block: int) -> np.ndarray:

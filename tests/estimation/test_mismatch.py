@@ -44,7 +44,8 @@ def test_lines_that_share_noise_through_a_window_raise_no_alarm_when_the_window_
 @pytest.mark.parametrize("estimator", ["ls", "iv", "ml"])
 def test_a_mode_beside_the_band_widens_the_intervals_until_they_cover(estimator: str) -> None:
     (fit,) = identify(response("mode beside the band", 0), FitSettings("sdof", estimator=estimator))
-    assert "smooth residual term" in mismatch(fit)
+    assert "include what the model leaves unexplained" in mismatch(fit)
+    assert fit.discrepancy.shares and all(p.reason and p.interval.discrepancy > 0 for p in fit.parameters)
     for name, truth in (("f_n", F0), ("zeta", ZETA), ("m", 1.0)):
         parameter = fit.parameter(name)
         assert parameter.ci95[0] < truth < parameter.ci95[1]
@@ -54,10 +55,12 @@ def test_a_mode_beside_the_band_widens_the_intervals_until_they_cover(estimator:
 
 
 @pytest.mark.parametrize("estimator", ["ls", "iv", "ml"])
-def test_a_mode_too_few_leaves_no_interval(estimator: str) -> None:
+def test_a_mode_too_few_is_inside_the_interval(estimator: str) -> None:
     (fit,) = identify(response("second mode", 0), FitSettings("sdof", estimator=estimator))
-    assert "No interval is given" in mismatch(fit)
-    assert all(parameter.ci95 is None and parameter.std_error is None for parameter in fit.parameters)
+    assert "include what the model leaves unexplained" in mismatch(fit)
+    for name, truth in (("f_n", F0), ("zeta", ZETA)):
+        parameter = fit.parameter(name)
+        assert parameter.ci95[0] < truth < parameter.ci95[1] and parameter.interval.discrepancy > parameter.interval.noise
 
 
 def test_scatter_of_gain_gives_every_line_its_own_noise() -> None:
@@ -72,10 +75,9 @@ def test_a_measured_excess_widens_the_intervals_and_says_by_how_much() -> None:
     small = replace(plain, covariance=uncorrelated(np.full(plain.matrix.shape, variance / 9)))
     (fit,) = identify(small, FitSettings("sdof"))
     k = fit.parameter("k")
-    # Noise thrice as large as its covariance says, and nothing else wrong: the root of chi-square is 3 within its scatter of 6 %.
-    assert k.std_error_inflated / k.std_error == pytest.approx(np.sqrt(fit.gof.chi2_reduced), rel=0.2)
-    assert (k.ci95[1] - k.ci95[0]) / 2 == pytest.approx(k.std_error_inflated * 1.975, rel=0.01)
-    assert "times those of noise alone" in mismatch(fit)
+    # Noise thrice as large as its covariance says, and nothing else wrong: the factor is at least 3 and far below that of a course.
+    assert 2.5 < k.std_error_inflated / k.std_error < 5
+    assert "times as wide as noise alone" in mismatch(fit) and "noise larger than measured" in k.reason
 
 
 def test_too_few_lines_to_judge_are_said() -> None:

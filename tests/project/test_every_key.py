@@ -209,7 +209,7 @@ def test_the_window_of_ready_responses_reaches_their_fits(tmp_path: Path) -> Non
     (lab / "pipeline.yaml").write_text(text.replace("h.csv}", "h.csv, window: flattop}"))
     old, new = (done(lab / "pipeline.yaml", lab / folder).fits[0] for folder in ("out", "new"))
     assert old.parameters == new.parameters != plain.parameters
-    assert old.parameter("k").value == plain.parameter("k").value
+    assert old.parameter("k").as_fitted.value == plain.parameter("k").as_fitted.value
 
 
 # Other sections, each in a small pipeline of its own.

@@ -77,7 +77,7 @@ def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[Compa
 
 
 def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
-    measured, predicted = fit.parameter(name), theory.parameter(name).value
+    measured, predicted = fit.parameter(name).as_fitted, theory.parameter(name).value
     # A fit without convergence has no interval and does not hold the prediction. What the model lacks it lacks on both sides.
     low, high = measured.measured_ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))

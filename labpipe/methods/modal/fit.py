@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,12 +14,14 @@ from labpipe.estimation.budget import Source, changes_by, mass_source, matrix_er
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
+from labpipe.methods.modal.model_error import model_errors, with_model_errors
 from labpipe.methods.modal.number import Completed, LineNoise, completed, kept_modes, refine_with_terms, with_real_modes
 from labpipe.methods.modal.poles import Diagram, NormalEquations, Poles, damping_ratio, nearest_modes, normal_equations, stabilisation
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
@@ -97,7 +99,7 @@ def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
-def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ...]:
+def modal_findings(estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
     """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on neighbouring lines."""
     warnings = []
     if not estimate.refined.converged:
@@ -109,20 +111,20 @@ def modal_findings(estimate: ModalEstimate, p_noise: float) -> tuple[Finding, ..
         warnings.append(
             Finding("unphysical", f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the structure")
         )
-    factor = mismatch(estimate)
+    factor, said = mismatch(estimate), ""
     if factor is not None:
-        message = (
+        said = (
             f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
-            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g}): a mode is missing, or the structure is not linear. The "
-            f"intervals that are printed are {factor:.3g} times those of noise alone, since the excess counts as noise. Name the missing "
-            "mode in `poles`, or narrow the band."
+            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g})"
         )
-        warnings.append(Finding("model-mismatch", message))
     elif unexplained(estimate, p_noise):
+        said = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
+    if said:
+        reasons = dict.fromkeys(f"mode {number}: {error.likely}" for number, error in errors.items())
+        likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
         message = (
-            f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g}). A mode is missing, the structure is not "
-            "linear, or its modes differ from point to point (a sensor that loads it). So no interval is given. Name the missing mode in "
-            "`poles`, or narrow the band."
+            f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained in its band; a mode without an "
+            "interval has no line of its own there. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -354,6 +356,10 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
+    misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
+    errors = model_errors(measured, estimate, parameters) if misfit else {}
+    if misfit:
+        parameters = with_model_errors(without_intervals(parameters) if estimate.chi2_reduced is None else parameters, errors)
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof)
     return Fit(
         name=settings.name,
@@ -364,12 +370,12 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
         equations=measured.n_equation,
         dof=estimate.dof,
         gof=Goodness(r2, adjusted, estimate.chi2_reduced, estimate.chi2_p),
-        parameters=without_intervals(parameters) if unexplained(estimate, whole.p_noise) else parameters,
+        parameters=parameters,
         condition_number=float(np.sqrt(np.linalg.cond(matrix))),
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, whole.p_noise), *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, whole.p_noise, errors), *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
     )
 

@@ -98,6 +98,7 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     Raises ConfigError for a response whose dofs are not the bearing's, FitError where no ratio gives the measured fit.
     Equation (comp-match).
     """
+    fit = fit.as_fitted
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value
 

@@ -1,0 +1,361 @@
+"""A mode on the lines of one FRF as an ordinary fit, and its named extensions: a second mode in the band, a resonance that moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+
+# The model as it is, a second mode, and four laws by which the resonance moves while it is measured.
+AS_IT_IS, SECOND = "", "J"
+MOVED = ("L", "G", "U", "C")
+# Places where a second mode is looked for, and the factor between the damping of two modes at most.
+PLACES, LIKE_DAMPING = 25, 5.0
+# Weak prior around the ordinary fit, which stops run-away: ln zeta, level.
+PRIOR_DAMPING, PRIOR_LEVEL = 0.7, 0.5
+_HERMITE = np.polynomial.hermite_e.hermegauss(7)
+_LEGENDRE = np.polynomial.legendre.leggauss(7)
+# Nodes x and weights of the laws of motion, of unit variance.
+NODES: Mapping[str, tuple[FloatArray, FloatArray]] = {
+    "L": (_HERMITE[0], _HERMITE[1] / _HERMITE[1].sum()),
+    "G": (_HERMITE[0], _HERMITE[1] / _HERMITE[1].sum()),
+    "U": (np.sqrt(3) * _LEGENDRE[0], _LEGENDRE[1] / 2),
+    "C": (np.sqrt(2) * np.cos((np.arange(8) + 0.5) * np.pi / 8), np.full(8, 0.125)),
+}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One FRF on its lines: frequency (n_line,) [Hz], values (n_line,) [any unit], std (n_line,):
+    sqrt(E|n|^2) of the noise there.
+    """
+
+    frequency: FloatArray
+    values: ComplexArray
+    std: FloatArray
+
+    @property
+    def s(self) -> ComplexArray:
+        """j omega (n_line,) [rad/s]."""
+        return 2j * np.pi * self.frequency
+
+    @property
+    def width(self) -> float:
+        """Width of the band [Hz]."""
+        return float(self.frequency[-1] - self.frequency[0])
+
+
+@dataclass(frozen=True)
+class ModeModel:
+    """h = resonance(q) + sum of complex amplitudes times columns, on the lines of a curve.
+
+    coefficients: q = ln k, ln c, ln m of 1 / (k + c s + m s^2), or without ln m where *mass* is given; else q
+    = ln f_n, ln zeta of A / (s - lambda) + A^* / (s - lambda^*), A the first amplitude. residual: Legendre
+    terms 1, x, ... of the band. member: SECOND adds ln f_2, ln zeta_2 and an amplitude, a law of MOVED adds
+    ln e, the relative rms motion of the resonance.
+    """
+
+    curve: Curve
+    coefficients: bool = False
+    residual: int = 1
+    mass: float | None = None
+    member: str = AS_IT_IS
+
+    @property
+    def n_interest(self) -> int:
+        """Parameters of interest, the first ones."""
+        return 3 if self.coefficients and self.mass is None else 2
+
+    @property
+    def kept(self) -> list[int]:
+        """Places in theta of what is stated: the parameters of interest, then of a pole Re and Im of its
+        amplitude and the first term.
+        """
+        linear = [] if self.coefficients else range(self.n_shape, self.n_shape + 2 + 2 * min(self.residual, 1))
+        return [*range(self.n_interest), *linear]
+
+    @property
+    def n_shape(self) -> int:
+        """Parameters in which the model is not linear."""
+        return self.n_interest + {AS_IT_IS: 0, SECOND: 2}.get(self.member, 1)
+
+    @cached_property
+    def terms(self) -> ComplexArray:
+        """Residual terms (n_line, n_term) [1]."""
+        f = self.curve.frequency
+        x = (2 * f - f[0] - f[-1]) / (f[-1] - f[0])
+        return (
+            np.polynomial.legendre.legvander(x, self.residual - 1).astype(np.complex128)
+            if self.residual
+            else np.zeros((f.size, 0), complex)
+        )
+
+    def frequency_and_damping(self, q: FloatArray) -> tuple[float, float]:
+        """f_n [Hz] and zeta [1] at *q* (n,) [1]."""
+        rows = self.to_resonance @ q[: self.n_interest] + self.offset
+        return float(np.exp(rows[0])), float(np.exp(rows[1]))
+
+    @property
+    def to_resonance(self) -> FloatArray:
+        """ln f_n and ln zeta of the parameters of interest but for a constant, (2, n_interest) [1]."""
+        if not self.coefficients:
+            return np.eye(2)
+        rows = np.array([[0.5, 0.0, -0.5], [-0.5, 1.0, -0.5]])
+        return rows if self.mass is None else rows[:, :2]
+
+    @property
+    def offset(self) -> FloatArray:
+        """The constants of ln f_n and ln zeta, (2,) [1]."""
+        if not self.coefficients:
+            return np.zeros(2)
+        of_mass = 0.0 if self.mass is None else -0.5 * np.log(self.mass)
+        return np.array([of_mass - np.log(2 * np.pi), of_mass - np.log(2)])
+
+    def prior_rows(self, q: FloatArray, n: int) -> FloatArray:
+        """Rows T (n_row, n) of the weak prior |T (theta - theta_0)|^2 around an ordinary fit at *q*
+        (n_shape,) [1].
+        """
+        rows = np.zeros((3 if self.n_interest == 3 else 2, n))
+        rows[:2, : self.n_interest] = self.to_resonance / np.array([[self.frequency_and_damping(q)[1]], [PRIOR_DAMPING]])
+        if self.n_interest == 3:
+            rows[2, [0, 2]] = 0.5 / PRIOR_LEVEL
+        return rows
+
+    def resonance(self, q: FloatArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """The resonance of unit amplitude (n_line,) and its derivatives (n_line, n_shape) by *q* (n_shape,)
+        [1]; *s* (n_line,) [rad/s].
+        """
+        nodes, weights = NODES.get(self.member, (np.zeros(1), np.ones(1)))
+        motion = np.exp(q[self.n_interest]) * nodes if self.member in NODES else nodes
+        value: ComplexArray = np.zeros(self.curve.frequency.size, np.complex128)
+        slopes: ComplexArray = np.zeros((value.size, self.n_shape), np.complex128)
+        at = self._coefficients_at if self.coefficients else self._pole_at
+        for moved, weight in zip(motion, weights, strict=True):
+            here, by_shape, by_motion = at(q, s, moved)
+            value += weight * here
+            slopes[:, : self.n_interest] += weight * by_shape
+            if self.member in NODES:
+                slopes[:, self.n_interest] += weight * by_motion
+        return value, slopes
+
+    def _pole_at(self, q: FloatArray, s: ComplexArray, x: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """1 / (s - lambda) moved by *x*, its derivatives by ln f_n and ln zeta, and by ln x."""
+        w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
+        if self.member == "L":
+            root = np.sqrt(max(1 - zeta**2, 1e-12))
+            pole, by_zeta, by_x, size = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root), 1j * w * x, 1.0
+        else:
+            root = np.sqrt(max((1 + x) ** 2 - zeta**2, 1e-12))
+            pole, by_zeta, size = w * (-zeta + 1j * root), -w * zeta * (1 + 1j * zeta / root), 1 / (1 + x)
+            by_x = 1j * w * (1 + x) * x / root
+        value = size / (s - pole)
+        square = value / (s - pole)
+        by_motion = square * by_x - (0.0 if self.member == "L" else x * size) * value
+        return value, np.column_stack([square * pole, square * by_zeta]), by_motion
+
+    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """1 / (k + c s + m s^2) moved by *x*, its derivatives by ln k, ln c (and ln m), and by ln x."""
+        k, c = np.exp(q[:2])
+        m = np.exp(q[2]) if self.mass is None else self.mass
+        if self.member == "L":
+            w = np.sqrt(k / m)
+            s = s - 1j * w * x
+            value = 1 / (k + c * s + m * s**2)
+            along = -(value**2) * (c + 2 * m * s) * (-1j * w * x)
+            by_shape = [-(value**2) * k + along / 2, -(value**2) * c * s, -(value**2) * m * s**2 - along / 2]
+            by_motion = along
+        else:
+            value = 1 / (k * (1 + x) ** 2 + c * s + m * s**2)
+            by_shape = [-(value**2) * k * (1 + x) ** 2, -(value**2) * c * s, -(value**2) * m * s**2]
+            by_motion = -(value**2) * 2 * k * (1 + x) * x
+        return value, np.column_stack(by_shape[: self.n_interest]), by_motion
+
+    def _with_conjugate(self, q: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """a, da/dq, b, db/dq of A a + A^* b: the pole, and its conjugate, which is that of -s."""
+        s = self.curve.s
+        value, slopes = self.resonance(q, s)
+        other, other_slopes = self.resonance(q, s.conj())
+        return value, slopes, other.conj(), other_slopes.conj()
+
+    def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper pole alone
+        (n_line,).
+        """
+        q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
+        terms = np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
+        if self.coefficients:
+            value, slopes = self.resonance(q, self.curve.s)
+            main, columns = value, [terms]
+        else:
+            a, da, b, db = self._with_conjugate(q)
+            slopes = amplitudes[0] * da + np.conj(amplitudes[0]) * db
+            main, columns = amplitudes[0] * a, [_pair(a, b), terms]
+        if self.member == SECOND:
+            a, da, b, db = ModeModel(self.curve)._with_conjugate(q[self.n_interest :])
+            columns.append(_pair(a, b))
+            slopes[:, self.n_interest :] = amplitudes[-1] * da + np.conj(amplitudes[-1]) * db
+        linear = np.hstack(columns)
+        value = linear @ theta[self.n_shape :] + (main if self.coefficients else 0.0)
+        return value, np.hstack([slopes, linear]), main
+
+    def started(self, q: FloatArray) -> FloatArray:
+        """theta (n,) with the amplitudes of least chi-square for *q* (n_shape,) [1]."""
+        n_amplitude = self.residual + (not self.coefficients) + (self.member == SECOND)
+        theta = np.concatenate([q, np.zeros(2 * n_amplitude)])
+        value, jacobian, _ = self.at(theta)
+        rows, side = (_real(part, self.curve.std) for part in (jacobian[:, self.n_shape :], self.curve.values - value))
+        return np.concatenate([q, np.linalg.lstsq(rows, side, rcond=None)[0]]) if n_amplitude else theta
+
+    def fitted(self, theta: FloatArray) -> Fitted:
+        """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,).
+
+        FitError where there is no minimum.
+        """
+
+        def residual(x: FloatArray) -> FloatArray:
+            return _real(self.curve.values - self.at(x)[0], self.curve.std)
+
+        def jacobian(x: FloatArray) -> FloatArray:
+            return -_real(self.at(x)[1], self.curve.std)
+
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            try:
+                found = optimize.least_squares(residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                raise FitError(f"the fit has no minimum ({error})") from None
+        if not np.all(np.isfinite(found.x)):
+            raise FitError("the fit has no minimum")
+        return Fitted(self, np.asarray(found.x), float(2 * found.cost))
+
+
+def _pair(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+    """Columns (n_line, 2) of A a + A^* b by the real and the imaginary part of A."""
+    return np.column_stack([a + b, 1j * (a - b)])
+
+
+def _real(values: ComplexArray, std: FloatArray) -> FloatArray:
+    """sqrt(2) values / std as real rows (2 n_line, ...) [1]."""
+    scaled = np.sqrt(2) * (values.T / std).T
+    return np.concatenate([scaled.real, scaled.imag])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its minimum theta (n,), with chi-square [1]; *occam*: ln of prior over posterior volume of
+    what an extension adds.
+    """
+
+    model: ModeModel
+    theta: FloatArray
+    chi2: float
+    occam: float = 0.0
+
+    @property
+    def dof(self) -> int:
+        """2 lines - parameters."""
+        return 2 * self.model.curve.frequency.size - self.theta.size
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of noise alone, of what the model keeps, (n_kept, n_kept) [1]: (2 Re J^H S^-2 J)^-1."""
+        rows = _real(self.model.at(self.theta)[1], self.model.curve.std)
+        scale = np.linalg.norm(rows, axis=0)
+        inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
+        return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
+
+
+# Extensions of the model.
+
+
+def extensions(base: Fitted) -> Iterator[Fitted]:
+    """The ordinary fits of the named extensions that have one: a second mode, and a resonance that moves."""
+    found = _second_mode(base)
+    if found is not None:
+        yield found
+    zeta = base.model.frequency_and_damping(base.theta)[1]
+    n = base.model.n_interest
+    for law in MOVED:
+        model = replace(base.model, member=law)
+        best: Fitted | None = None
+        for share in (0.3, 0.8):
+            try:
+                fit = model.fitted(np.concatenate([base.theta[:n], [np.log(share * zeta)], base.theta[n:]]))
+            except FitError:
+                continue
+            # Longer than the resonance is wide, or shorter than it can be seen, is another model.
+            if 0.05 < np.exp(fit.theta[n]) / zeta < 3 and (best is None or fit.chi2 < best.chi2):
+                best = fit
+        if best is not None:
+            yield replace(best, occam=0.5 * np.log(2 * np.pi) - np.log(3.5))
+
+
+def half_width(model: ModeModel, q: FloatArray) -> float:
+    """The half-power width B = 2 zeta f_n [Hz] at *q* (n,) [1], at least two lines and at most the band."""
+    f_n, zeta = model.frequency_and_damping(q)
+    spacing = float(np.median(np.diff(model.curve.frequency)))
+    return float(np.clip(2 * zeta * f_n, 2 * spacing, model.curve.width))
+
+
+def _second_mode(base: Fitted) -> Fitted | None:
+    """The fit with one more mode in the band, from the two best of PLACES.
+
+    None where there is none like the first.
+    """
+    model, n = replace(base.model, member=SECOND), base.model.n_interest
+    f_n, zeta = base.model.frequency_and_damping(base.theta)
+    frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
+    value, jacobian, _ = base.model.at(base.theta)
+    rows, side = _real(jacobian, base.model.curve.std), _real(base.model.curve.values - value, base.model.curve.std)
+    basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
+    places = np.linspace(frequency[0], frequency[-1], PLACES)
+    gains = []
+    for place in places:
+        a, _, b_, _ = ModeModel(base.model.curve)._with_conjugate(np.log([place, zeta]))
+        pair = _real(_pair(a, b_), base.model.curve.std)
+        pair = pair - basis @ (basis.T @ pair)
+        gains.append(float(side @ pair @ np.linalg.lstsq(pair.T @ pair, pair.T @ side, rcond=None)[0]))
+    order = np.argsort(gains)[::-1]
+    chosen = [order[0], *[i for i in order if abs(places[i] - places[order[0]]) >= b][:1]]
+    fits = []
+    for i in chosen:
+        q = np.concatenate([base.theta[:n], np.log([places[i], zeta])])
+        try:
+            fits.append(_nearest_first(model.fitted(model.started(q)), f_n))
+        except FitError:
+            continue
+    if not fits:
+        return None
+    best = min(fits, key=lambda fit: fit.chi2)
+    f_2, zeta_2 = np.exp(best.theta[n : n + 2])
+    moved = abs(np.log(model.frequency_and_damping(best.theta)[0] / f_n))
+    damping = model.frequency_and_damping(best.theta)[1]
+    if not frequency[0] <= f_2 <= frequency[-1] or not 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING or moved >= 2 * zeta:
+        return None
+    own = 1 / (2 * np.sqrt(_k_and_m(model, best.theta))) if model.coefficients else abs(complex(*best.theta[n + 2 : n + 4]))
+    t2 = (0.3 * own) ** 2 / 2
+    size = abs(complex(*best.theta[-2:])) ** 2
+    occam = 2 * np.log(2 * np.pi) - np.log(base.model.curve.width / f_2) - np.log(2 * np.log(4)) - np.log(2 * np.pi * t2)
+    return replace(best, occam=float(occam - min(size / (2 * t2), 20.0)))
+
+
+def _k_and_m(model: ModeModel, theta: FloatArray) -> float:
+    return float(np.exp(theta[0]) * (np.exp(theta[2]) if model.mass is None else model.mass))
+
+
+def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
+    """The same two modes, the one that is nearer to the old pole first.
+
+    Of coefficients the first mode is the one with them.
+    """
+    theta = fit.theta.copy()
+    if fit.model.coefficients or abs(theta[2] - np.log(f_n)) >= abs(theta[0] - np.log(f_n)):
+        return fit
+    theta[:2], theta[2:4] = fit.theta[2:4], fit.theta[:2]
+    theta[4:6], theta[-2:] = fit.theta[-2:], fit.theta[4:6]
+    return replace(fit, theta=theta)

@@ -1,0 +1,254 @@
+"""What a fit of one FRF states where its residual is not noise: values and intervals that include the model error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.derived import is_corrected
+from labpipe.estimation.discrepancy import NORMAL, Mixture, mixture
+from labpipe.estimation.linear_models import PER_MASS
+from labpipe.estimation.measured import Measured
+from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
+from labpipe.estimation.model import DynamicModel, FittedModel
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.transfer_mode import TransferMode
+from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
+from labpipe.records.identification import Fit
+
+# Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths on either side.
+MOST_LINES, REACH = 400, 8.0
+# Lines in a half-power width that averaging leaves.
+LINES_IN_WIDTH = 8
+FEWEST_NEAR = 60
+# What a type of discrepancy, or a member of the ladder, is in words.
+WORDS = {"a": "other modes", "m": "gain curve", "z": "stiffness law or drift", "n": "noise larger than measured"}
+SECOND_MODE, MOVED_FREQUENCY, NOISE = "second mode", "moved frequency", "noise"
+APART = "not the same from point to point: what moves loads the structure"
+# Share from which a cause is named beside the first one.
+NAMED = 0.25
+
+
+@dataclass(frozen=True)
+class StatedRow:
+    """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset; *log*: of its logarithm."""
+
+    row: FloatArray
+    offset: float = 0.0
+    log: bool = True
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """The mixture of a fit, and its parameters by name as rows of it.
+
+    apart: mean and ends of the logarithm of parameters that differ from point to point, which count where they are the longer.
+    """
+
+    mixture: Mixture
+    rows: dict[str, StatedRow]
+    apart: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    @property
+    def discrepancy(self) -> Discrepancy:
+        """What explains the residual, by shares of the evidence."""
+        shares: dict[str, float] = {}
+        for name, share in self.mixture.shares.items():
+            cause = _cause(name)
+            shares[cause] = shares.get(cause, 0.0) + share
+        ordered = dict(sorted(shares.items(), key=lambda pair: -pair[1]))
+        second = self.mixture.second if SECOND_MODE in shares else None
+        return Discrepancy({name: round(share, 6) for name, share in ordered.items() if share >= 1e-6}, second)
+
+    @property
+    def reason(self) -> str:
+        """The causes that the evidence names, in words; the first one, and others of a share above NAMED."""
+        shares = {name: share for name, share in self.discrepancy.shares.items() if name != NOISE}
+        named = [name for number, (name, share) in enumerate(shares.items()) if not number or share > NAMED]
+        return " or ".join(self._worded(name) for name in named)
+
+    @property
+    def likely(self) -> str:
+        """The reason of the mode as a whole: points that disagree come before any other."""
+        return APART if self.apart else self.reason
+
+    def _worded(self, cause: str) -> str:
+        if cause == SECOND_MODE and self.mixture.second is not None:
+            return f"second mode at {self.mixture.second:.5g} Hz"
+        if cause == MOVED_FREQUENCY and self.mixture.motion is not None:
+            return f"frequency moved by {100 * self.mixture.motion:.2g} %"
+        return cause
+
+    def growth_of(self, name: str) -> float:
+        """By how much the interval of a parameter exceeds that of noise [1]."""
+        row = self.rows[name].row
+        _, low, high = self.mixture.stated(row)
+        return float((high - low) / (2 * NORMAL * np.sqrt(row @ self.mixture.noise @ row)))
+
+    def stated(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+        """The parameters with values and intervals of the mixture; those that it does not tell keep their value, without an interval.
+
+        The value is the mixture's mean: an interval around another value would not hold it. std_error stays that of noise.
+        """
+        return tuple(self._stated(parameter) for parameter in parameters)
+
+    def _stated(self, parameter: Parameter) -> Parameter:
+        row = self.rows.get(parameter.name)
+        if row is None:
+            return replace(parameter, ci95=None, significant=None, t_ratio=None) if parameter.std_error else parameter
+        centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
+        reason, apart = self.reason, self.apart.get(parameter.name)
+        if apart is not None and apart[2] - apart[1] > high - low:
+            (centre, low, high), reason = apart, APART
+        noise = float(np.sqrt(row.row @ self.mixture.noise @ row.row))
+        if row.log:
+            # The sign of the fit: coefficients of a sensor of the wrong sign are negative together.
+            sign = -1.0 if parameter.value < 0 else 1.0
+            centre, low, high = (sign * float(np.exp(end)) for end in (centre, low, high))
+            low, high, noise = min(low, high), max(low, high), noise * abs(centre)
+        full = max((high - low) / (2 * NORMAL), noise)
+        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
+        return replace(
+            parameter,
+            value=centre,
+            std_error=noise,
+            std_error_inflated=full,
+            ci95=(low, high),
+            t_ratio=None if parameter.t_ratio is None else centre / full,
+            significant=None if parameter.significant is None else not low <= 0 <= high,
+            interval=parts,
+            reason=reason,
+            discrepancy=self.discrepancy,
+            fitted=parameter.value,
+        )
+
+
+def _cause(share: str) -> str:
+    """The cause of a share such as "Ja", "a", "+am" or "none"."""
+    if share == "none":
+        return NOISE
+    if share.startswith(SECOND):
+        return SECOND_MODE
+    if share[0] in MOVED:
+        return MOVED_FREQUENCY
+    return WORDS[share.lstrip("+")[0]]
+
+
+def model_error(measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings) -> ModelError | None:
+    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None where it is of another kind.
+
+    The noise is the measured one; where it is not known, that of neighbouring lines of the residual: the scatter of its second
+    differences. None too where the band is too narrow for its width, and for random data whose
+    leakage the fit models.
+    """
+    if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
+        return None
+    built = None if is_corrected(settings) else _mode_of(model, values)
+    if built is None:
+        return None
+    h = measured.matrix[:, 0, 0]
+    if measured.covariance is not None and np.all(measured.covariance[:, 0, 0].real > 0):
+        std = np.sqrt(measured.covariance[:, 0, 0].real)
+    else:
+        residual = h - model.receptance(values, measured.omega)[:, 0, 0]
+        scatter = np.mean(np.abs(np.diff(residual, 2)) ** 2) / 6
+        std = np.full(h.size, np.sqrt(scatter)) if scatter > 0 else np.zeros(h.size)
+    if not np.all(std > 0):
+        return None
+    curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))
+    try:
+        placed = replace(built.mode, curve=_thinned(curve, built.mode, built.start))
+        return ModelError(mixture(placed.fitted(placed.started(built.start))), built.rows)
+    except (FitError, np.linalg.LinAlgError):
+        return None
+
+
+@dataclass(frozen=True)
+class _Built:
+    """A mode without its curve, the shape parameters (n_shape,) to start from, what its parameters are, and the *force* that h is over."""
+
+    mode: ModeModel
+    start: FloatArray
+    rows: dict[str, StatedRow]
+    force: float = 1.0
+
+
+# Replaced by that of the measurement.
+_NO_CURVE = Curve(np.arange(2.0), np.zeros(2, np.complex128), np.ones(2))
+
+
+def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
+    """The mode that a model is, None where it is another: several coefficients, a law of damping, signs without a resonance."""
+    by_name = dict(zip(model.names, map(float, values), strict=True))
+    if isinstance(model, TransferMode):
+        return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
+    if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
+        return None
+    names = {letter: next((name for name in (letter, PER_MASS[letter][0]) if name in by_name), "") for letter in "kc"}
+    free = "m" in by_name
+    if set(by_name) != {*names.values(), *(["m"] if free else [])} or "" in names.values():
+        return None
+    constant = model.constant
+    if np.any(constant.stiffness) or np.any(constant.damping) or not np.any(constant.force):
+        return None
+    sign = float(np.sign(by_name[names["k"]]))
+    mass = None if free else sign * float(constant.mass[0, 0])
+    numbers = sign * np.array([by_name[names["k"]], by_name[names["c"]], *([by_name["m"]] if free else [])])
+    if np.any(numbers <= 0) or (mass is not None and mass <= 0):
+        return None
+    mode = ModeModel(_NO_CURVE, coefficients=True, residual=0, mass=mass)
+    unit = np.eye(mode.n_interest)
+    rows = {names["k"]: StatedRow(unit[0]), names["c"]: StatedRow(unit[1])}
+    if free:
+        rows |= {"m": StatedRow(unit[2]), "modal_constant": StatedRow(-unit[2])}
+    rows |= {name: StatedRow(row, offset) for name, row, offset in zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)}
+    return _Built(mode, np.log(numbers), rows, sign * float(constant.force[0, 0]))
+
+
+def _transfer(by_name: dict[str, float]) -> _Built:
+    """Of R / (s - lambda) + conj.: A + j B = 2 j w_d R."""
+    w_d = 2 * np.pi * by_name["f_n"] * float(np.sqrt(max(1 - by_name["zeta"] ** 2, 0.0)))
+    unit = np.eye(6)
+    rows = {"f_n": StatedRow(unit[0]), "zeta": StatedRow(unit[1])}
+    rows["modal_constant"] = StatedRow(-2 * w_d * unit[3], log=False)
+    rows["modal_constant_quadrature"] = StatedRow(2 * w_d * unit[2], log=False)
+    rows |= {name: StatedRow(unit[number], log=False) for number, name in ((4, "residual_re"), (5, "residual_im"))}
+    return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
+
+
+def _thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
+    """At most about MOST_LINES lines: those around the resonance, then means of neighbours as far as these leave its peak as it is."""
+    if curve.frequency.size <= MOST_LINES:
+        return curve
+    f_n, zeta = mode.frequency_and_damping(start)
+    near = np.abs(curve.frequency - f_n) <= REACH * 2 * zeta * f_n
+    if np.count_nonzero(near) >= FEWEST_NEAR:
+        curve = Curve(curve.frequency[near], curve.values[near], curve.std[near])
+    spacing = float(np.median(np.diff(curve.frequency)))
+    together = min(curve.frequency.size // MOST_LINES + 1, int(2 * zeta * f_n / (LINES_IN_WIDTH * spacing)))
+    if together < 2:
+        return curve
+    groups = curve.frequency[: curve.frequency.size // together * together].reshape(-1, together)
+    values, std = (part[: groups.size].reshape(-1, together) for part in (curve.values, curve.std))
+    return Curve(groups.mean(axis=1), values.mean(axis=1), np.sqrt(np.sum(std**2, axis=1)) / together)
+
+
+def with_interval_parts(fit: Fit) -> Fit:
+    """The fit with the parts of every interval: what is neither noise nor given numbers is model error."""
+    return replace(fit, parameters=tuple(_with_parts(parameter) for parameter in fit.parameters))
+
+
+def _with_parts(parameter: Parameter) -> Parameter:
+    noise, systematic = parameter.std_error, parameter.systematic or 0.0
+    if noise is None or parameter.ci95 is None:
+        return parameter
+    repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
+    full = parameter.full_error or noise
+    rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
+    # What rounding leaves of equal squares is no model error.
+    discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
+    return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))
