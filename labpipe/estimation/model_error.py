@@ -152,7 +152,8 @@ def model_error(measured: Measured, model: FittedModel, values: FloatArray, sett
         return None
     h = measured.matrix[:, 0, 0]
     if measured.covariance is not None and np.all(measured.covariance[:, 0, 0].real > 0):
-        std = np.sqrt(measured.covariance[:, 0, 0].real)
+        # Of what is common to neighbouring lines, as a course is.
+        std = np.sqrt(measured.shared_noise * measured.covariance[:, 0, 0].real)
     else:
         residual = h - model.receptance(values, measured.omega)[:, 0, 0]
         scatter = np.mean(np.abs(np.diff(residual, 2)) ** 2) / 6

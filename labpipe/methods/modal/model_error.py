@@ -134,7 +134,7 @@ def _noise(measured: Measured, estimate: ModalEstimate) -> FloatArray:
     if measured.covariance is not None and not estimate.unused:
         variance = np.einsum("lii->li", measured.covariance).real
         if np.all(variance > 0):
-            return np.sqrt(variance)
+            return np.sqrt(measured.shared_noise * variance)
     residual = (measured.matrix - estimate.fitted).reshape(n_line, -1)
     scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0) / 6
     if not np.all(scatter > 0):
