@@ -27,7 +27,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import DatasetIndex, Failed, Fit, Identification, RuleOutcome
 from labpipe.records.recording import Channel
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.sections import section, sections
 
@@ -289,7 +289,7 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         outputs=tuple(Port(**port) for port in entry["outputs"]),
         inputs=tuple(Port(**port) for port in entry["inputs"]),
         form=entry["form"],
-        covariance=None if variance is None else uncorrelated(np.array(variance, np.float64)),
+        covariance=None if variance is None else BlockCovariance.uncorrelated(np.array(variance, np.float64)),
         **optional,
         open_loop=record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
         snr_channels=tuple(entry["snr_channels"]),

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.artefacts.parquet import as_written, numpy_array, read_header, read_table, write_columns
 from labpipe.records.recording import Channel
-from labpipe.records.response import Blocks, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
@@ -35,10 +35,8 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
             columns.update({f"{output.label}/{port.label}{suffix}": values for suffix, values in _element(response, o, i)})
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
-    if response.covariance is not None:
-        for p, q in _upper(response.covariance.shape[1]):
-            columns[f"cov:{p}:{q}:re"] = response.covariance[:, p, q].real
-            columns[f"cov:{p}:{q}:im"] = response.covariance[:, p, q].imag
+    for p, q in _stored_pairs(response.stored_covariance):
+        columns |= _parts(f"cov:{p}:{q}", response.covariance_of(p, q))
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
     write_columns(path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings))
@@ -78,8 +76,17 @@ def _upper(n: int) -> Iterator[tuple[int, int]]:
     return ((p, q) for p in range(n) for q in range(p, n))
 
 
+def _stored_pairs(covariance: StoredCovariance) -> Iterator[tuple[int, int]]:
+    """The pairs of elements whose covariance is written: those of one block where it lies in blocks, all otherwise."""
+    if covariance is None:
+        return iter(())
+    if isinstance(covariance, BlockCovariance):
+        return ((int(members[j]), int(members[k])) for members in covariance.elements for j, k in _upper(members.size))
+    return _upper(covariance.shape[1])
+
+
 def _contents(response: FrequencyResponse) -> dict[str, Any]:
-    dof = response.covariance_dof
+    dof, held = response.covariance_dof, response.stored_covariance
     return {
         "name": response.name,
         "form": response.form,
@@ -90,6 +97,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         # A number where it is real, as files have always had it; real and imaginary part of a complex one.
         "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
+        **({"covariance_blocks": held.elements.tolist()} if isinstance(held, BlockCovariance) else {}),
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
@@ -122,7 +130,7 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         outputs=outputs,
         inputs=inputs,
         form=contents["form"],
-        covariance=_covariance(columns, len(outputs) * len(inputs)),
+        covariance=_covariance(columns, len(outputs) * len(inputs), contents.get("covariance_blocks")),
         **by_element,
         change=_complex(columns, pairs, "change"),
         open_loop=_complex(columns, pairs, "open_loop"),
@@ -166,15 +174,19 @@ def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], uncertaintie
     )
 
 
-def _covariance(columns: dict[str, FloatArray], n: int) -> ComplexArray | None:
-    """The Hermitian covariance from its stored upper triangle."""
+def _covariance(columns: dict[str, FloatArray], n: int, elements: list[list[int]] | None) -> StoredCovariance:
+    """The Hermitian covariance from its stored upper triangle, or from those of its blocks of *elements*."""
     if "cov:0:0:re" not in columns:
         return None
-    covariance = np.empty((columns["frequency_hz"].size, n, n), np.complex128)
-    for p, q in _upper(n):
-        covariance[:, p, q] = columns[f"cov:{p}:{q}:re"] + 1j * columns[f"cov:{p}:{q}:im"]
-        covariance[:, q, p] = covariance[:, p, q].conj()
-    return covariance
+    n_line = columns["frequency_hz"].size
+    members = np.array(elements or [list(range(n))], np.intp)
+    blocks = np.empty((n_line, *members.shape, members.shape[1]), np.complex128)
+    for number, block in enumerate(members):
+        for j, k in _upper(block.size):
+            name = f"cov:{block[j]}:{block[k]}"
+            blocks[:, number, j, k] = columns[f"{name}:re"] + 1j * columns[f"{name}:im"]
+            blocks[:, number, k, j] = blocks[:, number, j, k].conj()
+    return BlockCovariance(members, handed_over(blocks)) if elements else blocks[:, 0]
 
 
 # ``*.spectra.parquet``: the spectra of all channels of one test, a row per line, with their covariance.

@@ -318,7 +318,7 @@ def _low_coherence(what: str) -> Finding:
 
 def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one that follows the curve."""
-    if response.covariance is not None:
+    if response.stored_covariance is not None:
         return []
     message = (
         "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be checked: a high G.o.F alone "

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.leakage import Leakage, SharedNoise
-from labpipe.records.response import Blocks, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, HeldCovariance, Port, StoredCovariance
 from labpipe.records.uncertain import MatrixError
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
@@ -33,7 +33,7 @@ class Measured:
 
     omega: FloatArray
     matrix: ComplexArray
-    covariance: ComplexArray | None
+    covariance: HeldCovariance = HeldCovariance()
     noise_dof: float
     noise_lines: float
     outputs: tuple[Port, ...]
@@ -47,6 +47,22 @@ class Measured:
     offset: FloatArray | None = None
     blocks: Blocks | None = None
     errors: tuple[MatrixError, ...] = ()
+
+    @property
+    def stored_covariance(self) -> StoredCovariance:
+        """The covariance as it is held: whole, in factors or in blocks [m^2/N^2]."""
+        covariance: StoredCovariance = self.__dict__["covariance"]
+        return covariance
+
+    @property
+    def variance(self) -> FloatArray | None:
+        """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None; does not make the covariance whole."""
+        covariance = self.stored_covariance
+        if covariance is None:
+            return None
+        if isinstance(covariance, np.ndarray):
+            return np.asarray(np.einsum("lii->li", covariance).real)
+        return covariance.variance.reshape(self.omega.size, -1)
 
     def plus_offset(self, receptance: ComplexArray) -> ComplexArray:
         """What a sensor shows of a *receptance* (n_line, n_output, n_input) [m/N] of the model."""
@@ -93,10 +109,7 @@ def measured_part(
         raise FitError(f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz")
     matrix = (response.matrix[lines][:, rows][:, :, columns] - view.offset) / factor[:, None, None]
     _check_moving(matrix, [response.outputs[row].label for row in rows])
-    covariance = None
-    if response.covariance is not None:
-        index = [row * len(response.inputs) + column for row in rows for column in columns]
-        covariance = response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
+    covariance = _chosen_covariance(response, [row * len(response.inputs) + column for row in rows for column in columns], lines, factor)
     dof = response.covariance_dof
     # A single line has averages - 1 degrees of freedom; any beyond these come from its neighbours.
     noise_lines = max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
@@ -126,6 +139,17 @@ def measured_part(
             replace(error, change=error.change[lines][:, rows][:, :, columns] / factor[:, None, None]) for error in response.errors
         ),
     )
+
+
+def _chosen_covariance(response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray) -> StoredCovariance:
+    """The covariance of the elements *index* on the chosen lines over |factor|^2; in blocks where that of the response is."""
+    held = response.stored_covariance
+    if isinstance(held, BlockCovariance):
+        return held.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
+    if response.covariance is None:
+        return None
+    covariance: ComplexArray = response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
+    return covariance
 
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:

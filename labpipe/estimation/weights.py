@@ -194,10 +194,8 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
 
 def has_noise(measured: Measured) -> bool:
     """True if the FRF has a measured covariance above rounding."""
-    if measured.covariance is None:
-        return False
-    variance = np.einsum("lii->li", measured.covariance).real
-    return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
+    variance = measured.variance
+    return variance is not None and bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
 
 
 def equal_weights(measured: Measured) -> ComplexArray:

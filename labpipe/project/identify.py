@@ -22,6 +22,7 @@ from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.tests import Test
 from labpipe.project.work import COMPARE_PREFIX, Work
 from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.records.response import shown_part
 from labpipe.sections import section
 
 # What a result is fresh by.
@@ -65,7 +66,7 @@ def identify_stage(
         fits=tuple(work.fits),
         title=pipeline.title,
         pipeline=pipeline.path.name,
-        responses=tuple(work.responses),
+        responses=tuple(shown_part(response) for response in work.responses),
         spectra=tuple(work.spectra),
         outcomes=judge(pipeline.rules, work.fits, records, incomplete=bool(work.failed)),
         failed=tuple(work.failed),

@@ -123,7 +123,8 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
     if kind is not None:
         measured = kind.read(path)
     elif path.name.endswith(RESPONSE_SUFFIX) and path.is_file():
-        measured = read_response(path)
+        response = read_response(path)
+        return response.renamed(name or response.name, conditions or response.conditions)
     else:
         return _load_response(path, name, conditions)
     return dataclasses.replace(measured, name=name or measured.name, conditions=conditions or measured.conditions)

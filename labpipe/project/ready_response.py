@@ -49,7 +49,7 @@ def load_response(path: Path, name: str = "", conditions: dict[str, str] | None 
     except DataError as error:
         error.where = error.where or str(path)
         raise
-    return dataclasses.replace(response, name=name or response.name, conditions=conditions or response.conditions)
+    return response.renamed(name or response.name, conditions or response.conditions)
 
 
 def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:

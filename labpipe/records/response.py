@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen_array
 from labpipe.errors import DataError
-from labpipe.records.finding import Finding
+from labpipe.records.finding import Finding, note
 from labpipe.records.text import VIEWS, response_line
 from labpipe.records.uncertain import ChannelUncertainty, MatrixError, as_uncertainties
 
@@ -70,21 +71,100 @@ class FactoredCovariance:
         return covariance
 
 
+@dataclass(frozen=True)
+class BlockCovariance:
+    """Covariance of vec(H) in independent blocks: cov(H_elements[b, j], H_elements[b, k]) = blocks[line, b, j, k], 0 between blocks.
+
+    *elements* (n_block, m), each of the n_block * m elements of vec(H) once; *blocks* (n_line, n_block, m, m) [unit^2 of H], Hermitian.
+    Columns measured one after the other, as by a roving hammer, have independent errors: of 79 points and 3 sensors these are 711
+    numbers per line, the whole matrix has 56169.
+    """
+
+    elements: IntArray
+    blocks: ComplexArray
+
+    def __post_init__(self) -> None:
+        n_block, m = self.elements.shape
+        frozen = frozen_array(self.blocks, np.complex128, "covariance of the columns", (len(self.blocks), n_block, m, m))
+        object.__setattr__(self, "blocks", frozen)
+
+    @classmethod
+    def uncorrelated(cls, variance: FloatArray) -> BlockCovariance:
+        """Every element a block of its own; *variance* (n_line, n_output, n_input) [unit^2 of H]."""
+        flat = np.asarray(variance, np.complex128).reshape(len(variance), -1)
+        return cls(np.arange(flat.shape[1])[:, None], flat[:, :, None, None])
+
+    def check_shape(self, shape: tuple[int, ...]) -> None:
+        """DataError unless the whole covariance has this *shape* (n_line, n, n)."""
+        if self.shape != shape:
+            raise DataError(f"covariance has the shape {self.shape}, {shape} is needed")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(n_line, n, n) of the whole covariance."""
+        return (self.blocks.shape[0], self.elements.size, self.elements.size)
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Block and place in the block of every element, (n, 2)."""
+        places = np.empty((self.elements.size, 2), np.intp)
+        places[self.elements.ravel()] = np.argwhere(self.elements >= 0)
+        return places
+
+    def element(self, p: int, q: int) -> ComplexArray:
+        """The covariance of elements *p* and *q* of vec(H), row-major, (n_line,) [unit^2 of H]."""
+        (b, j), (other, k) = self._places[p], self._places[q]
+        element: ComplexArray = self.blocks[:, b, j, k] if b == other else np.zeros(self.blocks.shape[0], np.complex128)
+        return element
+
+    @property
+    def variance(self) -> FloatArray:
+        """E|H - E H|^2 of every element of vec(H), (n_line, n) [unit^2 of H]."""
+        diagonal = np.einsum("lbjj->lbj", self.blocks).real
+        return np.asarray(diagonal[:, self._places[:, 0], self._places[:, 1]])
+
+    def chosen(self, lines: BoolArray, index: Sequence[int]) -> BlockCovariance:
+        """That of the elements *index*, which are the new vec(H), on the *lines* (n_frequency,), of rows and columns of the matrix."""
+        place = np.full(self.elements.size, -1, np.intp)
+        place[list(index)] = np.arange(len(index))
+        new = place[self.elements]
+        left = np.any(new >= 0, axis=1)
+        inside = np.argsort(new[left], axis=1)[:, np.count_nonzero(new[left] < 0, axis=1).max(initial=0) :]
+        numbers = np.flatnonzero(left)[:, None, None]
+        blocks = self.blocks[lines][:, numbers, inside[:, :, None], inside[:, None, :]]
+        return BlockCovariance(np.take_along_axis(new[left], inside, axis=1), blocks)
+
+    def times(self, factor: ComplexArray) -> BlockCovariance:
+        """That of the elements times *factor* (n_line, n) [any unit]."""
+        by_block = factor[:, self.elements]
+        return BlockCovariance(self.elements, self.blocks * by_block[..., None] * by_block[..., None, :].conj())
+
+    def whole(self) -> ComplexArray:
+        """The covariance of vec(H), row-major, (n_line, n, n) [unit^2 of H]."""
+        covariance = np.zeros(self.shape, np.complex128)
+        covariance[:, self.elements[:, :, None], self.elements[:, None, :]] = self.blocks
+        return covariance
+
+
+# What a covariance may be given as, so that it is made whole only where somebody asks for it.
+StoredCovariance = ComplexArray | FactoredCovariance | BlockCovariance | None
+
+
 class HeldCovariance:
-    """An attribute that is given as a whole array (n_line, n, n), in factors, or as None, and read as an array, which is made once."""
+    """An attribute that is given as a whole array (n_line, n, n), in parts, or as None, and read as an array, which is made once."""
 
     def __get__(self, instance: object | None, owner: type) -> ComplexArray | None:
         if instance is None:
             # The default of a data class.
             return None
-        covariance: ComplexArray | FactoredCovariance | None = instance.__dict__["covariance"]
-        if isinstance(covariance, FactoredCovariance):
+        covariance: StoredCovariance = instance.__dict__["covariance"]
+        if isinstance(covariance, FactoredCovariance | BlockCovariance):
             covariance = covariance.whole()
             covariance.flags.writeable = False
             instance.__dict__["covariance"] = covariance
         return covariance
 
-    def __set__(self, instance: object, value: ComplexArray | FactoredCovariance | None) -> None:
+    def __set__(self, instance: object, value: StoredCovariance) -> None:
         instance.__dict__["covariance"] = value
 
 
@@ -217,7 +297,7 @@ class FrequencyResponse:
                 raise DataError(f"the change of '{self.name}' by {error.uncertainty.source} has the shape {error.change.shape}")
         for attribute, (dtype, shape) in shapes.items():
             values = self.__dict__[attribute]
-            if isinstance(values, FactoredCovariance):
+            if isinstance(values, FactoredCovariance | BlockCovariance):
                 values.check_shape(shape)
             elif values is not None:
                 object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
@@ -229,6 +309,13 @@ class FrequencyResponse:
         """The response with more findings; nothing else is made or checked again."""
         response = copy.copy(self)
         object.__setattr__(response, "findings", (*self.findings, *findings))
+        return response
+
+    def renamed(self, name: str, conditions: dict[str, Any]) -> FrequencyResponse:
+        """The response under another *name* and *conditions*; nothing else is made or checked again."""
+        response = copy.copy(self)
+        object.__setattr__(response, "name", name)
+        object.__setattr__(response, "conditions", conditions)
         return response
 
     def to_frame(self) -> Any:
@@ -244,22 +331,68 @@ class FrequencyResponse:
         return int(self.frequency.size)
 
     @property
+    def stored_covariance(self) -> StoredCovariance:
+        """The covariance as it is held: whole, in factors or in blocks [unit^2 of H]."""
+        covariance: StoredCovariance = self.__dict__["covariance"]
+        return covariance
+
+    @property
     def variance(self) -> FloatArray | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input) [unit^2 of H], or None."""
-        covariance = self.__dict__["covariance"]
+        covariance = self.stored_covariance
         if covariance is None:
             return None
-        if isinstance(covariance, FactoredCovariance):
-            return covariance.variance
+        if isinstance(covariance, FactoredCovariance | BlockCovariance):
+            return covariance.variance.reshape(self.matrix.shape)
         return np.asarray(np.einsum("fii->fi", covariance).real.reshape(self.matrix.shape))
 
     def covariance_of(self, p: int, q: int) -> ComplexArray:
         """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H]; DataError where none is known."""
-        covariance = self.__dict__["covariance"]
+        covariance = self.stored_covariance
         if covariance is None:
             raise DataError(f"the covariance of '{self.name}' is not known")
-        element: ComplexArray = covariance.element(p, q) if isinstance(covariance, FactoredCovariance) else covariance[:, p, q]
+        element: ComplexArray = covariance[:, p, q] if isinstance(covariance, np.ndarray) else covariance.element(p, q)
         return element
+
+
+# A matrix of more numbers than this stands in its own file only: a result shows as many elements of it as have so many numbers.
+MOST_STORED, SHOWN = 100_000, 10_000
+
+
+def shown_ports(n_line: int, n_output: int, n_input: int) -> tuple[list[int], list[int]] | None:
+    """Rows and columns, evenly spaced, of a matrix (n_line, n_output, n_input) too large for a result; None where it is not."""
+    if n_line * n_output * n_input <= MOST_STORED:
+        return None
+    fewer, more = sorted((n_output, n_input))
+    left = np.unique(np.linspace(0, more - 1, max(1, SHOWN // (n_line * fewer))).astype(int)).tolist()
+    return (list(range(n_output)), left) if n_output <= n_input else (left, list(range(n_input)))
+
+
+def shown_part(response: FrequencyResponse) -> FrequencyResponse:
+    """What a result shows of a response: all of it, or some elements with their variances and a note where that would be too much."""
+    ports = shown_ports(*response.matrix.shape)
+    if ports is None:
+        return response
+    rows, columns = ports
+
+    def part(values: Any) -> Any:
+        return None if values is None else values[..., rows, :][..., columns]
+
+    variance, multiple = response.variance, response.multiple_coherence
+    n = len(response.outputs) * len(response.inputs)
+    message = f"the result shows {len(rows) * len(columns)} of {n} elements of the FRF; all of them stand in its own file"
+    names = ("matrix", "coherence", "partial_coherence", "distortion", "change", "open_loop", "line_gains")
+    parts = {name: part(getattr(response, name)) for name in names}
+    return replace(
+        response,
+        **parts,
+        outputs=tuple(response.outputs[row] for row in rows),
+        inputs=tuple(response.inputs[column] for column in columns),
+        covariance=None if variance is None else BlockCovariance.uncorrelated(part(variance)),
+        multiple_coherence=None if multiple is None else multiple[:, rows],
+        errors=tuple(MatrixError(error.uncertainty, part(error.change)) for error in response.errors),
+        findings=(*response.findings, note("part-shown", message)),
+    )
 
 
 def uncorrelated(variance: FloatArray) -> ComplexArray:

@@ -16,6 +16,8 @@ from labpipe.spectra.matrices import without_rounding
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
+# Elements of a matrix that are corrected together.
+ELEMENTS = 16
 # Relative differences of the spacing of lines, which files print with six digits.
 EVEN = 1e-2
 
@@ -49,6 +51,14 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     lines = first[:, None] + np.arange(width)
     x = 1j * (lines - np.arange(n_line)[:, None])
     flat = matrix.reshape(n_line, -1)
+    # A few elements at a time: each takes some hundred numbers per line.
+    both = [_evaluated(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing)) for start in range(0, flat.shape[1], ELEMENTS)]
+    values, gains = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
+    return Undamped(values.reshape(matrix.shape), _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first))
+
+
+def _evaluated(flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float) -> tuple[ComplexArray, ComplexArray]:
+    """The local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n); *lines*, *x* (n_line, width)."""
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
@@ -56,15 +66,13 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     # Minimum-norm solution where the equations are rank deficient: a constant H has no pole.
     inverse = np.linalg.pinv(equations, rcond=1e-9)
     solution = np.einsum("fekl,fel->fek", inverse, neighbours.swapaxes(1, 2))
-    shift = -1 / (decay * spacing)
     denominator = 1 + solution[:, :, 3] * shift
     value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / denominator
     # An error dH of a neighbour changes the right side of its equation by (1 + b1 x) dH.
     slopes = np.stack([np.ones_like(value), shift * np.ones_like(value), shift**2 * np.ones_like(value), -shift * value], axis=2)
     errors = 1 + x[:, :, None] * solution[:, None, :, 3]
     gains = np.einsum("fek,fekl->fle", slopes / denominator[:, :, None], inverse) * errors
-    undamped = (value * np.where(size > 0, size, 1.0)).reshape(matrix.shape)
-    return Undamped(undamped, _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first))
+    return value * np.where(size > 0, size, 1.0), gains
 
 
 def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy import fft
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FactoredCovariance
+from labpipe.records.response import BlockCovariance, FactoredCovariance
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks
 from labpipe.spectra.covariance import ENOUGH_DOF
@@ -283,6 +283,12 @@ def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
     covariance = parts.covariance
     if isinstance(covariance, np.ndarray):
         covariance = covariance_without_damping(gains, covariance, correlation)
+    elif isinstance(covariance, BlockCovariance):
+        by_element = gains.reshape(*gains.shape[:2], -1)
+        blocks = np.empty_like(covariance.blocks)
+        for number, elements in enumerate(covariance.elements):
+            blocks[:, number] = covariance_without_damping(by_element[:, :, elements], covariance.blocks[:, number], correlation)
+        covariance = BlockCovariance(covariance.elements, handed_over(blocks))
     between = correlation_matrix(np.arange(gains.shape[1]), correlation)
     size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
     return dataclasses.replace(
@@ -298,4 +304,6 @@ def _selected(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
     by_line = {field.name: getattr(parts, field.name) for field in dataclasses.fields(parts)}
     arrays: dict[str, Any] = {name: values[chosen] for name, values in by_line.items() if isinstance(values, np.ndarray)}
+    if isinstance(parts.covariance, BlockCovariance):
+        arrays["covariance"] = dataclasses.replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
     return dataclasses.replace(parts, **arrays)

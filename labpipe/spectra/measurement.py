@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, Port, StoredCovariance
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import uncertainty_findings
@@ -140,11 +140,13 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
     return (*inputs, *outputs)
 
 
-def _corrected(covariance: ComplexArray | FactoredCovariance | None, factor: ComplexArray) -> ComplexArray | FactoredCovariance | None:
+def _corrected(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
     """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input); as it is where that is one."""
     if covariance is None or np.all(factor == 1):
         return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
+    if isinstance(covariance, BlockCovariance):
+        return covariance.times(flat)
     corrected: ComplexArray = (covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance) * flat[:, :, None]
     corrected *= flat[:, None, :].conj()
     return handed_over(corrected)

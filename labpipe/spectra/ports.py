@@ -15,7 +15,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import Blocks, FactoredCovariance, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.channels import check_in_time
@@ -55,6 +55,11 @@ class Layout:
         factor = inputs[:, None, :] / outputs[:, :, None]
         motion = (2j * np.pi * frequency[:, None, None]) ** -self.derivatives if self.derivatives else 1.0
         return np.asarray(factor * motion)
+
+    @property
+    def one_force_each(self) -> bool:
+        """Whether there are several forces of which one alone acts in every recording, as of a roving hammer."""
+        return len(self.inputs) > 1 and all(sum(column >= 0 for column in columns) == 1 for columns in self.input_columns)
 
     @property
     def derivatives(self) -> int:
@@ -217,13 +222,13 @@ LOW_COHERENCE = 0.9
 class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
-    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its factors; coherences and snr [1] as in
+    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts; coherences and snr [1] as in
     FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change, open_loop and blocks.
     """
 
     frequency: FloatArray
     matrix: ComplexArray
-    covariance: ComplexArray | FactoredCovariance | None
+    covariance: StoredCovariance
     averages: float
     dof: float
     findings: tuple[Finding, ...] = ()
@@ -314,15 +319,18 @@ def _placed(responses: Sequence[FrequencyResponse], name: str, rows: dict[str, i
     return whole
 
 
-def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> ComplexArray | None:
-    """Covariance (n_frequency, n, n) [unit^2] of all elements, n = n_output n_input; None where a response has none."""
+def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> StoredCovariance:
+    """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are alike; None where one has none."""
+    covariances = [covariance for covariance in (response.covariance for response in responses) if covariance is not None]
+    if len(covariances) < len(responses):
+        return None
+    places = [np.array([rows[o.label] * len(columns) + columns[i.label] for o in part.outputs for i in part.inputs]) for part in responses]
+    if len({place.size for place in places}) == 1:
+        return BlockCovariance(np.array(places), np.stack(covariances, axis=1))
     n = len(rows) * len(columns)
     whole = np.zeros((responses[0].n_frequency, n, n), np.complex128)
-    for response in responses:
-        if response.covariance is None:
-            return None
-        place = np.array([rows[o.label] * len(columns) + columns[i.label] for o in response.outputs for i in response.inputs])
-        whole[:, place[:, None], place] = response.covariance
+    for place, covariance in zip(places, covariances, strict=True):
+        whole[:, place[:, None], place] = covariance
     return whole
 
 

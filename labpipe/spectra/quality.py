@@ -68,11 +68,16 @@ def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
 def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
     """DataError unless the forces with spectra (n_frequency, n_input, n_input) [N^2/Hz] are independent at every line."""
     scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
-    if np.any(scale == 0):
-        raise DataError("a force has no power at a line of the band", hint="narrow `band` to what is excited")
+    check_power(scale)
     if _worst_condition(s_uu / (scale[:, :, None] * scale[:, None, :])) > WORST_FORCE_CONDITION**2:
         names = ", ".join(port.label for port in layout.inputs)
         raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
+
+
+def check_power(power: FloatArray) -> None:
+    """DataError unless all forces have *power* (n_frequency, n_input) [any unit] at every line."""
+    if np.any(power == 0):
+        raise DataError("a force has no power at a line of the band", hint="narrow `band` to what is excited")
 
 
 def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
@@ -100,7 +105,12 @@ def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArra
     s_uu (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency, n_output, n_output).
     Equation (frf-coherence).
     """
-    power = np.einsum("foo->fo", s_yy).real[:, :, None] * np.einsum("fii->fi", s_uu).real[:, None, :]
+    return coherence_by_power(np.einsum("fii->fi", s_uu).real, s_yu, s_yy)
+
+
+def coherence_by_power(force_power: FloatArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
+    """ordinary_coherence (n_frequency, n_output, n_input) [1] from the *force_power* (n_frequency, n_input) [N^2/Hz] alone."""
+    power = np.einsum("foo->fo", s_yy).real[:, :, None] * force_power[:, None, :]
     return _clipped(_squared(s_yu), power)
 
 
@@ -112,17 +122,17 @@ def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray)
     return _clipped(_explained(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
 
-def partial_coherence(inverse_force: ComplexArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
+def partial_coherence(inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output, n_input) [1].
 
     gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and Piersol, Random
     Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
-    inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the other arguments as in multiple_coherence.
+    inverse_force: the diagonal of S_uu^-1, (n_frequency, n_input) [Hz/N^2]; the other arguments as in multiple_coherence.
     Equation (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
     explained = _squared(h1)
-    alone = np.einsum("fii->fi", inverse_force).real[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
+    alone = inverse_force[:, None, :] * np.maximum(residual, 0.0)[:, :, None]
     return _clipped(explained, explained + alone)
 
 

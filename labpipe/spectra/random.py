@@ -19,9 +19,8 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
-from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import Blocks, FactoredCovariance
+from labpipe.records.response import Blocks, StoredCovariance
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random
@@ -30,6 +29,7 @@ from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inve
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import check_forces, check_responses, multiple_coherence, ordinary_coherence, partial_coherence
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.single_forces import no_average_finding, parts_of_single_forces
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
 
@@ -236,6 +236,8 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     """
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
+    if settings.estimator == "H1" and layout.one_force_each:
+        return parts_of_single_forces(spectra, chosen, layout, half_width)
     matrix = at_lines(joined_spectra(spectra, layout), chosen)
     s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
     check_forces(s_uu, layout)
@@ -247,7 +249,7 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     averages = sum(spectrum.averages for spectrum in spectra)
     multiple = multiple_coherence(first, s_yu, s_yy)
     enough = averages > n_input + 1
-    covariance: FactoredCovariance | ComplexArray | None = None
+    covariance: StoredCovariance = None
     if enough and settings.estimator == "H1":
         covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
     elif enough:
@@ -259,10 +261,10 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         covariance=covariance,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
-        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else _no_average_finding(averages),
+        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
-        partial_coherence=partial_coherence(inverse_force, first, s_yu, s_yy) if n_input > 1 else None,
+        partial_coherence=partial_coherence(np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy) if n_input > 1 else None,
         line_correlation=spectra[0].line_correlation,
     )
 
@@ -304,8 +306,3 @@ def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) 
     matrix = np.zeros((spectra.frequency.size, n_channel, n_channel), np.complex128)
     matrix[:, np.array(columns)[:, None], columns] = spectra.matrix
     return replace(spectra, matrix=matrix)
-
-
-def _no_average_finding(averages: float) -> tuple[Finding, ...]:
-    message = f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record longer or shorten `block`"
-    return (Finding("no-covariance", message),)

@@ -23,6 +23,8 @@ from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import WelchAverage
 from labpipe.spectra.windows import window_values
 from tests.benchmarks.raw_files import WHOLE, bare, write_raw
+from tests.benchmarks.test_identify_ratios import cpu_time
+from tests.spectra.roving import hits
 
 RATE, BLOCK = 1024.0, 5120
 STEP = BLOCK // 2
@@ -152,3 +154,12 @@ def test_a_raw_file_to_its_frf_by_the_command_against_bare_read_and_bare_ffts(
     with capsys.disabled():
         print(f"\nRaw {kind} to FRF by the command: {own:.2f} times a bare read and the bare FFTs")
     assert own < most
+
+
+def test_a_roving_hammer_costs_in_proportion_to_its_hits(record_property) -> None:  # type: ignore[no-untyped-def]
+    """Time of 80 hits over that of 20: an exponent of 1 is in proportion."""
+    recordings, settings = hits(80, 3, 2048), FrfSettings(excitation="impact", block=0.5, band=(80.0, 1250.0))
+    few, many = (cpu_time(lambda some=recordings[:n]: measure(some, settings), 3) for n in (20, 80))
+    exponent = float(np.log(many / few) / np.log(4))
+    record_property("roving_hits_exponent", round(exponent, 2))
+    assert exponent < 1.3

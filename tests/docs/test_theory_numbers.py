@@ -101,7 +101,7 @@ def test_estimators_and_coherence() -> None:
     assert multiple_coherence(first, s_yu, s_yy)[0, 1] == pytest.approx(explained / s_yy[0, 1, 1].real)  # frf-multiple-coherence
     left = s_yy[0, 1, 1].real - explained
     own = abs(first[0, 1, 0]) ** 2
-    partial = partial_coherence(inverse, first, s_yu, s_yy)[0, 1, 0]
+    partial = partial_coherence(np.einsum("fii->fi", inverse).real, first, s_yu, s_yy)[0, 1, 0]
     assert partial == pytest.approx(own / (own + inverse[0, 0, 0].real * left))  # frf-partial-coherence
     q = np.linalg.inv(joint)
     assert partial == pytest.approx(abs(q[2, 0]) ** 2 / (q[2, 2] * q[0, 0]).real)

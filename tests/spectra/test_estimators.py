@@ -72,7 +72,7 @@ def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random
     y = H @ u + 0.7 * (rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400)))
     s_uu, s_yu, s_yy = (np.array([a @ b.conj().T]) for a, b in ((u, u), (y, u), (y, y)))
     inverse = np.linalg.inv(s_uu)
-    partial = partial_coherence(inverse, s_yu @ inverse, s_yu, s_yy)[0]
+    partial = partial_coherence(np.einsum("fii->fi", inverse).real, s_yu @ inverse, s_yu, s_yy)[0]
     for output in range(2):
         for force in range(2):
             other = u[1 - force]

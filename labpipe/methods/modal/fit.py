@@ -30,7 +30,7 @@ from labpipe.methods.modal.whole_covariance import MOST_ENTRIES, ModalEstimate, 
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, FrequencyResponse, Port, shown_ports
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 
@@ -285,8 +285,8 @@ def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
     """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each relative to its mean; else 1."""
     if not has_noise(measured):
         return np.ones(measured.omega.size)
-    assert measured.covariance is not None
-    variance = np.einsum("lii->li", measured.covariance).real * np.abs(factor[:, None]) ** 2
+    assert measured.variance is not None
+    variance = measured.variance * np.abs(factor[:, None]) ** 2
     return np.asarray(1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1)))
 
 
@@ -294,7 +294,11 @@ def _turned(measured: Measured) -> Measured:
     """Outputs and inputs exchanged: a linear structure answers alike (Maxwell and Betti)."""
     _, n_output, n_input = measured.matrix.shape
     order = np.arange(n_output * n_input).reshape(n_output, n_input).T.ravel()
-    covariance = None if measured.covariance is None else measured.covariance[:, order][:, :, order]
+    covariance = measured.stored_covariance
+    if isinstance(covariance, BlockCovariance):
+        covariance = covariance.chosen(np.ones(measured.omega.size, bool), order.tolist())
+    elif measured.covariance is not None:
+        covariance = measured.covariance[:, order][:, :, order]
     return replace(
         measured,
         matrix=measured.matrix.swapaxes(1, 2),
@@ -400,12 +404,17 @@ def _curve(form: str, sides: _Sides, estimate: ModalEstimate) -> FittedCurve:
     fitted, outputs, inputs = estimate.fitted, measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
     variance = None
-    if measured.covariance is not None:
-        variance = np.einsum("lii->li", measured.covariance).real.reshape(measured.matrix.shape) * np.abs(factor) ** 2
+    if measured.variance is not None:
+        variance = measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2
     shown, fitted = measured.matrix * factor, fitted * factor
     if sides.forces_move:
         shown, fitted, outputs, inputs = shown.swapaxes(1, 2), fitted.swapaxes(1, 2), inputs, outputs
         variance = None if variance is None else variance.swapaxes(1, 2)
+    if (ports := shown_ports(*shown.shape)) is not None:
+        rows, columns = ports
+        shown, fitted = shown[:, rows][:, :, columns], fitted[:, rows][:, :, columns]
+        variance = None if variance is None else variance[:, rows][:, :, columns]
+        outputs, inputs = tuple(outputs[row] for row in rows), tuple(inputs[column] for column in columns)
     return FittedCurve(
         frequency,
         shown,
