@@ -1,0 +1,232 @@
+"""The mean of repeats and its interval: what hits, decays, recordings or points that measure one quantity say together.
+
+y_i = mu + x_i beta + u_i + e_i: e_i noise of known variance v_i, u_i ~ (0, tau^2) between the repeats. The interval of mu holds both. It
+does not hold an error that all repeats share; the scatter of repeats cannot show that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from labpipe.arrays import BoolArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.statistics import student_limit
+
+# Repeats that stand out against the others. Below this number none can be told, below the second more is asked for.
+LEAST_FOR_OUTLIERS, FEW = 5, 8
+# Robust standard deviations beyond which a repeat stands out: of few repeats, and of more.
+FAR_OF_FEW, FAR = 7.0, 4.5
+# The median of |y - median| of normal values times this is their standard deviation.
+MAD_SCALE = 1.4826
+# Share of repeats outside above which they are no outliers but a second population.
+MOST_OUTSIDE = 0.25
+# Rounds of reweighting towards the least absolute deviations.
+ROUNDS = 50
+# Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures: 0.05-0.45).
+PRIOR_SCALE = 0.3
+# Points on which tau is integrated.
+N_TAU = 80
+# Repeats from which on a curvature over the covariate, and an order in time, can be seen, and their critical values.
+LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
+CURVED, ORDERED = 2.0, 1.645
+# Largest correlation of neighbours that is believed.
+MOST_CORRELATED = 0.9
+
+
+@dataclass(frozen=True)
+class RepeatMean:
+    """The mean *value* of repeats (at covariate 0) and the *half_width* of its 95 % interval; both in the unit of the repeats.
+
+    *spread*: median of tau; *weights* (n,) of the repeats in the mean, sum 1; *slopes* (n_column,) over the covariate and its square;
+    *residual* (n,): of the repeats. *stretch*: factor on the number of repeats that each stands for less than one, 1 without an order in
+    time; *correlation* of neighbours [1].
+    """
+
+    value: float
+    half_width: float
+    spread: float
+    weights: FloatArray
+    slopes: FloatArray
+    residual: FloatArray
+    stretch: float = 1.0
+    correlation: float = 0.0
+
+    @property
+    def ordered(self) -> bool:
+        """Whether neighbours in time are alike: the repeats drift or come in steps."""
+        return self.stretch > 1.0
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Which repeats are used, (n,), and whether so many stand outside that they are two populations, all of which are used."""
+
+    used: BoolArray
+    two_populations: bool = False
+
+
+def kept_repeats(values: FloatArray, variances: FloatArray, covariate: FloatArray | None = None) -> Kept:
+    """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none for n < 5.
+
+    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the residuals of a line of least
+    absolute deviations are judged. More than a quarter outside are two populations, and all stay. Equation (repeats-outliers).
+    """
+    n = len(values)
+    if n < LEAST_FOR_OUTLIERS:
+        return Kept(np.ones(n, bool))
+    off = values - (np.median(values, axis=0) if covariate is None else _least_absolute(values, covariate))
+    deviation = MAD_SCALE * np.median(np.abs(off), axis=0)
+    far = FAR_OF_FEW if n < FEW else FAR
+    outside = np.any(np.abs(off) > far * np.sqrt(deviation**2 + variances), axis=1)
+    if np.mean(outside) > MOST_OUTSIDE:
+        return Kept(np.ones(n, bool), two_populations=True)
+    return Kept(~outside)
+
+
+def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
+    """The lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least squares."""
+    columns = np.stack([np.ones_like(covariate), covariate - np.mean(covariate)], axis=1)
+    lines = np.empty_like(values)
+    for number, y in enumerate(values.T):
+        weights = np.ones_like(y)
+        for _ in range(ROUNDS):
+            solution = np.linalg.lstsq(columns * weights[:, None], y * weights, rcond=None)[0]
+            off = np.abs(y - columns @ solution)
+            weights = 1 / np.sqrt(np.maximum(off, 1e-9 * max(float(np.max(off)), np.finfo(float).tiny)))
+        lines[:, number] = columns @ solution
+    return lines
+
+
+def repeat_mean(values: FloatArray, variances: FloatArray, scale: float, covariate: FloatArray | None = None) -> RepeatMean:
+    """The mean of two repeats or more with its 95 % interval under a half-Cauchy prior of *scale* on tau.
+
+    *values* (n,) [any unit] in the order of recording, *variances* (n,) of their noise alone, *covariate* (n,)
+    that is 0 where the value is stated. On
+    tau = scale tan(pi u / 2) each point weighs exp(1/2 sum ln w - 1/2 ln det X'WX - 1/2 sum w r^2), w = 1 / (v + tau^2); the interval
+    is that of the mixture of normal distributions of mu. Where neighbours in time are alike it is longer. FitError for fewer repeats than
+    unknowns and one. Equations (repeats-mean) and (repeats-order).
+    """
+    columns = design(values, variances, covariate)
+    n, n_column = columns.shape
+    if n <= n_column:
+        raise FitError(f"{n} repeats do not tell {n_column} numbers and a spread", hint="record more repeats")
+    taus = scale * np.tan(np.pi * (np.arange(N_TAU) + 0.5) / N_TAU / 2)
+    weights = 1 / (variances + taus[:, None] ** 2)
+    normal = np.einsum("tn,np,nq->tpq", weights, columns, columns)
+    inverse = np.linalg.inv(normal)
+    projection = inverse @ np.einsum("tn,np->tpn", weights, columns)
+    solutions = projection @ values
+    residuals = values - solutions @ columns.T
+    logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - np.sum(weights * residuals**2, axis=1))
+    shares = np.exp(logarithm - logarithm.max())
+    shares /= shares.sum()
+    solution = shares @ solutions
+    low, high = _quantiles(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
+    residual = values - columns @ solution
+    stretch, correlation = order_in_time(residual)
+    spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
+    mean_weights = shares @ projection[:, 0]
+    half_width = (high - low) / 2 * _longer(stretch, n, n_column)
+    return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], residual, stretch, correlation)
+
+
+def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | None) -> FloatArray:
+    """Columns (n, n_column) [1] of the mean: 1, the *covariate* (n,), its square where eight repeats or more show it (|t| > 2)."""
+    ones = np.ones_like(values)
+    if covariate is None:
+        return ones[:, None]
+    line = np.stack([ones, covariate], axis=1)
+    if values.size < LEAST_FOR_CURVE:
+        return line
+    curved = np.stack([ones, covariate, covariate**2], axis=1)
+    weights = 1 / (variances + paule_mandel(values, variances, curved))
+    inverse = np.linalg.pinv(curved.T @ (weights[:, None] * curved))
+    solution = inverse @ curved.T @ (weights * values)
+    return curved if abs(solution[2]) > CURVED * np.sqrt(inverse[2, 2]) else line
+
+
+def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
+    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter; *columns* (n, n_column) [1]."""
+    freedom = values.size - columns.shape[1]
+
+    def excess(square: float) -> float:
+        weights = 1 / (variances + square)
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        return float(np.sum(weights * (values - columns @ solution) ** 2)) - freedom
+
+    high = 10 * float(np.var(values)) + np.finfo(float).tiny
+    if freedom <= 0 or excess(0.0) <= 0:
+        return 0.0
+    low = 0.0
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return (low + high) / 2
+
+
+def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
+    """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known group.
+
+    *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation (repeats-group).
+    """
+    weights = 1 / (variances + paule_mandel(values, variances, columns))
+    inverse = np.linalg.inv(columns.T @ (weights[:, None] * columns))
+    solution = inverse @ columns.T @ (weights * values)
+    q = float(np.sum(weights * (values - columns @ solution) ** 2)) / max(values.size - columns.shape[1], 1)
+    return float(solution[0]), q * float(inverse[0, 0])
+
+
+def mean_of_groups(values: FloatArray, variances: FloatArray, groups: list[str], scale: float) -> RepeatMean:
+    """The mean over known *groups* (n,), such as days or mountings, the mean of each is one repeat.
+
+    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean. Equation (repeats-group).
+    """
+    names, labels = list(dict.fromkeys(groups)), np.array(groups)
+    means = []
+    for name in names:
+        members = labels == name
+        y, v = values[members], variances[members]
+        means.append((float(y[0]), float(v[0])) if y.size == 1 else hartung_knapp(y, v, np.ones((y.size, 1))))
+    of_groups = np.array(means)
+    return repeat_mean(of_groups[:, 0], of_groups[:, 1], scale)
+
+
+def order_in_time(residual: FloatArray) -> tuple[float, float]:
+    """(stretch, correlation) of residuals (n,) [any unit] in recording order.
+
+    k = (1 + rho)/(1 - rho) where rho = r_1 + 1/n > 1.645 / sqrt(n). (1, 0) for fewer than six repeats, k = 1 where no order is
+    seen. Equation (repeats-order).
+    """
+    residual = residual - np.mean(residual)
+    n, power = residual.size, float(np.sum(residual**2))
+    if n < LEAST_FOR_ORDER or power == 0:
+        return 1.0, 0.0
+    rho = float(np.sum(residual[1:] * residual[:-1])) / power + 1 / n
+    if rho <= ORDERED / np.sqrt(n):
+        return 1.0, rho
+    believed = min(rho, MOST_CORRELATED)
+    return (1 + believed) / (1 - believed), rho
+
+
+def _longer(stretch: float, n: int, n_column: int) -> float:
+    """Factor on the half-width of n repeats of which neighbours are alike: sqrt(k) and the quantile of the fewer that they stand for."""
+    if stretch <= 1.0:
+        return 1.0
+    return float(np.sqrt(stretch) * student_limit(max(1.0, n / stretch - 1)) / student_limit(n - n_column))
+
+
+def _quantiles(shares: FloatArray, centres: FloatArray, errors: FloatArray) -> tuple[float, float]:
+    """The 2.5 and 97.5 % quantiles of a mixture of normal distributions, by bisection."""
+    ends = []
+    for level in (0.025, 0.975):
+        low, high = float(np.min(centres - 40 * errors)), float(np.max(centres + 40 * errors))
+        for _ in range(200):
+            middle = (low + high) / 2
+            below = float(shares @ special.ndtr((middle - centres) / errors))
+            low, high = (middle, high) if below < level else (low, middle)
+        ends.append((low + high) / 2)
+    return ends[0], ends[1]
