@@ -74,6 +74,21 @@ class Discrepancy:
 
 
 @dataclass(frozen=True)
+class Repeats:
+    """The repeats that a value is the mean of: *n* recorded, *used* in the mean, their *values* and *spread* (tau) [unit of the value].
+
+    *covariate*: what they follow, where they do, and the value of it *at* which the mean is stated [SI].
+    """
+
+    n: int
+    used: int
+    spread: float
+    values: tuple[float, ...]
+    covariate: str = ""
+    at: float | None = None
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One estimated or derived parameter in SI units.
 
@@ -82,7 +97,8 @@ class Parameter:
     alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the uncertainty of given numbers.
     *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given numbers, where that is
     known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times *coverage_factor*, and the
-    *budget* of all sources, noise among them, the largest first. *interval*: the parts of the interval that is stated, and the *reason*
+    *budget* of all sources, noise among them, the largest first.
+    *repeats*: those that the value is the mean of. *interval*: the parts of the interval that is stated, and the *reason*
     in words where it is wider than noise and given numbers make it, with the *discrepancy* behind it; *fitted*: what
     the model alone gives, where the value is the mean over model errors.
     """
@@ -106,6 +122,7 @@ class Parameter:
     budget: tuple[Contribution, ...] = ()
     interval: IntervalParts | None = None
     reason: str = ""
+    repeats: Repeats | None = None
     discrepancy: Discrepancy | None = None
     fitted: float | None = None
 
@@ -121,7 +138,7 @@ class Parameter:
 
     @property
     def measured_ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval by noise and given numbers, for what is compared with a value of the same model on the same lines.
+        """The 95 % interval by noise, repeats and given numbers, for what is compared with a value of the same model on the same lines.
 
         What the model lacks, and the residual shows, it lacks on both sides.
         """
@@ -129,7 +146,8 @@ class Parameter:
             return self.as_fitted.ci95
         if self.ci95 is None or not self.full_error or self.std_error is None:
             return self.ci95
-        share = math.hypot(self.std_error, self.systematic or 0.0) / self.full_error
+        between = 0.0 if self.interval is None else self.interval.repeats
+        share = math.hypot(self.std_error, self.systematic or 0.0, between) / self.full_error
         return self.value + share * (self.ci95[0] - self.value), self.value + share * (self.ci95[1] - self.value)
 
     @property

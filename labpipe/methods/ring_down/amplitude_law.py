@@ -73,7 +73,7 @@ class _Problem:
     def _target(self, piece: Piece, number: int, fitted: Decayed, mode: int, output: int) -> FloatArray:
         """The rows of one output without the other modes."""
         others = np.arange(fitted.poles.size) != mode
-        course = np.exp(piece.time[:, None] * fitted.poles[others]) @ fitted.pieces[number].amplitudes[others, output]
+        course = np.exp(piece.time[:, None] * fitted.poles_of(number)[others]) @ fitted.pieces[number].amplitudes[others, output]
         return self._free(number, piece.rows[:, output] - piece.project(course.real[:, None])[:, 0])
 
     def _free(self, number: int, rows: FloatArray) -> FloatArray:
@@ -161,7 +161,7 @@ def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int
     Each is a least-squares fit of C e^(lambda t) with the fitted lambda to one stretch: what differs from a constant C is what one
     exponential does not say.
     """
-    solved, pole = fitted.pieces[number], fitted.poles[mode]
+    solved, pole = fitted.pieces[number], fitted.poles_of(number)[mode]
     n = piece.time.size
     count = int(min(MOST_STRETCHES, n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0)))
     # The residual in time: of a band without what lies outside it.
@@ -199,10 +199,9 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
 
     ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation (decay-stretches).
     """
-    pole = fitted.poles[mode]
-    omega = abs(pole)
     rows: list[tuple[float, ...]] = []
     for number, piece in enumerate(pieces):
+        omega = abs(fitted.poles_of(number)[mode])
         course = stretches(piece, fitted, number, mode, output)
         size = np.abs(course.amplitudes)
         seen = int(np.argmin(np.append(size > LEAST_RATIO * course.std_error, False)))

@@ -18,6 +18,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
 from labpipe.methods.ring_down.amplitude_law import FittedLaw, MissingMode, fitted_law, missing_mode, over_amplitude
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
+from labpipe.methods.ring_down.repeats import RepeatedDecays, drift_findings, repeat_notes, repeated_decays, with_repeats
 from labpipe.methods.ring_down.residual_test import Judged, judged
 from labpipe.methods.ring_down.settings import MOST_MODES, DecaySettings
 from labpipe.records.finding import Finding, Parameter
@@ -119,7 +120,7 @@ def _error(gradient: FloatArray, covariance: FloatArray) -> float:
 
 def without_interval(parameter: Parameter) -> Parameter:
     """The value alone, where no interval is right."""
-    return replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None)
+    return replace(parameter, std_error=None, std_error_inflated=None, t_ratio=None, ci95=None, significant=None, interval=None)
 
 
 def law_parameters(fitted: FittedLaw, mode: int, unit: str, dof: int) -> tuple[Parameter, Parameter, Parameter]:
@@ -278,7 +279,15 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     _check(settings)
     columns = chosen_ports(decays.outputs, settings.output, "response")
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
-    fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes)
+    repeated = None
+    if len(pieces) > 1 and decay_settings.repeats == "each":
+        repeated = repeated_decays(decays, columns, pieces, settings.band, decay_settings.modes)
+    if repeated is None:
+        fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes)
+    else:
+        fitted, places = repeated.joined, repeated.places
+        decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
+        pieces = tuple(pieces[place] for place in places)
     _check_fitted(pieces, fitted)
     tested = judged(pieces, fitted, decays.sample_rate)
     strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
@@ -290,7 +299,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         replace(over_amplitude(pieces, fitted, mode, output), law=laws[mode].law if mode in laws else None)
         for mode, (_, output) in strongest.items()
     )
-    parameters = _parameters(fitted, settings, laws, [decays.units[columns[o]] for _, o in strongest.values()])
+    units = [decays.units[columns[o]] for _, o in strongest.values()]
+    parameters = _parameters(fitted, settings, laws, units, repeated)
     findings = decay_findings(fitted, tested, laws, amplitudes, missing)
     if any(finding.code == "model-mismatch" for finding in findings):
         parameters = tuple(map(without_interval, parameters))
@@ -299,8 +309,8 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
     return replace(
         fit,
-        findings=(*findings, *decays.findings),
-        notes=_notes(decays, columns, pieces, fitted, tested),
+        findings=(*findings, *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))), *decays.findings),
+        notes=(*(() if repeated is None else repeat_notes(repeated, units)), *_notes(decays, columns, pieces, fitted, tested)),
         details=(_ring_down(decays, columns, pieces, fitted, strongest, curves),),
     )
 
@@ -361,10 +371,14 @@ def _missing(
     return missing_mode(pieces, fitted, richer, laws, strongest, white=white)
 
 
-def _parameters(fitted: Decayed, settings: FitSettings, laws: dict[int, FittedLaw], units: Sequence[str]) -> tuple[Parameter, ...]:
+def _parameters(
+    fitted: Decayed, settings: FitSettings, laws: dict[int, FittedLaw], units: Sequence[str], repeated: RepeatedDecays | None
+) -> tuple[Parameter, ...]:
     """Parameters of all modes; where a mode depends on its amplitude its means have no interval, and the law's follow."""
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted, mass)
+    if repeated is not None:
+        parameters = with_repeats(parameters, repeated, fitted.dof, mass)
     means = {f"{name}_{mode + 1}" for mode in laws for name in ("f_n", "zeta", "log_decrement", "k", "c")}
     if laws and fitted.poles.size == 1:
         means |= {"k", "c"}
@@ -431,7 +445,7 @@ def _notes(decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], 
 def _offset(piece: Piece, fitted: Decayed, number: int, output: int) -> float:
     """The fitted offset of an output: the mean of what neither the modes nor the residual are."""
     solved = fitted.pieces[number]
-    modes = (np.exp(piece.time[:, None] * fitted.poles) @ solved.amplitudes[:, output]).real
+    modes = (np.exp(piece.time[:, None] * fitted.poles_of(number)) @ solved.amplitudes[:, output]).real
     return float(np.mean(piece.rows[:, output] - solved.residual[:, output] - modes))
 
 
@@ -447,7 +461,7 @@ def _ring_down(
     number, output = max(strongest.values(), key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))))
     decay, piece = decays.decays[number], pieces[number]
     samples = decay.samples[:, columns[output]]
-    modes = (np.exp(piece.time[:, None] * fitted.poles) @ fitted.pieces[number].amplitudes[:, output]).real
+    modes = (np.exp(piece.time[:, None] * fitted.poles_of(number)) @ fitted.pieces[number].amplitudes[:, output]).real
     offset = float(np.mean(samples - modes)) if piece.lines is not None else _offset(piece, fitted, number, output)
     time, measured, shown, left = trace(piece.time + decay.start, samples, modes + offset, samples - modes - offset)
     return RingDown(

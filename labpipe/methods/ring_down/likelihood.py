@@ -135,7 +135,8 @@ def solve(piece: Piece, poles: ComplexArray) -> Solved:
 class Decayed:
     """The fitted modes: *poles* (n_mode,) [rad/s] by ascending frequency, *covariance* (2 n_mode, 2 n_mode) [rad^2/s^2] of Re, Im of each.
 
-    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less parameters.
+    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less parameters. *each*
+    (n_piece, n_mode) [rad/s]: the poles of every piece where they are its own.
     """
 
     poles: ComplexArray
@@ -145,6 +146,11 @@ class Decayed:
     pieces: tuple[Solved, ...]
     converged: bool
     steps: int
+    each: ComplexArray | None = None
+
+    def poles_of(self, number: int) -> ComplexArray:
+        """Poles (n_mode,) [rad/s] of the piece of this number."""
+        return self.poles if self.each is None else self.each[number]
 
     @property
     def misfit(self) -> float:
@@ -182,8 +188,8 @@ def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
 def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     """Sum of squares (n_mode,) [1] of every mode over all pieces, each relative to its noise."""
     total = np.zeros(fitted.poles.size)
-    for piece, solved, variance in zip(pieces, fitted.pieces, fitted.variance, strict=True):
-        course = np.exp(piece.time[:, None] * fitted.poles)
+    for number, (piece, solved, variance) in enumerate(zip(pieces, fitted.pieces, fitted.variance, strict=True)):
+        course = np.exp(piece.time[:, None] * fitted.poles_of(number))
         for amplitudes, variance_of_output in zip(solved.amplitudes.T, variance, strict=True):
             total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance_of_output
     return total

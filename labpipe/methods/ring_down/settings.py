@@ -21,6 +21,9 @@ class DecaySettings(Settings):
     """What a free decay consists of."""
 
     modes: int = setting("integer", "modes that decay together", default=1)
+    repeats: str = setting(
+        "choice", "several decays: each fitted, and their mean; or pool, one fit of all", choices=("each", "pool"), default="each"
+    )
 
     def __post_init__(self) -> None:
         if not 1 <= self.modes <= MOST_MODES:

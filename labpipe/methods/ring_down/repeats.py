@@ -1,0 +1,243 @@
+"""The modes of several decays as repeats: each decay is fitted alone, and the values are their means with the part between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.errors import FitError
+from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, hartung_knapp, kept_repeats, paule_mandel, repeat_mean
+from labpipe.estimation.statistics import student_limit
+from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
+from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
+from labpipe.records.spectra import FreeDecays
+
+# Decays from which on a course over the amplitude is looked for, and its t-ratio. Amplitudes within a quarter of each other tell no
+# course: where a decay is used from a while after the hit on, its damping alone moves its amplitude.
+LEAST_FOR_COURSE, COURSE, LEAST_RANGE = 5, 2.0, 0.25
+
+
+@dataclass(frozen=True)
+class RepeatedDecays:
+    """Decays that were fitted alone: their *numbers*, *fits* of one decay each, and those that could not be, in words.
+
+    *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude (n_mode,) [unit] at which the
+    values hold where they follow it, nan elsewhere.
+    """
+
+    total: int
+    numbers: tuple[int, ...]
+    fits: tuple[Decayed, ...]
+    failed: tuple[Finding, ...]
+    kept: Kept
+    means: tuple[tuple[RepeatMean, RepeatMean], ...]
+    at: FloatArray
+
+    @property
+    def places(self) -> IntArray:
+        """Numbers (n_used,) of the decays that are used."""
+        return np.array(self.numbers)[self.kept.used]
+
+    @property
+    def joined(self) -> Decayed:
+        """The used decays as one fit in which each has its own poles; those of the fit are of the means."""
+        used = [fit for fit, is_used in zip(self.fits, self.kept.used, strict=True) if is_used]
+        f, zeta = (np.exp([pair[which].value for pair in self.means]) for which in (0, 1))
+        poles: ComplexArray = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - np.minimum(zeta, 1.0) ** 2))
+        return Decayed(
+            poles,
+            np.sum([fit.covariance for fit in used], axis=0) / len(used) ** 2,
+            np.concatenate([fit.variance for fit in used]),
+            sum(fit.dof for fit in used),
+            tuple(fit.pieces[0] for fit in used),
+            True,
+            max(fit.steps for fit in used),
+            np.array([fit.poles for fit in used]),
+        )
+
+
+def repeated_decays(
+    decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], band: tuple[float, float] | None, n_mode: int
+) -> RepeatedDecays | None:
+    """Every decay fitted alone, and the means; None where fewer than two can be, or one mode does not decay in most of them."""
+    fits: dict[int, Decayed] = {}
+    failed = []
+    for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
+        try:
+            fits[number] = _alone(decays, number, columns, piece, band, n_mode)
+        except FitError as error:
+            where = f"decay {number + 1} of {len(pieces)} ('{decay.recording}', {decay.start:.3f} s)"
+            failed.append(note("repeat-left-out", f"{where} is left out: {error.what}"))
+    if len(fits) < max(2, len(pieces) / 2):
+        return None
+    numbers, own = tuple(fits), tuple(fits.values())
+    logs, variances = (np.array(parts) for parts in zip(*(_logarithms(fit) for fit in own), strict=True))
+    kept = kept_repeats(logs, variances)
+    used = kept.used
+    sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in own])[used]
+    means, at = [], np.full(n_mode, np.nan)
+    for mode in range(n_mode):
+        pair, at[mode] = _means(logs[used][:, [mode, n_mode + mode]], variances[used][:, [mode, n_mode + mode]], sizes[:, mode])
+        means.append(pair)
+    failed.extend(_outliers(decays, numbers, kept, logs, n_mode))
+    return RepeatedDecays(len(pieces), numbers, own, tuple(failed), kept, tuple(means), at)
+
+
+def _alone(decays: FreeDecays, number: int, columns: Sequence[int], piece: Piece, band: tuple[float, float] | None, n_mode: int) -> Decayed:
+    """The fit of one decay; FitError where it does not converge, or a mode of it is noise or does not decay."""
+    fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
+    if not fitted.converged:
+        raise FitError("its fit does not converge")
+    if np.any(fitted.poles.real >= 0):
+        raise FitError("it does not decay")
+    if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
+        raise FitError("a mode of it is noise")
+    return fitted
+
+
+def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
+    """ln f and ln zeta of all modes, (2 n_mode,), and their variances by the noise alone."""
+    sizes = np.abs(fitted.poles)
+    zeta = -fitted.poles.real / sizes
+    variances = []
+    for number, (pole, size) in enumerate(zip(fitted.poles, sizes, strict=True)):
+        block = fitted.covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2]
+        of_f = np.array([pole.real, pole.imag]) / size**2
+        of_zeta = np.array([1 / pole.real, 0.0]) - of_f
+        variances.append([gradient @ block @ gradient for gradient in (of_f, of_zeta)])
+    return np.concatenate([np.log(sizes / (2 * np.pi)), np.log(zeta)]), np.array(variances).T.ravel()
+
+
+def _means(logs: FloatArray, variances: FloatArray, sizes: FloatArray) -> tuple[tuple[RepeatMean, RepeatMean], float]:
+    """Means of ln f and ln zeta (n, 2) of one mode, and the amplitude they hold at where either follows the *sizes* (n,), else nan."""
+    scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
+    middle = float(np.median(sizes))
+    covariate = (sizes - middle) / middle
+    follows = any(_follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
+    chosen = covariate if follows else None
+    frequency, damping = (repeat_mean(logs[:, which], variances[:, which], scales[which], chosen) for which in (0, 1))
+    return (frequency, damping), middle if follows else np.nan
+
+
+def _follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
+    """Whether *values* (n,) follow the *covariate* (n,) by more than two standard errors by Hartung and Knapp."""
+    if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
+        return False
+    turned = np.stack([covariate, np.ones_like(covariate)], axis=1)
+    slope, variance = hartung_knapp(values, variances, turned)
+    return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > COURSE * np.sqrt(variance)
+
+
+def _outliers(decays: FreeDecays, numbers: Sequence[int], kept: Kept, logs: FloatArray, n_mode: int) -> list[Finding]:
+    """Notes on decays that stand out, and a warning where they are a second population."""
+    if kept.two_populations:
+        message = "more than a quarter of the decays lie apart from the others: two populations, and the mean is of both. Name the groups"
+        return [Finding("two-populations", message)]
+    findings = []
+    for place in np.flatnonzero(~kept.used).tolist():
+        decay = decays.decays[numbers[place]]
+        f, zeta = np.exp(logs[place, :n_mode]), np.exp(logs[place, n_mode:])
+        values = ", ".join(f"{frequency:.6g} Hz and {ratio:.3g}" for frequency, ratio in zip(f, zeta, strict=True))
+        where = f"decay {numbers[place] + 1} ('{decay.recording}', {decay.start:.3f} s)"
+        findings.append(note("repeat-left-out", f"{where} is left out: its frequency and damping ratio, {values}, stand out"))
+    return findings
+
+
+def drift_findings(repeated: RepeatedDecays) -> list[Finding]:
+    """A note where neighbours in time are alike."""
+    modes = [str(number) for number, pair in enumerate(repeated.means, start=1) if pair[0].ordered or pair[1].ordered]
+    if not modes:
+        return []
+    message = (
+        f"mode {', '.join(modes)}: the values of neighbouring decays are alike, so they drift or come in steps (temperature, mounting). "
+        "The interval allows for it; record the decays in groups, or what changes"
+    )
+    return [note("repeats-in-order", message)]
+
+
+def with_repeats(parameters: Sequence[Parameter], repeated: RepeatedDecays, dof: int, mass: float | None) -> tuple[Parameter, ...]:
+    """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their spread.
+
+    ln f and ln zeta have a mean and an interval; ln delta = ln zeta + ..., ln k = 2 ln f + ..., ln c = ln f + ln zeta + ... follow. The
+    standard error stays that of noise alone. *dof* of the fit, *mass* [kg] of k and c. Equation (repeats-mean).
+    """
+    entries: dict[str, Parameter] = {}
+    alone, n_mode = (len(repeated.means) == 1), len(repeated.means)
+    by_name = {parameter.name: parameter for parameter in parameters}
+    logs = np.array([_logarithms(fit)[0] for fit in repeated.fits])
+    noise = np.array([_logarithms(fit)[1] for fit in repeated.fits])[repeated.kept.used]
+    for mode, pair in enumerate(repeated.means):
+        suffix = f"_{mode + 1}"
+        zeta = float(np.exp(pair[1].value))
+        # Name, powers of f and zeta, factor.
+        kinds = [("f_n" + suffix, (1.0, 0.0), 1.0), ("zeta" + suffix, (0.0, 1.0), 1.0)]
+        kinds.append(("log_decrement" + suffix, (0.0, 1.0), 2 * np.pi / float(np.sqrt(1 - zeta**2))))
+        if mass is not None:
+            of_support = "" if alone else suffix
+            kinds.append(("k" + of_support, (2.0, 0.0), mass * (2 * np.pi) ** 2))
+            kinds.append(("c" + of_support, (1.0, 1.0), 4 * np.pi * mass))
+        for name, powers, factor in kinds:
+            own = np.exp(logs[:, [mode, n_mode + mode]] @ powers) * factor
+            errors = [np.sqrt(mean.weights**2 @ noise[:, which * n_mode + mode]) for which, mean in enumerate(pair)]
+            law = (np.array(powers), factor, repeated.at[mode])
+            entries[name] = _parameter(by_name[name], pair, law, (own, np.array(errors)), repeated, dof)
+    return tuple(entries.get(parameter.name, parameter) for parameter in parameters)
+
+
+def _parameter(
+    parameter: Parameter,
+    pair: tuple[RepeatMean, RepeatMean],
+    law: tuple[FloatArray, float, float],
+    own: tuple[FloatArray, FloatArray],
+    repeated: RepeatedDecays,
+    dof: int,
+) -> Parameter:
+    """factor f^p zeta^q of two means, with its interval by both; *law*: (p, q), the factor, and the amplitude it holds at or nan."""
+    powers, factor, at = law
+    value = factor * float(np.exp(powers @ [mean.value for mean in pair]))
+    reach = float(np.hypot(*(powers * [mean.half_width for mean in pair])))
+    error = value * float(np.hypot(*(powers * own[1])))
+    interval = (value * float(np.exp(-reach)), value * float(np.exp(reach)))
+    used = tuple(bool(is_used) for is_used in repeated.kept.used)
+    spread = value * float(np.hypot(*(powers * [mean.spread for mean in pair])))
+    follows = bool(np.isfinite(at))
+    full = value * reach / student_limit(dof)
+    return replace(
+        parameter,
+        value=value,
+        std_error=error,
+        std_error_inflated=full,
+        interval=IntervalParts(error, repeats=float(np.sqrt(max(full**2 - error**2, 0.0)))),
+        t_ratio=None if parameter.derived else student_limit(dof) / reach,
+        ci95=interval,
+        significant=None if parameter.derived else True,
+        repeats=Repeats(
+            n=repeated.total,
+            used=sum(used),
+            spread=spread,
+            values=tuple(float(one) for one, is_used in zip(own[0], used, strict=True) if is_used),
+            covariate="amplitude" if follows else "",
+            at=float(at) if follows else None,
+        ),
+    )
+
+
+def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, ...]:
+    """How many decays the values are the mean of, and what they scatter by."""
+    used = int(np.count_nonzero(repeated.kept.used))
+    over = f"{used} decays" if used == repeated.total else f"{used} of {repeated.total} decays"
+    notes = []
+    for mode, (frequency, damping) in enumerate(repeated.means):
+        text = (
+            f"decay: f_n_{mode + 1} and zeta_{mode + 1} are means over {over}, each fitted alone; from decay to decay they scatter by "
+            f"{100 * frequency.spread:.2g} and {100 * damping.spread:.2g} % beyond their noise. What all decays have wrong alike is not in "
+            "this interval."
+        )
+        if np.isfinite(repeated.at[mode]):
+            text += f" They follow the amplitude, and are stated at {repeated.at[mode]:.3g} {units[mode]}, the middle one of the decays."
+        notes.append(text)
+    return tuple(notes)
