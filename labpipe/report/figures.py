@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.quantities import QUANTITIES, display_unit, to_display
+from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.chart import (
@@ -25,6 +26,7 @@ from labpipe.report.chart import (
     level,
     look,
     named_ticks,
+    span,
     stacked,
 )
 from labpipe.report.document import Figure
@@ -311,3 +313,22 @@ def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
     measured = dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
     model = curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
     return Panel(FREQUENCY, form_axis(fitted.form), (measured, model), f"{fitted.outputs[o]}/{fitted.inputs[i]}")
+
+
+def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
+    """Every repeat that the values of *parameters* are the means of, with the mean and its interval."""
+    panels, used, recorded = [], 0, 0
+    for parameter in parameters:
+        repeats, factor = parameter.repeats, scale_of(parameter.unit)
+        assert repeats is not None
+        used, recorded = repeats.used, repeats.n
+        values = factor * np.array(repeats.values)
+        series = [dots("repeats", np.arange(1, values.size + 1), values, marker="o"), level(factor * parameter.value)]
+        if parameter.ci95 is not None:
+            series.append(span(factor * parameter.ci95[0], factor * parameter.ci95[1], GREY))
+        panels.append(Panel(Axis("repeat"), Axis(parameter.name, unit_text(parameter.unit)), tuple(series)))
+    left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
+    caption = f"{fit_title(fit)}: {used} repeats whose means the values are{left_out}. Line and shade: mean and 95 % interval."
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    return Figure(Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none"), caption, f"Repeats of {fit_title(fit)}")

@@ -18,7 +18,7 @@ from labpipe.report.wording import (
     band_text,
     entangled_text,
     fit_title,
-    inflated_text,
+    interval_text,
     legible,
     parameter_row,
     significance,
@@ -98,13 +98,16 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
-    """The figures of a single fit: measured and fitted FRF, figures of a worn-bearing fit, correlation of the estimates."""
+    """The figures of a single fit: measured and fitted FRF, the repeats that values are means of, correlation of the estimates."""
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
         shown.extend(matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)])
         if fit.curve.before is not None:
             shown.append(figures.tuning_figure(fit, fit.curve))
+    repeated = [parameter for parameter in fit.parameters if parameter.repeats is not None and not parameter.derived]
+    if repeated:
+        shown.append(figures.repeats_figure(fit, repeated))
     if fit.correlation.shape[0] > 2:
         shown.append(figures.correlation_figure(fit))
     return shown
@@ -172,7 +175,7 @@ def _described(fit: Fit) -> str:
     return (
         f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} {lines}, {fit.equations} real "
         f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
-        f"Condition number {fit.condition_number:.3g}.{inflated_text(fit)}"
+        f"Condition number {fit.condition_number:.3g}.{interval_text(fit)}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from labpipe.display import difference_in, shown_unit, unit_label, written
 from labpipe.distributions import student_tail
@@ -109,20 +110,33 @@ def entangled_text(fit: Fit) -> list[str]:
     return sentences
 
 
+def _repeats_part(parameter: Parameter) -> float:
+    return 0.0 if parameter.interval is None else parameter.interval.repeats
+
+
 def _beyond_noise(parameter: Parameter) -> float:
-    """The standard error by noise and what the residual shows beside it, without what numbers that were given add."""
-    return math.sqrt(max((parameter.std_error_inflated or 0.0) ** 2 - (parameter.systematic or 0.0) ** 2, 0.0))
+    """The standard error by noise and what the residual shows beside it, without what given numbers and the scatter of repeats add."""
+    full, others = parameter.std_error_inflated or 0.0, math.hypot(parameter.systematic or 0.0, _repeats_part(parameter))
+    return math.sqrt(max(full**2 - others**2, 0.0))
 
 
-def inflated_text(fit: Fit) -> str:
-    """Sentence on intervals that are wider than those of noise, or missing, and why; empty where noise is all."""
+def interval_text(fit: Fit) -> str:
+    """Sentences on intervals that are wider than those of noise, or missing, and why; empty where noise is all."""
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
         return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
-    wider = [(p.name, _beyond_noise(p) / p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
-    wider = [(name, factor) for name, factor in wider if factor > 1 + ALIKE]
+    told = [parameter for parameter in fit.parameters if parameter.std_error_inflated is not None and parameter.std_error]
+    repeated = _times((p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in told)
+    between = f" The intervals hold the scatter between repeats; they are those of noise alone times: {repeated}." if repeated else ""
+    wider = _times((p.name, _beyond_noise(p) / (p.std_error or 1.0)) for p in told)
     # Small given numbers of a floating bearing stay with its noise.
     if not wider or (not mismatch and any(detail.given_in_noise for detail in fit.details)):
-        return ""
-    listed = ", ".join(f"{name} {factor:.3g}" for name, factor in wider)
-    return f" The residual is not noise (model-mismatch above): standard errors and intervals are those of noise alone times: {listed}."
+        return between
+    reasons = "; ".join(dict.fromkeys(p.reason for p in told if p.reason))
+    why = f"; the model error is most likely {reasons}" if reasons else ""
+    noise = f" The residual is not noise (model-mismatch above{why}): errors and intervals are those of noise alone times: {wider}."
+    return between + noise
+
+
+def _times(factors: Iterable[tuple[str, float]]) -> str:
+    return ", ".join(f"{name} {factor:.3g}" for name, factor in factors if factor > 1 + ALIKE)

@@ -14,7 +14,7 @@ from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.figures import matrix_figure, matrix_figures
 from labpipe.report.fits import candidate_blocks
 from labpipe.report.study import study_blocks
-from labpipe.report.wording import entangled_text, inflated_text, parameter_row, threshold_text
+from labpipe.report.wording import entangled_text, interval_text, parameter_row, threshold_text
 
 K = StudiedParameter("k_1_1", "N/m", truth=2.0, mean=2.1, rmse=0.2, bound=0.16, std_error=0.19, coverage=0.94)
 CASE = StudyCase(
@@ -102,14 +102,14 @@ def test_candidates_best_first() -> None:
 
 def test_enlarged_standard_errors_are_said() -> None:
     parameter = Parameter("c", 3.7, "N.s/m", std_error=0.02, std_error_inflated=0.04)
-    assert "those of noise alone times: c 2." in inflated_text(replace(FIT, parameters=(parameter,)))
-    assert inflated_text(FIT) == ""
+    assert "those of noise alone times: c 2." in interval_text(replace(FIT, parameters=(parameter,)))
+    assert interval_text(FIT) == ""
 
 
 def test_missing_intervals_and_entangled_parameters_are_said_in_words() -> None:
     k, c = (Parameter(name, 1.0, "N/m", vif=vif) for name, vif in (("k", 150.0), ("c", 2.0)))
     refused = replace(FIT, parameters=(k, c), findings=(Finding("model-mismatch", "a mode too few"),))
-    assert "no standard errors and intervals are given" in inflated_text(refused)
+    assert "no standard errors and intervals are given" in interval_text(refused)
     vif, close = entangled_text(replace(FIT, parameters=(k, c), correlation=np.array([[1.0, -0.998], [-0.998, 1.0]])))
     assert "k (150 times)" in vif and "c (" not in vif
     assert "k and c (-0.9980)" in close

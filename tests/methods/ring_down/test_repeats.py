@@ -68,6 +68,9 @@ def test_twenty_one_decays_of_a_frequency_that_scatters(tmp_path: Path, labpipe:
     assert k["value"] == pytest.approx(2 * (2 * np.pi * f["value"]) ** 2, rel=1e-9)
     assert np.log(k["ci95"][1] / k["value"]) == pytest.approx(2 * np.log(f["ci95"][1] / f["value"]), rel=1e-6)
     assert any("means over 21 decays" in note for note in fit["notes"])
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "21 repeats whose means the values are. Line and shade" in page and "hold the scatter between repeats" in page
+    assert "The residual is not noise" not in page
     (tmp_path / "pool").mkdir()
     pooled = named(run(tmp_path / "pool", labpipe, motion, ", repeats: pool"))
     assert pooled["f_n_1"]["repeats"] is None and pooled["f_n_1"]["ci95"] is None
