@@ -1,7 +1,8 @@
-"""The Python reference: every public name of labpipe with its signature and docstring, a page per package, read from the source.
+"""The Python reference: every public name of labpipe with its signature and docstring, a page per package,
+read from the source.
 
-Read with `ast` and not by mkdocstrings: nothing is imported, and all pages are made in less time than it takes to load that. Docstrings
-of labpipe are plain paragraphs; what is indented in them is code.
+Read with `ast` and not by mkdocstrings: nothing is imported, and all pages are made in less time than it
+takes to load that. Docstrings of labpipe are plain paragraphs; what is indented in them is code.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from maths import CITATION, linked, way
 ROOT = Path(__file__).parent.parent
 FOLDER = "reference/python"
 WIDE = 100
-# The search shows prose before entries with the same words: a word of a title counts a thousand times as much as one of a text.
+# The search shows prose before entries with the same words: a word of a title counts a thousand times as much
+# as one of a text.
 HEAD = "---\nsearch:\n  boost: 0.001\n---\n\n"
 # Calls that make a field of a dataclass: their defaults are within.
 FIELDS = ("setting", "field")
@@ -63,7 +65,9 @@ class Module:
 def modules() -> list[Module]:
     """All public modules of labpipe, in the order of their names."""
     files = sorted((ROOT / "labpipe").rglob("*.py"))
-    found = (path.relative_to(ROOT) for path in files if not path.stem.startswith("_") or path.stem == "__init__")
+    found = (
+        path.relative_to(ROOT) for path in files if not path.stem.startswith("_") or path.stem == "__init__"
+    )
     return [module_of(path.as_posix(), (ROOT / path).read_text(encoding="utf-8")) for path in found]
 
 
@@ -71,7 +75,9 @@ def module_of(place: str, source: str) -> Module:
     """The public names of a source file."""
     path = place.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
     tree = ast.parse(source)
-    return Module(path, ast.get_docstring(tree) or "", tuple(names_in(tree.body, path, source.splitlines())), place)
+    return Module(
+        path, ast.get_docstring(tree) or "", tuple(names_in(tree.body, path, source.splitlines())), place
+    )
 
 
 def names_in(body: list[ast.stmt], owner: str, lines: list[str]) -> Iterator[Name]:
@@ -99,19 +105,29 @@ def function_of(node: ast.FunctionDef | ast.AsyncFunctionDef, owner: str, of_cla
         arguments = arguments[1:]
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     kind = "method" if of_class else "function"
-    return Name(f"{owner}.{node.name}", kind, called(node.name, arguments, returned), ast.get_docstring(node) or "")
+    return Name(
+        f"{owner}.{node.name}", kind, called(node.name, arguments, returned), ast.get_docstring(node) or ""
+    )
 
 
 def _split(arguments: ast.arguments) -> list[str]:
-    """Each argument by itself, with its annotation and default, and the marks `/` and `*` where they stand."""
+    """Each argument by itself, with its annotation and default, and the marks `/` and `*` where they
+    stand.
+    """
     positional = [*arguments.posonlyargs, *arguments.args]
     without = [None] * (len(positional) - len(arguments.defaults))
-    split = [_argument(one, default) for one, default in zip(positional, [*without, *arguments.defaults], strict=True)]
+    split = [
+        _argument(one, default)
+        for one, default in zip(positional, [*without, *arguments.defaults], strict=True)
+    ]
     if arguments.posonlyargs:
         split.insert(len(arguments.posonlyargs), "/")
     if arguments.vararg or arguments.kwonlyargs:
         split.append("*" + (_argument(arguments.vararg) if arguments.vararg else ""))
-    split += [_argument(one, default) for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)]
+    split += [
+        _argument(one, default)
+        for one, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
+    ]
     return [*split, *(["**" + _argument(arguments.kwarg)] if arguments.kwarg else [])]
 
 
@@ -124,25 +140,46 @@ def _argument(one: ast.arg, default: ast.expr | None = None) -> str:
 def called(name: str, arguments: list[str], returned: str) -> str:
     """A call on one line, or with a line for each argument where that is too wide."""
     line = f"{name}({', '.join(arguments)}){returned}"
-    return line if len(line) <= WIDE else f"{name}(\n" + "".join(f"    {one},\n" for one in arguments) + f"){returned}"
+    return (
+        line
+        if len(line) <= WIDE
+        else f"{name}(\n" + "".join(f"    {one},\n" for one in arguments) + f"){returned}"
+    )
 
 
 def class_of(node: ast.ClassDef, owner: str, lines: list[str]) -> Name:
     path = f"{owner}.{node.name}"
     bases = ", ".join(ast.unparse(base) for base in node.bases)
     head = f"class {node.name}({bases})" if bases else f"class {node.name}"
-    fields = [field_of(one, lines) for one in node.body if isinstance(one, ast.AnnAssign) and public(ast.unparse(one.target))]
+    fields = [
+        field_of(one, lines)
+        for one in node.body
+        if isinstance(one, ast.AnnAssign) and public(ast.unparse(one.target))
+    ]
     own = [one for one in node.body if isinstance(one, (ast.FunctionDef, ast.AsyncFunctionDef))]
     starts = [function_of(one, path, of_class=True).signature for one in own if one.name == "__init__"]
-    fields += [one.replace("__init__", node.name, 1).removesuffix(" -> None").replace("\n", "\n    ") for one in starts]
+    fields += [
+        one.replace("__init__", node.name, 1).removesuffix(" -> None").replace("\n", "\n    ")
+        for one in starts
+    ]
     members = tuple(function_of(one, path, of_class=True) for one in own if public(one.name))
-    return Name(path, "class", "\n".join([head, *(f"    {one}" for one in fields)]), ast.get_docstring(node) or "", members)
+    return Name(
+        path,
+        "class",
+        "\n".join([head, *(f"    {one}" for one in fields)]),
+        ast.get_docstring(node) or "",
+        members,
+    )
 
 
 def field_of(node: ast.AnnAssign, lines: list[str]) -> str:
     """A field with its type and default, and what its setting is, as a comment."""
     made = f"{ast.unparse(node.target)}: {ast.unparse(node.annotation)}"
-    if isinstance(node.value, ast.Call) and isinstance(node.value.func, ast.Name) and node.value.func.id in FIELDS:
+    if (
+        isinstance(node.value, ast.Call)
+        and isinstance(node.value.func, ast.Name)
+        and node.value.func.id in FIELDS
+    ):
         options = {one.arg: ast.unparse(one.value) for one in node.value.keywords}
         default = options.get("default", options.get("default_factory", ""))
         words = [one.value for one in node.value.args[1:2] if isinstance(one, ast.Constant)]
@@ -166,7 +203,12 @@ def constants_of(node: ast.Assign | ast.AnnAssign, owner: str, lines: list[str])
             value = ast.unparse(node.value) if node.value is not None else ""
             kind = f": {ast.unparse(node.annotation)}" if isinstance(node, ast.AnnAssign) else ""
             line = f"{target.id}{kind} = {value}"
-            yield Name(f"{owner}.{target.id}", "constant", line if len(line) <= WIDE else f"{target.id}{kind} = …", _above(node, lines))
+            yield Name(
+                f"{owner}.{target.id}",
+                "constant",
+                line if len(line) <= WIDE else f"{target.id}{kind} = …",
+                _above(node, lines),
+            )
 
 
 def _above(node: ast.stmt, lines: list[str]) -> str:
@@ -238,7 +280,9 @@ class Entries:
         text = " ".join(words.split())
         made = re.sub(r"(`+)(.+?)\1", lambda found: f"<code>{found[2]}</code>", escape(text, quote=False))
         made = re.sub(r"(?<![\w*])\*(\w+)\*(?![\w*])", r"<em>\1</em>", made)
-        return re.sub(CITATION, lambda found: linked(found[0], lambda label: self._link(label, page, place)), made)
+        return re.sub(
+            CITATION, lambda found: linked(found[0], lambda label: self._link(label, page, place)), made
+        )
 
     def _link(self, label: str, page: str, place: str) -> str:
         if label not in self.labels:
@@ -266,8 +310,14 @@ def _flat(text: str) -> str:
 
 def layers() -> list[list[str]]:
     """The packages and modules of each layer, the uppermost first, as the import contract has them."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    ordered = next(contract["layers"] for contract in contracts if contract["type"] == "layers" and "containers" not in contract)
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    ordered = next(
+        contract["layers"]
+        for contract in contracts
+        if contract["type"] == "layers" and "containers" not in contract
+    )
     return [[one.strip().removeprefix("labpipe.") for one in layer.split("|")] for layer in ordered]
 
 
@@ -285,7 +335,9 @@ def api_pages(read: list[Module], labels: Mapping[str, str]) -> dict[str, str]:
     pages = {f"{FOLDER}/index.md": overview(read), f"{FOLDER}/scripts.md": scripts(read, write)}
     for package, own in by_package.items():
         title = "labpipe" if package == "labpipe" else f"labpipe.{package}"
-        pages[f"{FOLDER}/{package}.md"] = HEAD + "\n\n".join([f"# {title}", *(write.module(module) for module in own)]) + "\n"
+        pages[f"{FOLDER}/{package}.md"] = (
+            HEAD + "\n\n".join([f"# {title}", *(write.module(module) for module in own)]) + "\n"
+        )
     return pages
 
 
@@ -299,10 +351,14 @@ def overview(read: list[Module]) -> str:
             rows.append(f"| {number} | [`{one.path}`]({target}) | {first_sentence(one.text)} |")
     return (
         "# Python\n\nNotebooks and scripts need the [names of `labpipe` itself](scripts.md); "
-        "[Notebooks](../../how-to/notebook.md) shows them at work. Plug-ins and contributors find every public name below.\n\n"
-        "Arrays are numpy's, in SI units unless a docstring says otherwise; frequencies in Hz, angles in rad. `(n_line, n_output)` is a "
-        "shape, `[N/m]` a unit. Bad input raises `labpipe.LabpipeError`, whose message says what is wrong and where.\n\n"
-        "## Layers\n\nLayer 1 is the uppermost. A package imports from the layers below its own, not from its neighbours and "
+        "[Notebooks](../../how-to/notebook.md) shows them at work. Plug-ins and contributors find every "
+        "public name below.\n\n"
+        "Arrays are numpy's, in SI units unless a docstring says otherwise; frequencies in Hz, angles in "
+        "rad. `(n_line, n_output)` is a "
+        "shape, `[N/m]` a unit. Bad input raises `labpipe.LabpipeError`, whose message says what is wrong "
+        "and where.\n\n"
+        "## Layers\n\nLayer 1 is the uppermost. A package imports from the layers below its own, not from "
+        "its neighbours and "
         "not from above; CI holds that.\n\n"
         "| layer | package | what it is |\n|---|---|---|\n" + "\n".join(rows) + "\n"
     )
@@ -314,7 +370,10 @@ def scripts(read: list[Module], write: Entries) -> str:
 
     by_path = {one.path: (one, module) for module in read for name in module.names for one in name.all}
     page = f"{FOLDER}/scripts.md"
-    parts = ["# Names for scripts and notebooks", write.html(labpipe.__doc__ or "", page, "labpipe/__init__.py")]
+    parts = [
+        "# Names for scripts and notebooks",
+        write.html(labpipe.__doc__ or "", page, "labpipe/__init__.py"),
+    ]
     for name in (one for one in labpipe.__all__ if public(one)):
         offered = getattr(labpipe, name)
         one, module = by_path[f"{offered.__module__}.{offered.__qualname__}"]

@@ -1,4 +1,5 @@
-"""Build the documentation site into docs/site: run the pipelines whose figures the pages show, generate the reference, call mkdocs.
+"""Build the documentation site into docs/site: run the pipelines whose figures the pages show, generate the
+reference, call mkdocs.
 
 python docs/build.py            all; what is up to date in out/docs is not computed again
 """
@@ -35,8 +36,11 @@ PAPERS = {"changes.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
 LANGUAGES = {".py": "python", ".yaml": "yaml"}
 # The pages draw their figures from the result: the reports of the runs would take as long as the runs.
 FIGURES_ONLY = ["--set", "report.formats=[]"]
-# Where a page shows figures of less work than the pipeline as it is shipped, it says so; rules about the statistics go with the work.
-OPTIONS = {"three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false", "--set", "expect={}"]}
+# Where a page shows figures of less work than the pipeline as it is shipped, it says so; rules about the
+# statistics go with the work.
+OPTIONS = {
+    "three-dof": ["--set", "study.repeats=40", "--set", "study.thresholds=false", "--set", "expect={}"]
+}
 
 
 class Results:
@@ -53,14 +57,21 @@ class Results:
             from labpipe.report.document import Figure
 
             document = build(read_identification(ran(name) / "identification.json"))
-            self._figures[name] = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+            self._figures[name] = [
+                block
+                for section in document.sections
+                for block in section.blocks
+                if isinstance(block, Figure)
+            ]
         return self._figures[name]
 
     def html(self, name: str, words: str, up: str) -> str:
         """The first figure whose caption holds *words*, as HTML that names its file; the file is written."""
         from labpipe.document.charts import canvas_of, svg_text
 
-        found = [n for n, figure in enumerate(self.figures(name), 1) if words.lower() in figure.caption.lower()]
+        found = [
+            n for n, figure in enumerate(self.figures(name), 1) if words.lower() in figure.caption.lower()
+        ]
         if not found:
             captions = "\n  ".join(figure.caption for figure in self.figures(name))
             raise SystemExit(f"{name} has no figure whose caption holds '{words}':\n  {captions}")
@@ -78,7 +89,17 @@ def ran(name: str) -> Path:
 
     folder = WORK / "runs" / name
     print(f"run {name}", flush=True)
-    code = run_command(["run", str(ROOT / "pipelines" / f"{name}.yaml"), "-o", str(folder), "-q", *FIGURES_ONLY, *OPTIONS.get(name, [])])
+    code = run_command(
+        [
+            "run",
+            str(ROOT / "pipelines" / f"{name}.yaml"),
+            "-o",
+            str(folder),
+            "-q",
+            *FIGURES_ONLY,
+            *OPTIONS.get(name, []),
+        ]
+    )
     if code:
         raise SystemExit(f"pipelines/{name}.yaml ended with {code}")
     return folder
@@ -91,7 +112,9 @@ def source_block(found: re.Match[str]) -> str:
 
 
 def pipeline_block(found: re.Match[str]) -> str:
-    """Sections of a shipped pipeline as they stand in its file, under its name: `frf`, or `identify.pedestal` for one entry."""
+    """Sections of a shipped pipeline as they stand in its file, under its name: `frf`, or `identify.pedestal`
+    for one entry.
+    """
     place = f"pipelines/{found[1]}.yaml"
     text = (ROOT / place).read_text(encoding="utf-8")
     shown: list[str] = []
@@ -123,20 +146,30 @@ def _block(lines: list[str], head: str) -> list[str]:
 
 
 def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
-    """The pages with their figures (name of a pipeline, words of a caption, way up -> HTML) and the generated reference, in *target*."""
+    """The pages with their figures (name of a pipeline, words of a caption, way up -> HTML) and the generated
+    reference, in *target*.
+    """
     from reference import reference_pages
 
     shutil.copytree(DOCS / "pages", target)
     read = api.modules()
-    written = {path.relative_to(target).as_posix(): path.read_text(encoding="utf-8") for path in sorted(target.rglob("*.md"))}
+    written = {
+        path.relative_to(target).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(target.rglob("*.md"))
+    }
     known = Equations(labels_of(written), api.places(read))
     for page, text in written.items():
-        text = FIGURE.sub(lambda found, page=page: figure(found[1], found[2], "../" * page.count("/")), with_maths(page, text, known))
+        text = FIGURE.sub(
+            lambda found, page=page: figure(found[1], found[2], "../" * page.count("/")),
+            with_maths(page, text, known),
+        )
         text = PIPELINE.sub(pipeline_block, SOURCE.sub(source_block, text))
         if slip := LEFT.search(text):
             raise SystemExit(f"docs/pages/{page}: '{slip[0]}' is no figure, source, pipeline or equation")
         written[page] = text
-    written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(read, known.labels)
+    written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(
+        read, known.labels
+    )
     written |= project_papers()
     for page, text in written.items():
         (target / page).parent.mkdir(parents=True, exist_ok=True)
@@ -144,14 +177,27 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
 
 
 def project_papers() -> dict[str, str]:
-    """The project's own papers as pages, with their links to pages; who reads the site has no checkout at hand."""
-    return {page: (ROOT / name).read_text(encoding="utf-8").replace("](docs/pages/", "](") for page, name in PAPERS.items()}
+    """The project's own papers as pages, with their links to pages.
+
+    Who reads the site has no checkout at hand.
+    """
+    return {
+        page: (ROOT / name).read_text(encoding="utf-8").replace("](docs/pages/", "](")
+        for page, name in PAPERS.items()
+    }
 
 
 def build_site(pages: Path, site: Path) -> int:
-    """The pages as a site: mkdocs's exit code; its configuration, with the folders of the navigation as lists of pages, beside *pages*."""
+    """The pages as a site: mkdocs's exit code.
+
+    Its configuration, with the folders of the navigation as lists of pages, beside *pages*.
+    """
     config = yaml.safe_load((DOCS / "mkdocs.yml").read_text(encoding="utf-8"))
-    config |= {"docs_dir": str(pages), "site_dir": str(site), "nav": [one for entry in config["nav"] for one in in_full(entry, pages)]}
+    config |= {
+        "docs_dir": str(pages),
+        "site_dir": str(site),
+        "nav": [one for entry in config["nav"] for one in in_full(entry, pages)],
+    }
     config["theme"]["custom_dir"] = str(DOCS / "theme")
     written = pages.parent / "mkdocs.yml"
     written.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
@@ -170,7 +216,9 @@ def in_full(entry: dict[str, Any], pages: Path) -> list[dict[str, Any]]:
 
 
 def pages_in(folder: Path, pages: Path) -> list[str]:
-    """The pages of a folder: its index first, the others in the order in which the index links to them, those it leaves out last."""
+    """The pages of a folder: its index first, the others in the order in which the index links to them, those
+    it leaves out last.
+    """
     index = folder / "index.md"
     linked = re.findall(r"\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8")) if index.exists() else []
     order = {name: n for n, name in reversed(list(enumerate(["index.md", *linked])))}

@@ -1,11 +1,13 @@
 """The commands that the pages show: found, run, and held against the output that stands below them.
 
-A block of the language `console` holds commands behind "$ " and, where it shows them, the lines that they print; a line "..." stands
-for any lines. A comment ahead of the block says what differs: `<!-- test: parse -->` only reads the options (a cluster, minutes of
-work), `<!-- test: --set study.repeats=2 -->` adds options, `<!-- test: exit 1 -->` is another exit code than 0 (options may follow),
-`<!-- test: with-plugin -->` needs the plug-in of docs/plugin.
+A block of the language `console` holds commands behind "$ " and, where it shows them, the lines that they
+print; a line "..." stands for any lines. A comment ahead of the block says what differs: `<!-- test: parse
+-->` only reads the options (a cluster, minutes of work), `<!-- test: --set study.repeats=2 -->` adds options,
+`<!-- test: exit 1 -->` is another exit code than 0 (options may follow), `<!-- test: with-plugin -->` needs
+the plug-in of docs/plugin.
 
-    python docs/console.py PAGE...      write the output of the commands, run in a scratch copy, into the pages
+    python docs/console.py PAGE...      write the output of the commands, run in a scratch copy, into the
+    pages
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ ALIKE = 0.02
 
 @dataclass(frozen=True)
 class Command:
-    """One command of a page: its words, the lines shown below it, its exit code, and options that only the test adds."""
+    """One command of a page: its words, the lines shown below it, its exit code, and options that only the
+    test adds.
+    """
 
     words: tuple[str, ...]
     shown: tuple[str, ...] = ()
@@ -54,7 +58,9 @@ def commands(text: str) -> Iterator[Command]:
         for part in parts:
             line, *shown = part.rstrip("\n").replace("\\\n", " ").split("\n")
             shown = [one for one in shown if one.strip()]
-            made = Command(tuple(shlex.split(line)), tuple(shown), 2 if shown and shown[0].startswith("error") else 0)
+            made = Command(
+                tuple(shlex.split(line)), tuple(shown), 2 if shown and shown[0].startswith("error") else 0
+            )
             yield _as_told(made, shlex.split(how))
 
 
@@ -70,7 +76,9 @@ def _as_told(command: Command, how: list[str]) -> Command:
 
 
 def scratch(folder: Path) -> None:
-    """Make *folder* what the pages take for the checkout: pipelines, configs and plug-in copied, sample data linked."""
+    """Make *folder* what the pages take for the checkout: pipelines, configs and plug-in copied, sample data
+    linked.
+    """
     for name in ("pipelines", "configs"):
         shutil.copytree(ROOT / name, folder / name)
     shutil.copytree(DOCS / "plugin", folder / "docs/plugin")
@@ -83,16 +91,23 @@ def _install(plugin: Path) -> None:
     project = tomllib.loads((plugin / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     info = plugin / "src" / f"labpipe_example-{project['version']}.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8"
+    )
     groups = [(group, entries.items()) for group, entries in project["entry-points"].items()]
-    lines = [line for group, entries in groups for line in (f"[{group}]", *(f"{name} = {target}" for name, target in entries))]
+    lines = [
+        line
+        for group, entries in groups
+        for line in (f"[{group}]", *(f"{name} = {target}" for name, target in entries))
+    ]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def run(command: Command) -> tuple[int, str]:
     """(exit code, what it printed) of a command, run here; one that is only parsed ends with 0.
 
-    With the plug-in, and other programs than labpipe, run in a process of their own: tables of choices are looked up once.
+    With the plug-in, and other programs than labpipe, run in a process of their own: tables of choices are
+    looked up once.
     """
     from labpipe.cli.main import TABLE, run_command
 
@@ -100,9 +115,13 @@ def run(command: Command) -> tuple[int, str]:
     assert program in ("labpipe", "python"), command
     if program == "python" or command.plugin:
         start = ["-m", "labpipe.cli.main"] if program == "labpipe" else []
-        path = os.pathsep.join([str(Path("docs/plugin/src").resolve()), *filter(None, [os.environ.get("PYTHONPATH")])])
+        path = os.pathsep.join(
+            [str(Path("docs/plugin/src").resolve()), *filter(None, [os.environ.get("PYTHONPATH")])]
+        )
         full = [sys.executable, *start, *words]
-        ended = subprocess.run(full, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path})
+        ended = subprocess.run(
+            full, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path}
+        )
         return ended.returncode, ended.stdout + ended.stderr
     if command.parse_only:
         TABLE[words[0]].make_context(words[0], list(words[1:]))
@@ -149,13 +168,19 @@ def _same_word(one: str, other: str) -> bool:
     if one == other:
         return True
     try:
-        return abs(float(one.rstrip(",);")) - float(other.rstrip(",);"))) <= ALIKE * abs(float(other.rstrip(",);"))) + 1e-12
+        return (
+            abs(float(one.rstrip(",);")) - float(other.rstrip(",);")))
+            <= ALIKE * abs(float(other.rstrip(",);"))) + 1e-12
+        )
     except ValueError:
         return False
 
 
 def written(text: str) -> str:
-    """The page with the output of its commands below them; blocks that show none, or parts ("..."), stay as they are."""
+    """The page with the output of its commands below them.
+
+    Blocks that show none, or parts ("..."), stay as they are.
+    """
 
     def block(found: re.Match[str]) -> str:
         page = found[0]
@@ -163,7 +188,9 @@ def written(text: str) -> str:
             code, printed = run(command)
             said = differs(command.shown, printed)
             if code != command.code or said:
-                print(f"exit {code}: {shlex.join(command.words)}\n  shown: {said}\n{printed}", file=sys.stderr)
+                print(
+                    f"exit {code}: {shlex.join(command.words)}\n  shown: {said}\n{printed}", file=sys.stderr
+                )
             if command.shown and said and ANY not in "\n".join(command.shown):
                 lines = [line.rstrip() for line in printed.splitlines() if line.strip()]
                 page = page.replace("\n".join(command.shown) + "\n", "\n".join(lines) + "\n", 1)

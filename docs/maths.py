@@ -1,8 +1,10 @@
-r"""Formulas of the pages: `$...$` within a line and `$$...$$` by itself, in LaTeX, become MathML, which browsers draw without a script.
+r"""Formulas of the pages: `$...$` within a line and `$$...$$` by itself, in LaTeX, become MathML, which
+browsers draw without a script.
 
-MathML and not a script as MathJax or KaTeX: nothing is fetched or run when a page is read, no font is shipped, and a formula that is
-wrong ends the build, not the reader's page. math-core makes it: it knows the part of MathML that browsers draw, and stops at a command
-or an environment that it does not know (latex2mathml lets them through). Code is left alone; a dollar sign is written `\$`.
+MathML and not a script as MathJax or KaTeX: nothing is fetched or run when a page is read, no font is
+shipped, and a formula that is wrong ends the build, not the reader's page. math-core makes it: it knows the
+part of MathML that browsers draw, and stops at a command or an environment that it does not know
+(latex2mathml lets them through). Code is left alone; a dollar sign is written `\$`.
 
 A line ahead of a `$$` block gives the equation a label and says which public names of labpipe compute it:
 
@@ -28,7 +30,8 @@ FORMULA = r"(?:\\.|[^$\\])+?"
 TOKEN = re.compile(
     r"(?P<code>(?<!`)(?P<ticks>`+)(?!`).+?(?<!`)(?P=ticks)(?!`)|<(?P<tag>pre|code|script)\b.*?</(?P=tag)>|<!--.*?-->|\\\\)"
     r"|(?P<dollar>\\\$)"
-    rf"|(?P<display>(?:^\{{\{{ equation (?P<label>{LABEL}) \| (?P<by>[\w., ]+?) \}}\}}[ \t]*\n)?\$\$(?P<block>{FORMULA})\$\$)"
+    rf"|(?P<display>(?:^\{{\{{ equation (?P<label>{LABEL}) \| (?P<by>[\w., ]+?) \}}\}}[ \t]*\n)?"
+    rf"\$\$(?P<block>{FORMULA})\$\$)"
     rf"|(?P<cited>{CITATION})"
     rf"|(?P<inline>\$(?=\S)(?P<within>{FORMULA})(?<=\S)\$(?!\d)(?P<behind>[.,;:)]*))"
     r"|(?P<wrong>\$|^\{\{ equation\b[^\n]*)",
@@ -40,7 +43,9 @@ ACTIVE = re.compile(r"[*_`|\\\[\]~^#!](?=[^<>]*<)")
 
 @dataclass(frozen=True)
 class Equations:
-    """Where the labels of equations stand, and where the public names of labpipe are documented: page and name of the anchor."""
+    """Where the labels of equations stand, and where the public names of labpipe are documented: page and
+    name of the anchor.
+    """
 
     labels: Mapping[str, str]
     names: Mapping[str, str]
@@ -55,7 +60,9 @@ def mathml(formula: str, display: bool = False) -> str:
     from math_core import LatexError, LatexToMathML
 
     try:
-        made = LatexToMathML(fancy_error=False).convert_with_local_state(" ".join(formula.split()), displaystyle=display)
+        made = LatexToMathML(fancy_error=False).convert_with_local_state(
+            " ".join(formula.split()), displaystyle=display
+        )
     except LatexError as error:
         raise FormulaError(str(error).partition(": ")[2].rstrip(".")) from error
     return ACTIVE.sub(lambda letter: f"&#{ord(letter[0])};", made)
@@ -68,20 +75,29 @@ def labels_of(pages: Mapping[str, str]) -> dict[str, str]:
         for start, block in paragraphs(text):
             for token in TOKEN.finditer(block):
                 if token["label"] in found:
-                    stop(page, start, block, token, f"the label '{token['label']}' is given twice, first in {found[token['label']]}")
+                    stop(
+                        page,
+                        start,
+                        block,
+                        token,
+                        f"the label '{token['label']}' is given twice, first in {found[token['label']]}",
+                    )
                 if token["label"]:
                     found[token["label"]] = page
     return found
 
 
 def with_maths(page: str, text: str, known: Equations) -> str:
-    """The page with its formulas in MathML; SystemExit with page, line and formula where one cannot be rendered.
+    """The page with its formulas in MathML; SystemExit with page, line and formula where one cannot be
+    rendered.
 
     *page* is its path below the folder of pages; names and labels link to their pages from there.
     """
     lines = text.splitlines(keepends=True)
     for start, block in paragraphs(text):
-        replaced = TOKEN.sub(lambda token, at=start, whole=block: _rendered(page, at, whole, token, known), block)
+        replaced = TOKEN.sub(
+            lambda token, at=start, whole=block: _rendered(page, at, whole, token, known), block
+        )
         if replaced != block:
             count = len(block.splitlines())
             lines[start : start + count] = [replaced, *[""] * (count - 1)]
@@ -94,8 +110,14 @@ def paragraphs(text: str) -> Iterator[tuple[int, str]]:
     start, fence, owner, blank = 0, "", "", True
     for number, line in enumerate([*lines, "\n"]):
         marks = FENCE.match(line)
-        code = bool(fence) or marks is not None or (blank and line.startswith("    ") and not OWNERS.match(owner))
-        if marks is not None and (not fence or (marks[1].startswith(fence) and not line.strip(" \t\n" + fence[0]))):
+        code = (
+            bool(fence)
+            or marks is not None
+            or (blank and line.startswith("    ") and not OWNERS.match(owner))
+        )
+        if marks is not None and (
+            not fence or (marks[1].startswith(fence) and not line.strip(" \t\n" + fence[0]))
+        ):
             fence = "" if fence else marks[1]
         if code or not line.strip():
             if start < number:
@@ -121,7 +143,8 @@ def _rendered(page: str, start: int, block: str, token: re.Match[str], known: Eq
     except FormulaError as error:
         stop(page, start, block, token, f"{error} in the formula {' '.join(formula.split())}")
     if token["inline"]:
-        # Within a span, as Markdown takes <math> at the beginning of a line for a block; with what must not begin the next line.
+        # Within a span, as Markdown takes <math> at the beginning of a line for a block; with what must not
+        # begin the next line.
         return f'<span class="math">{made}{token["behind"]}</span>'
     if token["label"]:
         return _equation(token["label"], made, _computed(page, start, block, token, known))
@@ -132,12 +155,18 @@ def _rendered(page: str, start: int, block: str, token: re.Match[str], known: Eq
 def _fault(found: str) -> str:
     if found == "$":
         return "a $ without its partner; a dollar sign is written \\$"
-    return f"'{found}' is not '{{{{ equation LABEL | labpipe.MODULE.NAME, ... }}}}' on the line above a $$ block, with a hyphen in LABEL"
+    return (
+        f"'{found}' is not '{{{{ equation LABEL | labpipe.MODULE.NAME, ... }}}}' on the line above a $$ "
+        "block, with a hyphen in LABEL"
+    )
 
 
 def _equation(label: str, made: str, computed: str) -> str:
     number = f'<a class="number" href="#{label}">({label})</a>'
-    return f'\n\n<div class="equation" id="{label}">{made}{number}</div>\n\ncomputed by {computed}\n{{: .computed }}\n\n'
+    return (
+        f'\n\n<div class="equation" id="{label}">{made}{number}</div>\n\ncomputed by {computed}\n{{: '
+        ".computed }\n\n"
+    )
 
 
 def _computed(page: str, start: int, block: str, token: re.Match[str], known: Equations) -> str:
@@ -164,7 +193,10 @@ def linked(citation: str, link: Callable[[str], str]) -> str:
 def way(page: str, other: str) -> str:
     """The relative path from a page to another one."""
     here, there = PurePosixPath(page).parent.parts, PurePosixPath(other).parts
-    same = next((n for n, pair in enumerate(zip(here, there[:-1], strict=False)) if pair[0] != pair[1]), min(len(here), len(there) - 1))
+    same = next(
+        (n for n, pair in enumerate(zip(here, there[:-1], strict=False)) if pair[0] != pair[1]),
+        min(len(here), len(there) - 1),
+    )
     return "/".join([*[".."] * (len(here) - same), *there[same:]])
 
 

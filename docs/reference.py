@@ -1,4 +1,6 @@
-"""The reference pages, made from what reads the files: settings, units, codes of findings, and the help of every command."""
+"""The reference pages, made from what reads the files: settings, units, codes of findings, and the help of
+every command.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,10 @@ def reference_pages() -> dict[str, str]:
 
 
 def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
-    """The settings of a dataclass as a table; sections and lists of them follow below it, each under its dotted name."""
+    """The settings of a dataclass as a table.
+
+    Sections and lists of them follow below it, each under its dotted name.
+    """
     from labpipe.estimation.settings import FitSettings, models_text
     from labpipe.records.settings import settings_of
     from labpipe.uncertainty.settings import CompareSettings, kinds_text
@@ -71,7 +76,9 @@ def table(owner: type, known: str = "", without: Collection[str] = ()) -> str:
         otherwise = "**needed**" if needed else default(defaults[name], setting.unit)
         rows.append(f"| `{name}` | {cell(setting.help)}{taken(name)} | {form(setting)} | {otherwise} |")
         if setting.section is not None:
-            below.append(f"\n`{known}{name}:`{BELOW[setting.kind]}\n\n" + table(setting.section, f"{known}{name}."))
+            below.append(
+                f"\n`{known}{name}:`{BELOW[setting.kind]}\n\n" + table(setting.section, f"{known}{name}.")
+            )
     return "\n".join(rows) + "\n" + "\n".join(below)
 
 
@@ -105,7 +112,9 @@ def commands_page() -> str:
     parts = ["# Commands", f"Every command, as `labpipe COMMAND --help` prints it. {codes}"]
     parent = click.Context(group, info_name="labpipe", terminal_width=100)
     for name in COMMANDS:
-        context = click.Context(TABLE[name], info_name=name, parent=parent, terminal_width=100, max_content_width=100)
+        context = click.Context(
+            TABLE[name], info_name=name, parent=parent, terminal_width=100, max_content_width=100
+        )
         parts.append(f"## {name}\n\n```text\n{TABLE[name].get_help(context)}\n```")
     return "\n\n".join(parts) + "\n"
 
@@ -114,7 +123,8 @@ def rig_page() -> str:
     from labpipe.project.rig_file import ChannelSettings, RigSettings
 
     return (
-        "# Rig files\n\nWhat the rig is. `channels:` holds one entry per channel, under the name used everywhere else.\n\n"
+        "# Rig files\n\nWhat the rig is. `channels:` holds one entry per channel, under the name used "
+        "everywhere else.\n\n"
         "`constants:` holds numbers with their uncertainty for channels that are sums of others (`derived`): "
         "[a floating stator](../how-to/floating.md#channels-that-are-sums-of-others).\n\n"
         f"{table(RigSettings)}\n## channels\n\n{table(ChannelSettings)}"
@@ -131,11 +141,15 @@ def pipeline_page() -> str:
     head = (DOCS / "pipeline-head.md").read_text(encoding="utf-8").strip()
     words = {
         "frfs": (
-            "An entry that describes its file. How it is used: [FRFs of any layout](../how-to/files.md#frfs-of-any-layout).",
+            "An entry that describes its file. How it is used: [FRFs of any "
+            "layout](../how-to/files.md#frfs-of-any-layout).",
             FrfLayout,
         ),
         "frf": ("How recordings become frequency responses.", FrfSettings),
-        "uncertainty": ("How uncertainties are propagated, for all fits: [uncertainty budget](../how-to/budget.md).", UncertaintySettings),
+        "uncertainty": (
+            "How uncertainties are propagated, for all fits: [uncertainty budget](../how-to/budget.md).",
+            UncertaintySettings,
+        ),
         **{name: (section.words, section.settings) for name, section in sections()},
         "report": ("What `labpipe run` writes.", ReportSettings),
     }
@@ -151,12 +165,18 @@ def own_parts(section: str) -> list[str]:
     from labpipe.estimation.settings import MODELS, model_kind
     from labpipe.uncertainty.settings import COMPARISONS, comparison_kind
 
-    tables = {"identify": ("fit", "model", MODELS, model_kind), "compare": ("comparison", "kind", COMPARISONS, comparison_kind)}
+    tables = {
+        "identify": ("fit", "model", MODELS, model_kind),
+        "compare": ("comparison", "kind", COMPARISONS, comparison_kind),
+    }
     if section not in tables:
         return []
     what, key, names, kind_of = tables[section]
     own = ((name, kind) for name in names if (kind := kind_of(name)).settings is not None)
-    return [f"`{kind.section}:` of a {what} with `{key}: {name}`\n\n{table(kind.settings, f'{kind.section}.')}" for name, kind in own]
+    return [
+        f"`{kind.section}:` of a {what} with `{key}: {name}`\n\n{table(kind.settings, f'{kind.section}.')}"
+        for name, kind in own
+    ]
 
 
 def bearing_page() -> str:
@@ -178,11 +198,13 @@ def rotor_page() -> str:
     parts = ["# Rotor files", words, table(RotorSettings)]
     parts += [f"## {name}\n\nA list; each entry holds:\n\n{table(owner)}" for name, owner in LISTS.items()]
     parts += rotor_bearing_parts()
-    parts.append(f"## materials\n\nOne entry per material beside steel and aluminium.\n\n{table(MaterialSettings)}")
+    parts.append(
+        f"## materials\n\nOne entry per material beside steel and aluminium.\n\n{table(MaterialSettings)}"
+    )
     parts.append(f"## damping\n\n{table(DampingSettings)}")
     pinned = (
-        "A rotor for run-ups runs between `pins: [NODE, NODE]` on one bearing, and names where it is measured: `planes: {NAME: NODE}`. "
-        "It has no loads, and these entries in place of those above:"
+        "A rotor for run-ups runs between `pins: [NODE, NODE]` on one bearing, and names where it is "
+        "measured: `planes: {NAME: NODE}`. It has no loads, and these entries in place of those above:"
     )
     parts.append(f"## pins\n\n{pinned}\n\n{table(PinnedSettings)}")
     return "\n\n".join(parts) + "\n"
@@ -192,7 +214,10 @@ def rotor_bearing_parts() -> list[str]:
     """What an entry of a rotor's bearings holds, kind by kind."""
     from labpipe.bearings.kinds import BEARINGS
 
-    words = "A list; each entry holds `node`, `kind` and the entries of that kind. Load and speed follow from the rotor."
+    words = (
+        "A list; each entry holds `node`, `kind` and the entries of that kind. Load and speed follow "
+        "from the rotor."
+    )
     parts = [f"## bearings\n\n{words}"]
     for name in BEARINGS:
         kind = BEARINGS[name]
@@ -207,7 +232,10 @@ def rotor_bearing_parts() -> list[str]:
 def virtual_page() -> str:
     from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 
-    parts = ["# Virtual rigs", "What `labpipe simulate` and the section `study:` read. `kind` chooses the rig."]
+    parts = [
+        "# Virtual rigs",
+        "What `labpipe simulate` and the section `study:` read. `kind` chooses the rig.",
+    ]
     for name in VIRTUAL_RIGS:
         owner = VIRTUAL_RIGS[name].settings
         parts.append(f"## {name}\n\n{summary(owner)}\n\n{table(owner)}")
@@ -223,8 +251,9 @@ def units_page() -> str:
 
     rows = [f"| `{q.name}` | {q.symbol} | {q.si_unit} | {q.display_unit} |" for q in QUANTITIES.values()]
     return (
-        "# Quantities and units\n\nFiles may use any unit of the right dimension. Inside labpipe, in `identification.json` and in exported "
-        "tables all is in SI units, frequencies in Hz, angles in rad.\n\n| quantity | symbol | SI unit | shown in |\n|---|---|---|---|\n"
+        "# Quantities and units\n\nFiles may use any unit of the right dimension. Inside labpipe, in "
+        "`identification.json` and in exported tables all is in SI units, frequencies in Hz, angles in "
+        "rad.\n\n| quantity | symbol | SI unit | shown in |\n|---|---|---|---|\n"
         + "\n".join(rows)
         + "\n\n## Units\n\nWith a prefix ("
         + ", ".join(f"`{prefix}`" for prefix in _PREFIX)
@@ -232,16 +261,23 @@ def units_page() -> str:
         + ", ".join(f"`{unit}`" for unit in _BASE)
         + ".\n\nAs they are: "
         + ", ".join(f"`{unit}`" for unit in _FIXED)
-        + ".\n\nCompound units are written with `.`, `*` or a blank, `^` and one `/`: `N.s/m`, `m/(N.s^2)`, `N/m^1.5`.\n"
+        + ".\n\nCompound units are written with `.`, `*` or a blank, `^` and one `/`: `N.s/m`, `m/(N.s^2)`, "
+        "`N/m^1.5`.\n"
     )
 
 
 def warnings_page() -> str:
     told = explained()
-    rows = [f"| `{code}` | {cell(told[code][0])} | {cell(told[code][1])} |" for code in sorted(codes()) if code in told]
+    rows = [
+        f"| `{code}` | {cell(told[code][0])} | {cell(told[code][1])} |"
+        for code in sorted(codes())
+        if code in told
+    ]
     return (
-        "# Warnings and notes\n\nA warning limits how far a number can be trusted; a note only says what was done. Both travel with the "
-        "result: recording, FRF, `identification.json`, report. Rules can ask for them: `accept: {direct.warnings: not collinear}`.\n\n"
+        "# Warnings and notes\n\nA warning limits how far a number can be trusted; a note only says what "
+        "was done. Both travel with the "
+        "result: recording, FRF, `identification.json`, report. Rules can ask for them: `accept: "
+        "{direct.warnings: not collinear}`.\n\n"
         "| code | meaning | what to do |\n|---|---|---|\n" + "\n".join(rows) + "\n"
     )
 
@@ -259,7 +295,12 @@ def codes() -> set[str]:
 
 def _codes_in(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("Finding", "note") and node.args:
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("Finding", "note")
+            and node.args
+        ):
             code = node.args[0]
             if isinstance(code, ast.Constant) and isinstance(code.value, str):
                 yield code.value

@@ -5,11 +5,10 @@ The same functions as on the command line, records in and records out::
     import labpipe
 
     result = labpipe.run("pipeline.yaml")                                  # everything, as `labpipe run`
-    recording = labpipe.read("pedestal.csv", rig="rig.yaml")               # or TDMS, UFF, MAT, HDF5, WAV, FRF files, results
-    response = labpipe.measure([recording], labpipe.FrfSettings("periodic", period="2 s", skip=3))
-    pedestal, = labpipe.fit(response, labpipe.FitSettings("sdof", mass="0.79 kg", band="60-70 Hz"))
-    print(pedestal)
-    html = labpipe.html_report(labpipe.Identification((pedestal,), "My rig"))
+    recording = labpipe.read("pedestal.csv", rig="rig.yaml")               # or TDMS, UFF, MAT, HDF5, WAV, FRF
+    files, results response = labpipe.measure([recording], labpipe.FrfSettings("periodic", period="2 s",
+    skip=3)) pedestal, = labpipe.fit(response, labpipe.FitSettings("sdof", mass="0.79 kg", band="60-70 Hz"))
+    print(pedestal) html = labpipe.html_report(labpipe.Identification((pedestal,), "My rig"))
 
 Names are imported when they are used, so that ``import labpipe`` costs nothing.
 """
@@ -44,7 +43,11 @@ _MODULES = {
     "labpipe.records.identification": "Fit Identification",
     "labpipe.errors": "LabpipeError",
 }
-_PUBLIC = {text.partition("=")[0]: (module, text.rpartition("=")[2]) for module, names in _MODULES.items() for text in names.split()}
+_PUBLIC = {
+    text.partition("=")[0]: (module, text.rpartition("=")[2])
+    for module, names in _MODULES.items()
+    for text in names.split()
+}
 __all__ = ["__version__", *_PUBLIC]
 
 

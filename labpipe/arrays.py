@@ -25,7 +25,8 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 
 def frozen_array(values: ArrayLike, dtype: type, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Read-only array of *values* (n, ...) [any unit] with the given dtype and shape; DataError on another shape or NaN.
+    """Read-only array of *values* (n, ...) [any unit] with the given dtype and shape; DataError on another
+    shape or NaN.
 
     A copy, unless nobody can write to *values* any more.
     """
@@ -50,7 +51,8 @@ def _is_frozen(values: ArrayLike, dtype: type) -> bool:
 
 
 def handed_over(values: NDArray[Any]) -> NDArray[Any]:
-    """The array *values* (n, ...) [any unit] made read-only with all that it is a view of, so that a record takes it without a copy.
+    """The array *values* (n, ...) [any unit] made read-only with all that it is a view of, so that a record
+    takes it without a copy.
 
     For arrays that were made for the record and that nobody else holds.
     """

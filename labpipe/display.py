@@ -1,7 +1,8 @@
-"""Values with their uncertainty and unit as people read them (JCGM 100:2008, 7.2.6): THE home of every number that is shown.
+"""Values with their uncertainty and unit as people read them (JCGM 100:2008, 7.2.6): THE home of every number
+that is shown.
 
-The uncertainty has two significant digits, the value is rounded to the same place, both share a prefix and a power of ten. What programs
-read (JSON, CSV) stays in SI at full precision.
+The uncertainty has two significant digits, the value is rounded to the same place, both share a prefix and a
+power of ten. What programs read (JSON, CSV) stays in SI at full precision.
 """
 
 from __future__ import annotations
@@ -57,13 +58,16 @@ class _Place:
     power: int
 
     def text(self, number: float, decimals: int | None = None) -> str:
-        return self.mantissa(number, decimals) + (f"e{self.power}" if self.power and math.isfinite(number) else "")
+        return self.mantissa(number, decimals) + (
+            f"e{self.power}" if self.power and math.isfinite(number) else ""
+        )
 
     def mantissa(self, number: float, decimals: int | None = None) -> str:
         if not math.isfinite(number):
             return NOT_DETERMINED
         decimals = self.decimals if decimals is None else decimals
-        # Dividing by a power that is exact keeps the digits of the decimal number; zero is added since -0.0 is no result.
+        # Dividing by a power that is exact keeps the digits of the decimal number; zero is added since -0.0
+        # is no result.
         scaled = number / 10.0**self.power if self.power >= 0 else number * 10.0**-self.power
         return f"{round(scaled, decimals) + 0.0:.{max(decimals, 0)}f}"
 
@@ -80,18 +84,29 @@ def _place(error: float, *numbers: float) -> _Place:
 
 
 def written(value: float, error: float | None, *others: float) -> tuple[str, ...]:
-    """Value, uncertainty and *others* on the scale of the value (ends of an interval), all to the uncertainty's second digit.
+    """Value, uncertainty and *others* on the scale of the value (ends of an interval), all to the
+    uncertainty's second digit.
 
-    Without an uncertainty, or with none above zero, numbers have six significant digits and the uncertainty is '' or '0'; what is not
-    finite is 'not determined'. A value that is known beyond twelve digits has twelve, and its uncertainty a power of its own.
+    Without an uncertainty, or with none above zero, numbers have six significant digits and the uncertainty
+    is '' or '0'; what is not finite is 'not determined'. A value that is known beyond twelve digits has
+    twelve, and its uncertainty a power of its own.
     """
     if error is None or error == 0.0 or not math.isfinite(error):
         uncertainty = "" if error is None else "0" if error == 0.0 else NOT_DETERMINED
         return (number(value), uncertainty, *(number(other) for other in others))
     place = _place(error, value, *others)
-    digits = 1 + place.decimals - place.power + (math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0)
+    digits = (
+        1
+        + place.decimals
+        - place.power
+        + (math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 0)
+    )
     if digits > MOST_DIGITS:
-        return (number(value, MOST_DIGITS), _place(error).text(abs(error)), *(number(other, MOST_DIGITS) for other in others))
+        return (
+            number(value, MOST_DIGITS),
+            _place(error).text(abs(error)),
+            *(number(other, MOST_DIGITS) for other in others),
+        )
     return (place.text(value), place.text(abs(error)), *(place.text(other) for other in others))
 
 
@@ -127,15 +142,21 @@ def change_text(value: float, error: float, unit: str) -> str:
 def amount_text(value: float, error: float | None, si_unit: str, sign: str = "±") -> str:
     """One text for a value and its uncertainty in SI, with the unit that suits both."""
     unit = shown_unit(si_unit, value, error)
-    return with_error(to_display(value, unit), None if error is None else difference_in(error, unit), unit, sign)
+    return with_error(
+        to_display(value, unit), None if error is None else difference_in(error, unit), unit, sign
+    )
 
 
 def plain_text(value: float, si_unit: str, digits: int = 5) -> str:
-    """A value in SI of which no uncertainty is known, with the unit that suits it: '45.9 kN/m', '16', '876.17 kPa'."""
+    """A value in SI of which no uncertainty is known, with the unit that suits it: '45.9 kN/m', '16', '876.17
+    kPa'.
+    """
     unit = shown_unit(si_unit, value)
     return f"{number(to_display(value, unit), digits)} {unit_label(unit)}".rstrip()
 
 
 def significant(value: float, digits: int) -> str:
-    """A number with so many significant digits, zeros at its end among them: 459000 is '4.590e+05', 22.8 is '22.80'."""
+    """A number with so many significant digits, zeros at its end among them: 459000 is '4.590e+05', 22.8 is
+    '22.80'.
+    """
     return f"{value:#.{digits}g}".removesuffix(".") if value and math.isfinite(value) else number(value)

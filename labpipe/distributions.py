@@ -1,7 +1,8 @@
 """Tails and quantiles of the distributions by which results are judged.
 
-Thin names over scipy.special: scipy.stats gives the same numbers, but takes longer to import than all the rest of labpipe together.
-scipy.special itself takes as long as numpy: it is imported when a tail is first asked for, which commands that only look never do.
+Thin names over scipy.special: scipy.stats gives the same numbers, but takes longer to import than all the
+rest of labpipe together. scipy.special itself takes as long as numpy: it is imported when a tail is first
+asked for, which commands that only look never do.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def student_quantile(p: Value, dof: Value) -> float:
 
 
 def coverage_factor(coverage: float, dof: float) -> float:
-    """t with P(|T| <= t) = *coverage* [1] for effective degrees of freedom, of the normal distribution where they are infinite.
+    """t with P(|T| <= t) = *coverage* [1] for effective degrees of freedom, of the normal distribution where
+    they are infinite.
 
     Equation (unc-coverage).
     """

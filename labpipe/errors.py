@@ -30,7 +30,9 @@ class LabpipeError(Exception):
 
 
 class ConfigError(LabpipeError):
-    """A fault in a rig, pipeline or bearing file, in ``--set`` or on the command line; *field*: the entry of the settings that is wrong."""
+    """A fault in a rig, pipeline or bearing file, in ``--set`` or on the command line; *field*: the entry of
+    the settings that is wrong.
+    """
 
     def __init__(self, what: str, *, where: str = "", hint: str = "", field: str = "") -> None:
         super().__init__(what, where=where, hint=hint)

@@ -1,6 +1,7 @@
 """THE table of physical quantities, and the reading of values with units ("90 um", "134.5 kN/m").
 
-Everything inside labpipe is in SI units, with frequencies in Hz and angles in rad. The conversion happens here only.
+Everything inside labpipe is in SI units, with frequencies in Hz and angles in rad. The conversion happens
+here only.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-# A dimension is the tuple of exponents of (m, kg, s, A, K, rad). The angle is kept apart from the pure number so that
-# "45 deg" is refused where "0.5" is meant; Hz counts revolutions or periods, rad/s counts angle.
+# A dimension is the tuple of exponents of (m, kg, s, A, K, rad). The angle is kept apart from the pure number
+# so that "45 deg" is refused where "0.5" is meant; Hz counts revolutions or periods, rad/s counts angle.
 Dimension = tuple[float, float, float, float, float, float]
 
 NONE: Dimension = (0, 0, 0, 0, 0, 0)
@@ -47,7 +48,9 @@ class Quantity:
     display_unit: str
 
 
-def _dimension(m: float = 0, kg: float = 0, s: float = 0, a: float = 0, k: float = 0, rad: float = 0) -> Dimension:
+def _dimension(
+    m: float = 0, kg: float = 0, s: float = 0, a: float = 0, k: float = 0, rad: float = 0
+) -> Dimension:
     return (m, kg, s, a, k, rad)
 
 
@@ -97,7 +100,19 @@ _FIXED: dict[str, Unit] = {
     "degC": Unit(1.0, _dimension(k=1), 273.15),
     "°C": Unit(1.0, _dimension(k=1), 273.15),
 }
-_PREFIX = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12}
+_PREFIX = {
+    "G": 1e9,
+    "M": 1e6,
+    "k": 1e3,
+    "d": 1e-1,
+    "c": 1e-2,
+    "m": 1e-3,
+    "u": 1e-6,
+    "µ": 1e-6,
+    "μ": 1e-6,
+    "n": 1e-9,
+    "p": 1e-12,
+}
 
 QUANTITIES: dict[str, Quantity] = {
     q.name: q
@@ -131,8 +146,8 @@ QUANTITIES: dict[str, Quantity] = {
     )
 }
 
-# No number in SI units that a laboratory meets is larger, no signal smaller: squares of squares stay within what a computer holds, so
-# that a slip of the keyboard ends at its place and not as an infinity in a result.
+# No number in SI units that a laboratory meets is larger, no signal smaller: squares of squares stay within
+# what a computer holds, so that a slip of the keyboard ends at its place and not as an infinity in a result.
 LARGEST, SMALLEST = 1e36, 1e-36
 MOST_POWER = 20
 MOST_FACTOR = 1e100
@@ -161,7 +176,11 @@ def nearest_unit(symbol: str) -> str:
     """The hint for an unknown unit: "did you mean 'um'?", or an empty text."""
     symbols = [*_BASE, *_FIXED, *(p + b for p in _PREFIX for b in ("m", "N", "g", "s", "A", "V", "Hz", "Pa"))]
     same_case = [k for k in symbols if k.lower() == symbol.lower()]
-    one_letter = [k for k in symbols if len(k) == len(symbol) > 1 and sum(a != b for a, b in zip(k, symbol, strict=True)) == 1]
+    one_letter = [
+        k
+        for k in symbols
+        if len(k) == len(symbol) > 1 and sum(a != b for a, b in zip(k, symbol, strict=True)) == 1
+    ]
     same_start = [k for k in one_letter if k[0] == symbol[0]]
     similar, alike = (difflib.get_close_matches(symbol, symbols, 1, cutoff) for cutoff in (0.75, 0.5))
     near = same_case or similar or same_start or alike
@@ -199,9 +218,11 @@ def _factors(text: str) -> list[tuple[str, float]]:
 # Lists and reports of thousands of values ask for the same few units.
 @functools.lru_cache(maxsize=1024)
 def parse_unit(text: str) -> Unit:
-    """The unit written as *text*: products with '.', '*' or a blank, powers with '^', one '/' for the quotient.
+    """The unit written as *text*: products with '.', '*' or a blank, powers with '^', one '/' for the
+    quotient.
 
-    ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them. Raises UnitError with the nearest known unit.
+    ``N.s/m``, ``m/(N.s^2)``, ``N/m^1.5`` are read as an engineer writes them. Raises UnitError with the
+    nearest known unit.
     """
     if len(text) > ECHO:
         raise UnitError(f"unreadable unit '{text[: ECHO - 3]}...'", "write it as N.s/m or m/(N.s^2)")
@@ -222,7 +243,8 @@ def parse_unit(text: str) -> Unit:
 
 
 def readings(text: str) -> tuple[Unit, ...]:
-    """The units that *text* may mean: g is the gram, and for those who measure accelerations standard gravity ("g/N", "mV/g").
+    """The units that *text* may mean: g is the gram, and for those who measure accelerations standard gravity
+    ("g/N", "mV/g").
 
     Raises UnitError as parse_unit does.
     """
@@ -231,7 +253,8 @@ def readings(text: str) -> tuple[Unit, ...]:
 
 
 def unit_of(text: str, si_unit: str) -> Unit:
-    """The unit written as *text*, of the dimension of *si_unit*: g is 9.80665 m/s^2 where an acceleration is needed, the gram else.
+    """The unit written as *text*, of the dimension of *si_unit*: g is 9.80665 m/s^2 where an acceleration is
+    needed, the gram else.
 
     Raises UnitError for an unknown unit or a wrong dimension.
     """
@@ -254,7 +277,8 @@ def is_number(text: str) -> bool:
 
 
 def parse_value(text: str | float, si_unit: str) -> float:
-    """The value of ``"90 um"`` in the SI unit given; a bare number is refused unless the SI unit is a pure number.
+    """The value of ``"90 um"`` in the SI unit given; a bare number is refused unless the SI unit is a pure
+    number.
 
     Raises UnitError when the number cannot be read, the unit is unknown or has the wrong dimension.
     """
@@ -272,17 +296,22 @@ def parse_value(text: str | float, si_unit: str) -> float:
     unit = unit_of(unit_text, si_unit)
     if si_unit == "kg" and 0 < abs(number * unit.factor) < SMALLEST:
         raise UnitError(f"'{str(text)[:ECHO]}' is no mass that anybody weighs", _example(si_unit))
-    return _finite((number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text)
+    return _finite(
+        (number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text
+    )
 
 
 def written_unit(text: str | float) -> str:
-    """The unit in which a value is written: "rpm" of "2772 rpm", '' for a bare number and for what is no value."""
+    """The unit in which a value is written: "rpm" of "2772 rpm", '' for a bare number and for what is no
+    value.
+    """
     match = _VALUE.match(str(text))
     return "" if match is None else match[2]
 
 
 def in_unit(value: float, si_unit: str, text: str) -> float:
-    """The *value* [*si_unit*] in the unit written as *text*: what parse_value makes of a value with a unit, undone.
+    """The *value* [*si_unit*] in the unit written as *text*: what parse_value makes of a value with a unit,
+    undone.
 
     Raises UnitError as unit_of does.
     """
@@ -290,11 +319,31 @@ def in_unit(value: float, si_unit: str, text: str) -> float:
     return (value * target.factor / _angle_per_period(unit, target) - unit.offset) / unit.factor
 
 
-_SI_UNITS = ("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad", "m/s", "Pa.s", "N/m", "m^3/s", "kg/s", "W")
+_SI_UNITS = (
+    "1",
+    "N",
+    "m",
+    "Hz",
+    "K",
+    "Pa",
+    "N.m",
+    "s",
+    "V",
+    "A",
+    "kg",
+    "rad",
+    "m/s",
+    "Pa.s",
+    "N/m",
+    "m^3/s",
+    "kg/s",
+    "W",
+)
 
 
 def si_amount(text: str | float) -> tuple[float, str]:
-    """An amount of any usual dimension in SI with its unit: "427 N" -> (427.0, "N"), "3000 rpm" -> (50.0, "Hz"); UnitError for none.
+    """An amount of any usual dimension in SI with its unit: "427 N" -> (427.0, "N"), "3000 rpm" -> (50.0,
+    "Hz"); UnitError for none.
 
     A scatter behind it ("1000.2 N +- 3.1 N") is left aside.
     """
@@ -315,8 +364,16 @@ def name_of_dimension(dimension: Dimension) -> str:
     if name is not None:
         return name
     symbols = ("m", "kg", "s", "A", "K", "rad")
-    above = [f"{symbol}^{power:g}" if power != 1 else symbol for symbol, power in zip(symbols, dimension, strict=True) if power > 0]
-    below = [f"{symbol}^{-power:g}" if power != -1 else symbol for symbol, power in zip(symbols, dimension, strict=True) if power < 0]
+    above = [
+        f"{symbol}^{power:g}" if power != 1 else symbol
+        for symbol, power in zip(symbols, dimension, strict=True)
+        if power > 0
+    ]
+    below = [
+        f"{symbol}^{-power:g}" if power != -1 else symbol
+        for symbol, power in zip(symbols, dimension, strict=True)
+        if power < 0
+    ]
     bottom = f"({'.'.join(below)})" if len(below) > 1 else "".join(below)
     return ".".join(above or ["1"]) + (f"/{bottom}" if below else "")
 
@@ -325,7 +382,9 @@ def _finite(value: float, text: str | float) -> float:
     if not math.isfinite(value):
         raise UnitError(f"'{str(text)[:ECHO]}' is not a finite value")
     if abs(value) > LARGEST:
-        raise UnitError(f"'{str(text)[:ECHO]}' is beyond all measure", f"no amount in SI units is larger than {LARGEST:g}")
+        raise UnitError(
+            f"'{str(text)[:ECHO]}' is beyond all measure", f"no amount in SI units is larger than {LARGEST:g}"
+        )
     return value
 
 
@@ -336,7 +395,10 @@ def _angle_per_period(unit: Unit, target: Unit) -> float:
 
 
 def check_dimension(text: str, unit: Unit, si_unit: str) -> None:
-    """UnitError unless *unit* (written as *text*) has the dimension of *si_unit*; Hz and rad/s are interchangeable."""
+    """UnitError unless *unit* (written as *text*) has the dimension of *si_unit*.
+
+    Hz and rad/s are interchangeable.
+    """
     dimension = parse_unit(si_unit).dimension
     if unit.dimension == dimension:
         return
@@ -368,7 +430,9 @@ PREFIXED = {"N/m": ("N/m", "kN/m", "MN/m", "GN/m"), "N.s/m": ("N.s/m", "kN.s/m")
 
 
 def readable_unit(si_unit: str, values: Iterable[float]) -> str:
-    """The display unit of a table or an axis of *values* in *si_unit*: the largest prefix that leaves the largest of them above 1."""
+    """The display unit of a table or an axis of *values* in *si_unit*: the largest prefix that leaves the
+    largest of them above 1.
+    """
     units = PREFIXED.get(si_unit)
     if units is None:
         return display_unit(si_unit)

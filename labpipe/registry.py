@@ -1,4 +1,6 @@
-"""Choice is a visible table: name -> "module:attribute", extended by entry points, with the nearest known name for an unknown one."""
+"""Choice is a visible table: name -> "module:attribute", extended by entry points, with the nearest known
+name for an unknown one.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ SHIPPED = Path(__file__).with_name("methods") / "entry_points.txt"
 
 @functools.cache
 def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
-    """Group -> name -> entry of labpipe's own methods, read from their file: metadata of an earlier installation may lie beside it."""
+    """Group -> name -> entry of labpipe's own methods, read from their file: metadata of an earlier
+    installation may lie beside it.
+    """
     groups: dict[str, dict[str, EntryPoint]] = {}
     group = ""
     for line in SHIPPED.read_text(encoding="utf-8").splitlines():
@@ -49,15 +53,23 @@ def _shipped() -> Mapping[str, Mapping[str, EntryPoint]]:
 
 @functools.cache
 def _added(kind: str) -> Mapping[str, EntryPoint]:
-    """Entries of methods and of other packages; cached, since it reads the metadata of every installed package."""
+    """Entries of methods and of other packages.
+
+    Cached, since it reads the metadata of every installed package.
+    """
     group = group_of(kind)
     # Our own first, in the order of their file: results hold this order, and metadata come in any.
     shipped = _shipped().get(group, {})
-    return {**shipped, **{entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped}}
+    return {
+        **shipped,
+        **{entry.name: entry for entry in entry_points(group=group) if entry.name not in shipped},
+    }
 
 
 def group_of(kind: str) -> str:
-    """The entry-point group of a table: "frf-reader" -> "labpipe.frf_reader", for groups hold letters, digits and underscores only."""
+    """The entry-point group of a table: "frf-reader" -> "labpipe.frf_reader", for groups hold letters, digits
+    and underscores only.
+    """
     return "labpipe." + kind.replace(" ", "_").replace("-", "_")
 
 

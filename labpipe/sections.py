@@ -1,6 +1,8 @@
-"""Sections of a pipeline that ask for a result. SECTIONS by their key: how each is read, run, recorded, judged, listed and reported.
+"""Sections of a pipeline that ask for a result. SECTIONS by their key: how each is read, run, recorded,
+judged, listed and reported.
 
-Methods and other packages add sections under the entry-point group labpipe.section; one is loaded when a pipeline or a result has it.
+Methods and other packages add sections under the entry-point group labpipe.section; one is loaded when a
+pipeline or a result has it.
 """
 
 from __future__ import annotations
@@ -24,15 +26,16 @@ def _no_facts(_: Any) -> Mapping[str, str]:
 class PipelineSection:
     """One section.
 
-    words: what it does, for the docs. settings: the dataclass of the section, or of each of its entries where they are *named*.
-    run: (settings, Work) -> its record. record: the type of the record, from which JSON is read back; entry: its key in
-    identification.json. *standalone*: the section alone is work for a pipeline. *fits*: its record is a tuple of fits, held with those of
-    all others.
+    words: what it does, for the docs. settings: the dataclass of the section, or of each of its entries where
+    they are *named*. run: (settings, Work) -> its record. record: the type of the record, from which JSON is
+    read back; entry: its key in identification.json. *standalone*: the section alone is work for a pipeline.
+    *fits*: its record is a tuple of fits, held with those of all others.
 
-    Optional: read: (node, key, name, Reading) -> settings, where more than the dataclass is needed; names: settings or record -> the names
-    by which rules address it; outcome: (rule, record, compare) -> RuleOutcome; findings: record -> (origin, finding) pairs; parameters:
-    record -> ListedParameters; report: (record, Identification) -> sections of the report; cover: record -> what the cover says of it;
-    terminal: record -> lines.
+    Optional: read: (node, key, name, Reading) -> settings, where more than the dataclass is needed; names:
+    settings or record -> the names by which rules address it; outcome: (rule, record, compare) ->
+    RuleOutcome; findings: record -> (origin, finding) pairs; parameters: record -> ListedParameters; report:
+    (record, Identification) -> sections of the report; cover: record -> what the cover says of it; terminal:
+    record -> lines.
     """
 
     words: str
@@ -71,7 +74,9 @@ def section(name: str) -> PipelineSection:
 
 
 def sections(keys: Iterable[str] | None = None) -> list[tuple[str, PipelineSection]]:
-    """The sections with these keys, or all, in the order in which they are run: those whose records are fits come first."""
+    """The sections with these keys, or all, in the order in which they are run: those whose records are fits
+    come first.
+    """
     named = None if keys is None else set(keys)
     loaded = [(name, section(name)) for name in SECTIONS.names() if named is None or name in named]
     return sorted(loaded, key=lambda pair: not pair[1].fits)

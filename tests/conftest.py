@@ -6,7 +6,8 @@ import atexit
 import gc
 import os
 
-# Small matrices all the way: threads of the linear algebra would only compete with each other, and blur the ratios of the benchmarks.
+# Small matrices all the way: threads of the linear algebra would only compete with each other, and blur the
+# ratios of the benchmarks.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 
@@ -22,7 +23,8 @@ from labpipe.cli.main import run_command
 
 ROOT = Path(__file__).parent.parent
 
-# The same examples on every machine, no folder that two workers write to, and no limit of time on a machine that is busy.
+# The same examples on every machine, no folder that two workers write to, and no limit of time on a machine
+# that is busy.
 hypothesis.settings.register_profile("pinned", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("pinned")
 
@@ -79,7 +81,9 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_sessionfinish() -> None:
-    """Libraries look at their objects once more when the interpreter ends: not sooner, since pytest collects garbage five times before."""
+    """Libraries look at their objects once more when the interpreter ends: not sooner, since pytest collects
+    garbage five times before.
+    """
     atexit.register(gc.unfreeze)
 
 

@@ -1,10 +1,12 @@
-"""An answer on the whole house in under a minute on two cores: the tests that reach the most code for their time.
+"""An answer on the whole house in under a minute on two cores: the tests that reach the most code for their
+time.
 
-python -m tests.quick [options of pytest]     run the recorded selection
-python -m tests.quick --record                run all tests, note the time and the lines of each, and write the selection anew
+python -m tests.quick [options of pytest]     run the recorded selection python -m tests.quick --record
+run all tests, note the time and the lines of each, and write the selection anew
 
-The selection is tests/quick.txt, one test a line. A line of the package that a second and a third test reach counts half and a quarter of
-what it counts for the first: a test that reaches a line need not look at what it does.
+The selection is tests/quick.txt, one test a line. A line of the package that a second and a third test reach
+counts half and a quarter of what it counts for the first: a test that reaches a line need not look at what it
+does.
 """
 
 from __future__ import annotations
@@ -30,14 +32,23 @@ PACKAGE = str(ROOT / "labpipe") + os.sep
 SELECTION = Path(__file__).with_name("quick.txt")
 # Where the workers of a recording write; set by the process that starts them.
 NOTES = "LABPIPE_TEST_NOTES"
-# Seconds of tests in the selection, as noted: the notes cost time too, and two processes share it after ten seconds of beginning.
+# Seconds of tests in the selection, as noted: the notes cost time too, and two processes share it after ten
+# seconds of beginning.
 SECONDS = 30.0
-# A function's lines are noted for its first calls in a test: those in the inner loops of a fit come by the hundred thousand.
+# A function's lines are noted for its first calls in a test: those in the inner loops of a fit come by the
+# hundred thousand.
 CALLS = 4
 # Another test of a line adds this much of what the last one added; the fourth adds nothing.
 AGAIN, READERS = 0.5, 3
 # Tests of the house, and not of its code; ratios of speed; a browser.
-LEFT_OUT = ("tests/benchmarks/", "tests/browser/", "tests/docs/", "tests/packaging/", "tests/machine/", "tests/draws/")
+LEFT_OUT = (
+    "tests/benchmarks/",
+    "tests/browser/",
+    "tests/docs/",
+    "tests/packaging/",
+    "tests/machine/",
+    "tests/draws/",
+)
 
 
 @dataclass(frozen=True)
@@ -50,13 +61,18 @@ class Noted:
 
 
 def chosen(tests: Iterable[Noted], seconds: float = SECONDS) -> list[str]:
-    """The names of the tests that together reach the most in that time: the next one is that which adds most for its time."""
+    """The names of the tests that together reach the most in that time: the next one is that which adds most
+    for its time.
+    """
     read: Counter[str] = Counter()
 
     def worth(test: Noted) -> float:
-        return sum(AGAIN ** read[line] for line in test.lines if read[line] < READERS) / max(test.seconds, 0.01)
+        return sum(AGAIN ** read[line] for line in test.lines if read[line] < READERS) / max(
+            test.seconds, 0.01
+        )
 
-    # What a test adds only falls while others are taken: a worth that is still the largest when counted anew is the largest of all.
+    # What a test adds only falls while others are taken: a worth that is still the largest when counted anew
+    # is the largest of all.
     waiting = [(-worth(test), test.name, test) for test in tests]
     heapq.heapify(waiting)
     taken, left = [], seconds
@@ -115,7 +131,9 @@ class Recorder:
 
 def pytest_configure(config: pytest.Config) -> None:
     """As a plug-in of a recording: in the processes that run tests, not in the one that shares them out."""
-    if NOTES in os.environ and ("PYTEST_XDIST_WORKER" in os.environ or not config.getoption("numprocesses", None)):
+    if NOTES in os.environ and (
+        "PYTEST_XDIST_WORKER" in os.environ or not config.getoption("numprocesses", None)
+    ):
         config.pluginmanager.register(Recorder(Path(os.environ[NOTES])))
 
 
@@ -124,17 +142,25 @@ def recorded(arguments: Sequence[str]) -> dict[str, Noted]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.quick", *arguments]
         subprocess.run(command, check=False, env={**os.environ, NOTES: folder})
-        notes = [json.loads(line) for path in sorted(Path(folder).glob("*.jsonl")) for line in path.read_text("utf-8").splitlines()]
+        notes = [
+            json.loads(line)
+            for path in sorted(Path(folder).glob("*.jsonl"))
+            for line in path.read_text("utf-8").splitlines()
+        ]
     return {note["name"]: Noted(note["name"], note["seconds"], frozenset(note["lines"])) for note in notes}
 
 
 def record() -> None:
-    """Write the selection. Shared fixtures make a test slower without its neighbours: the selection is measured itself, and made again."""
+    """Write the selection. Shared fixtures make a test slower without its neighbours: the selection is
+    measured itself, and made again.
+    """
     tests = recorded([f"--ignore={ROOT / folder}" for folder in LEFT_OUT])
     names = chosen(tests.values())
     for _ in range(2):
         alone = recorded(names)
-        tests |= {name: Noted(name, max(one.seconds, tests[name].seconds), one.lines) for name, one in alone.items()}
+        tests |= {
+            name: Noted(name, max(one.seconds, tests[name].seconds), one.lines) for name, one in alone.items()
+        }
         names = chosen(tests.values())
     SELECTION.write_text("\n".join(names) + "\n", encoding="utf-8")
 

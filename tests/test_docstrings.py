@@ -1,4 +1,6 @@
-"""Public functions and records of arrays state shapes, as (n_line, n_channel), and units, as [N/m], in their docstrings."""
+"""Public functions and records of arrays state shapes, as (n_line, n_channel), and units, as [N/m], in their
+docstrings.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ UNIT = re.compile(rf"\[(?:{ITEM}(?:, {ITEM})*|1|-|lines|samples?[^\[\]]*)\]")
 
 @dataclass(frozen=True)
 class Documented:
-    """A public function, method or record with arrays: its place, its docstring, and whether any array holds real or complex numbers."""
+    """A public function, method or record with arrays: its place, its docstring, and whether any array holds
+    real or complex numbers.
+    """
 
     place: str
     text: str
@@ -40,12 +44,17 @@ class Documented:
 
 
 def array_names(annotations: list[ast.expr | None]) -> set[str]:
-    return {node.id for a in annotations if a is not None for node in ast.walk(a) if isinstance(node, ast.Name)} & ARRAYS
+    return {
+        node.id for a in annotations if a is not None for node in ast.walk(a) if isinstance(node, ast.Name)
+    } & ARRAYS
 
 
 def annotations_of(node: ast.FunctionDef) -> list[ast.expr | None]:
     arguments = node.args
-    return [node.returns, *(a.annotation for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs))]
+    return [
+        node.returns,
+        *(a.annotation for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)),
+    ]
 
 
 def documented(place: str, node: ast.FunctionDef | ast.ClassDef, names: set[str]) -> Iterator[Documented]:
@@ -63,7 +72,9 @@ def public_members(tree: ast.Module, module: str) -> Iterator[Documented]:
             yield from documented(module, node, array_names(fields))
             for method in node.body:
                 if isinstance(method, ast.FunctionDef) and not method.name.startswith("_"):
-                    yield from documented(f"{module}:{node.name}", method, array_names(annotations_of(method)))
+                    yield from documented(
+                        f"{module}:{node.name}", method, array_names(annotations_of(method))
+                    )
 
 
 def covered_modules() -> list[str]:
@@ -85,12 +96,23 @@ def test_missing_docstring_lacks_both() -> None:
 
 
 def test_shape_without_unit_and_unit_without_shape() -> None:
-    source = 'def f(x: FloatArray):\n    """Of (n_line,)."""\ndef g() -> ComplexArray:\n    """Stiffness [N/m]."""'
+    source = (
+        'def f(x: FloatArray):\n    """Of (n_line,)."""\ndef g() -> ComplexArray:\n    """Stiffness [N/m]."""'
+    )
     assert members_of(source) == {"m:f": ["unit"], "m:g": ["shape"]}
 
 
 @pytest.mark.parametrize(
-    "shape", ["(n,)", "(n_line, n_channel)", "(2 n,)", "(n, 2, 2)", "(n_line, n_output or 1, n)", "(..., n, n)", "the same shape"]
+    "shape",
+    [
+        "(n,)",
+        "(n_line, n_channel)",
+        "(2 n,)",
+        "(n, 2, 2)",
+        "(n_line, n_output or 1, n)",
+        "(..., n, n)",
+        "the same shape",
+    ],
 )
 def test_shapes_count(shape: str) -> None:
     assert members_of(f'def f(x: FloatArray):\n    """Of {shape} [m]."""') == {"m:f": []}
@@ -106,7 +128,9 @@ def test_lists_and_matrices_are_no_units(text: str) -> None:
     assert members_of(f'def f(x: FloatArray):\n    """Of (n,), {text}."""') == {"m:f": ["unit"]}
 
 
-@pytest.mark.parametrize("unit", ["[N/m]", "[m, rad]", "[1]", "[-]", "[SI]", "[unit^2/Hz]", "[any unit]", "[(N/m)^2]", "[1/s^n]"])
+@pytest.mark.parametrize(
+    "unit", ["[N/m]", "[m, rad]", "[1]", "[-]", "[SI]", "[unit^2/Hz]", "[any unit]", "[(N/m)^2]", "[1/s^n]"]
+)
 def test_units_count(unit: str) -> None:
     assert members_of(f'def f(x: FloatArray):\n    """Of (n,) {unit}."""') == {"m:f": []}
 
@@ -116,7 +140,12 @@ def test_choice_of_lines_needs_no_unit() -> None:
 
 
 def test_private_functions_and_functions_without_arrays_are_passed_over() -> None:
-    assert members_of("def _f(x: FloatArray): ...\ndef g(x: float): ...\nclass _C:\n    def h(self) -> FloatArray: ...") == {}
+    assert (
+        members_of(
+            "def _f(x: FloatArray): ...\ndef g(x: float): ...\nclass _C:\n    def h(self) -> FloatArray: ..."
+        )
+        == {}
+    )
 
 
 def test_records_and_properties_count() -> None:

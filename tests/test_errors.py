@@ -1,4 +1,7 @@
-"""How faults read: where, what, cure, on one line each; and tables of choices that name the nearest known choice."""
+"""How faults read: where, what, cure, on one line each.
+
+And tables of choices that name the nearest known choice.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +81,10 @@ def test_one_letter_too_few_is_forgiven(name: str, place: int) -> None:
 # tables
 
 
-TABLE = Registry("shape of test", {"circle": "math:pi", "root": "math:sqrt", "broken": "math:nothing", "missing": "no_such_module:x"})
+TABLE = Registry(
+    "shape of test",
+    {"circle": "math:pi", "root": "math:sqrt", "broken": "math:nothing", "missing": "no_such_module:x"},
+)
 
 
 def test_a_table_imports_a_choice_when_it_is_used() -> None:

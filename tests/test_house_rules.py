@@ -1,4 +1,7 @@
-"""What DESIGN says of sizes and imports: modules, functions, classes, rings, heavy imports. Read from the source, nothing is run."""
+"""What DESIGN says of sizes and imports: modules, functions, classes, rings, heavy imports.
+
+Read from the source, nothing is run.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,11 @@ def test_modules_are_short() -> None:
 
 
 def test_function_bodies_are_short() -> None:
-    bodies = sorted((body_length(function), name_of(path), function.name) for path, tree in trees().items() for function in functions(tree))
+    bodies = sorted(
+        (body_length(function), name_of(path), function.name)
+        for path, tree in trees().items()
+        for function in functions(tree)
+    )
     assert [body for body in bodies if body[0] > LONGEST_BODY] == []
     assert bodies[int(0.9 * len(bodies))][0] <= USUAL_BODY
     assert bodies[len(bodies) // 2][0] <= MEDIAN_BODY
@@ -75,7 +82,9 @@ def test_classes_have_few_methods() -> None:
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_every_module_has_a_home_and_says_what_it_is(path: Path) -> None:
     assert path.stem not in HOMELESS
-    assert path.stem == "__init__" or ast.get_docstring(trees()[path]), "the first line of a module says what it is"
+    assert path.stem == "__init__" or ast.get_docstring(trees()[path]), (
+        "the first line of a module says what it is"
+    )
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
@@ -102,7 +111,10 @@ def at_import(tree: ast.AST) -> Iterator[ast.AST]:
 @functools.cache
 def imports() -> dict[str, set[str]]:
     """Module -> the modules of labpipe that it imports."""
-    return {name: {one for one in imported(trees()[path]) if one in NAMES and one != name} for name, path in NAMES.items()}
+    return {
+        name: {one for one in imported(trees()[path]) if one in NAMES and one != name}
+        for name, path in NAMES.items()
+    }
 
 
 def ring(graph: dict[str, set[str]]) -> list[str]:
@@ -136,15 +148,24 @@ def test_no_ring_of_imports() -> None:
 def named_in_strings(tree: ast.AST) -> Iterator[str]:
     """Modules of labpipe that strings name as "module:attribute"."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and (name := node.value.partition(":")[0]) in NAMES:
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and (name := node.value.partition(":")[0]) in NAMES
+        ):
             yield name
 
 
 def test_the_core_imports_no_method() -> None:
-    """Neither by an import, in functions too, nor by a string; labpipe itself lists its public names, which it loads when they are used."""
+    """Neither by an import, in functions too, nor by a string.
+
+    Labpipe itself lists its public names, which it loads when they are used.
+    """
     for name, path in NAMES.items():
         if name != "labpipe" and not name.startswith("labpipe.methods"):
-            inside = {node.module or "" for node in ast.walk(trees()[path]) if isinstance(node, ast.ImportFrom)}
+            inside = {
+                node.module or "" for node in ast.walk(trees()[path]) if isinstance(node, ast.ImportFrom)
+            }
             named = {*imports()[name], *inside, *named_in_strings(trees()[path])}
             assert not [one for one in named if one.startswith("labpipe.methods.")], name
 
@@ -182,7 +203,9 @@ def test_the_command_s_table_loads_nothing_heavy() -> None:
             alias.split(".")[0]
             for node in at_import(trees()[NAMES[name]])
             if isinstance(node, (ast.Import, ast.ImportFrom))
-            for alias in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names])
+            for alias in (
+                [node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names]
+            )
         }
         assert not outside & HEAVY, (name, outside & HEAVY)
 
@@ -198,8 +221,16 @@ def method_names() -> set[str]:
 
 def strings(node: ast.AST) -> set[str]:
     """The strings of an expression that is one, or a display of them."""
-    parts = node.elts if isinstance(node, (ast.Tuple, ast.List, ast.Set)) else node.keys if isinstance(node, ast.Dict) else [node]
-    return {str(part.value) for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)}
+    parts = (
+        node.elts
+        if isinstance(node, (ast.Tuple, ast.List, ast.Set))
+        else node.keys
+        if isinstance(node, ast.Dict)
+        else [node]
+    )
+    return {
+        str(part.value) for part in parts if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    }
 
 
 @functools.cache
@@ -220,10 +251,20 @@ def compared_names(tree: ast.AST) -> Iterator[str]:
     """Every comparison with the name of a model or an estimator, as a string or by a constant."""
     for node in ast.walk(tree):
         compared = isinstance(node, ast.Compare)
-        for side in [node.left, *node.comparators] if compared else [node.value] if isinstance(node, ast.MatchValue) else []:
+        for side in (
+            [node.left, *node.comparators]
+            if compared
+            else [node.value]
+            if isinstance(node, ast.MatchValue)
+            else []
+        ):
             names = strings(side) & method_names()
-            names |= {part.id for part in ast.walk(side) if isinstance(part, ast.Name)} & constants_with_names()
-            names |= {part.attr for part in ast.walk(side) if isinstance(part, ast.Attribute)} & constants_with_names()
+            names |= {
+                part.id for part in ast.walk(side) if isinstance(part, ast.Name)
+            } & constants_with_names()
+            names |= {
+                part.attr for part in ast.walk(side) if isinstance(part, ast.Attribute)
+            } & constants_with_names()
             yield from (f"{getattr(node, 'lineno', 0)}: {name}" for name in sorted(names))
 
 
@@ -231,14 +272,24 @@ def compared_names(tree: ast.AST) -> Iterator[str]:
 DEFINES = ("labpipe.spectra.", "labpipe.records.identification")
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if not name_of(path).startswith(DEFINES)], ids=name_of)
+@pytest.mark.parametrize(
+    "path", [path for path in MODULES if not name_of(path).startswith(DEFINES)], ids=name_of
+)
 def test_properties_are_asked_for_and_no_names(path: Path) -> None:
     """A model or estimator of a plug-in has the properties of one of ours, and never its name."""
     assert not list(compared_names(trees()[path]))
 
 
 @pytest.mark.parametrize(
-    "line", ['a == "sdof"', 'a.estimator != "ml"', 'a in ("x", "iv")', 'b not in {"mdof": 1}', "a == STRAIGHT_LINE", "a != m.STRAIGHT_LINE"]
+    "line",
+    [
+        'a == "sdof"',
+        'a.estimator != "ml"',
+        'a in ("x", "iv")',
+        'b not in {"mdof": 1}',
+        "a == STRAIGHT_LINE",
+        "a != m.STRAIGHT_LINE",
+    ],
 )
 def test_a_comparison_with_a_name_is_seen(line: str) -> None:
     assert list(compared_names(ast.parse(line)))

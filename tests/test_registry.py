@@ -16,7 +16,10 @@ TABLE = {"own": "math:pi"}
 @pytest.fixture
 def table(monkeypatch: pytest.MonkeyPatch) -> Registry:
     """A table with one entry of its own and two added, of which one tries to take the place of its own."""
-    added = (EntryPoint("more", "math:tau", "labpipe.some_kind"), EntryPoint("own", "math:e", "labpipe.some_kind"))
+    added = (
+        EntryPoint("more", "math:tau", "labpipe.some_kind"),
+        EntryPoint("own", "math:e", "labpipe.some_kind"),
+    )
     monkeypatch.setattr(registry, "entry_points", lambda group: added if group == "labpipe.some_kind" else ())
     registry._added.cache_clear()
     yield Registry("some kind", TABLE)
@@ -37,15 +40,24 @@ def test_an_unknown_name_is_answered_with_the_nearest(table: Registry) -> None:
     assert caught.value.hint == "did you mean 'more'?"
 
 
-@pytest.mark.parametrize(("kind", "group"), [("reader", "labpipe.reader"), ("frf-reader", "labpipe.frf_reader"), ("a b", "labpipe.a_b")])
+@pytest.mark.parametrize(
+    ("kind", "group"),
+    [("reader", "labpipe.reader"), ("frf-reader", "labpipe.frf_reader"), ("a b", "labpipe.a_b")],
+)
 def test_groups_hold_only_what_packagers_allow(kind: str, group: str) -> None:
     assert group_of(kind) == group
 
 
-def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_beside(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Results write details in this order: with another one the same fit has other bytes on another worker."""
+def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_beside(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Results write details in this order: with another one the same fit has other bytes on another
+    worker.
+    """
     shipped = list(registry._shipped()["labpipe.fit_detail"])
-    others = [EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))]
+    others = [
+        EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))
+    ]
     monkeypatch.setattr(registry, "entry_points", lambda group: others)
     registry._added.cache_clear()
     try:

@@ -1,1 +1,4 @@
-"""labpipe's own files: a header of kind, schema and provenance, then the numbers; written completely or not at all."""
+"""labpipe's own files: a header of kind, schema and provenance, then the numbers.
+
+Written completely or not at all.
+"""

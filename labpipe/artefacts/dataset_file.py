@@ -1,10 +1,12 @@
 """``dataset/``: the results of many tests as rows of Parquet files, and their columns for reports.
 
-``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for whatever reads Parquet.
+``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for
+whatever reads Parquet.
 
-Schema "labpipe/results/1": a row of `DatasetRow` for each test, fit and parameter; rig and date stand in the folders' names (Hive's
-layout), every condition NAME in a column condition.NAME as people wrote it, and in amount.NAME in SI where it is an amount. A part is
-named after its content and never changes; results are added as further parts.
+Schema "labpipe/results/1": a row of `DatasetRow` for each test, fit and parameter; rig and date stand in the
+folders' names (Hive's layout), every condition NAME in a column condition.NAME as people wrote it, and in
+amount.NAME in SI where it is an amount. A part is named after its content and never changes; results are
+added as further parts.
 """
 
 from __future__ import annotations
@@ -27,11 +29,26 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, plain, record_of
-from labpipe.artefacts.parquet import as_written, metadata_of, numpy_array, open_parquet, read_columns, read_header
+from labpipe.artefacts.parquet import (
+    as_written,
+    metadata_of,
+    numpy_array,
+    open_parquet,
+    read_columns,
+    read_header,
+)
 from labpipe.artefacts.writing import OutputFolder, finished
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.dataset import DatasetRow, DatasetSummary, ManyTests, TestColumns, TestResult, summary_of, summed
+from labpipe.records.dataset import (
+    DatasetRow,
+    DatasetSummary,
+    ManyTests,
+    TestColumns,
+    TestResult,
+    summary_of,
+    summed,
+)
 
 # ``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and
 # for whatever reads Parquet.
@@ -46,13 +63,28 @@ UNNAMED = "unnamed"
 _PARTITIONS = ("rig", "date")
 _TYPES: Mapping[str, pa.DataType] = {
     **dict.fromkeys(
-        ("test", "fit", "term", "model", "estimator", "parameter", "unit", "warnings", "failed", "source", "digest"), pa.string()
+        (
+            "test",
+            "fit",
+            "term",
+            "model",
+            "estimator",
+            "parameter",
+            "unit",
+            "warnings",
+            "failed",
+            "source",
+            "digest",
+        ),
+        pa.string(),
     ),
     **dict.fromkeys(("significant", "accepted"), pa.bool_()),
     "covariance": pa.list_(pa.float64()),
     "changes": pa.map_(pa.string(), pa.float64()),
 }
-COLUMNS = tuple(field.name for field in dataclasses.fields(DatasetRow) if field.name not in (*_PARTITIONS, "conditions"))
+COLUMNS = tuple(
+    field.name for field in dataclasses.fields(DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +97,10 @@ class Part:
 
 
 def write_parts(results: Sequence[TestResult], output: OutputFolder) -> list[str]:
-    """Write the rows of tests, one part for each rig and date, in their order; the names of the parts below the output folder."""
+    """Write the rows of tests, one part for each rig and date, in their order.
+
+    The names of the parts below the output folder.
+    """
     groups: dict[tuple[str, str], list[TestResult]] = {}
     for result in results:
         if result.rows:
@@ -74,13 +109,18 @@ def write_parts(results: Sequence[TestResult], output: OutputFolder) -> list[str
 
 
 def _write_part(rig: str, date: str, results: Sequence[TestResult], output: OutputFolder) -> str:
-    summary = json.loads(json.dumps(entry_of(summed(summary_of(result) for result in results)), default=plain))
+    summary = json.loads(
+        json.dumps(entry_of(summed(summary_of(result) for result in results)), default=plain)
+    )
     header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents={"summary": summary})
-    table = _table([row for result in results for row in result.rows]).replace_schema_metadata(metadata_of(header))
+    table = _table([row for result in results for row in result.rows]).replace_schema_metadata(
+        metadata_of(header)
+    )
     stream = pa.BufferOutputStream()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     content = stream.getvalue()
-    name = f"{FOLDER}/rig={quote(rig or UNNAMED, safe=' ')}/date={date}/part-{hashlib.sha256(content).hexdigest()[:16]}{SUFFIX}"
+    digest = hashlib.sha256(content).hexdigest()[:16]
+    name = f"{FOLDER}/rig={quote(rig or UNNAMED, safe=' ')}/date={date}/part-{digest}{SUFFIX}"
     path = output.write_path(name)
     path.write_bytes(content)
     stamp_parquet(path)
@@ -96,7 +136,9 @@ def read_summary(part: Part) -> DatasetSummary:
 
 
 def _table(rows: Sequence[DatasetRow]) -> pa.Table:
-    columns = {name: pa.array((_cell(row, name) for row in rows), _TYPES.get(name, pa.float64())) for name in COLUMNS}
+    columns = {
+        name: pa.array((_cell(row, name) for row in rows), _TYPES.get(name, pa.float64())) for name in COLUMNS
+    }
     conditions = list(dict.fromkeys(name for row in rows for name in row.conditions))
     for name in conditions:
         texts = [row.conditions.get(name) for row in rows]
@@ -123,22 +165,30 @@ def amount_of(text: str) -> tuple[float | None, str]:
 def parts(folder: Path) -> list[Part]:
     """The parts of the dataset in a folder of results, by rig, date and name."""
     written = finished((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
-    return [Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date=")) for path in written]
+    return [
+        Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date="))
+        for path in written
+    ]
 
 
 def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
-    """The rows of a part, columns rig and date before the others; of its own *columns* only those, of conditions all.
+    """The rows of a part, columns rig and date before the others; of its own *columns* only those, of
+    conditions all.
 
     DamagedError for a file that is not as labpipe wrote it, DataError for one of another schema.
     """
     header = read_header(part.path, KIND)
     if header.parameters.get("schema") != SCHEMA:
-        raise DataError(f"is not of schema {SCHEMA}", where=str(part.path), hint="read it with the version that wrote it")
+        raise DataError(
+            f"is not of schema {SCHEMA}", where=str(part.path), hint="read it with the version that wrote it"
+        )
     there = open_parquet(part.path).schema_arrow.names
     with as_written(part.path):
         if lacking := set(COLUMNS).difference(there):
             raise KeyError(min(lacking))
-    table = read_columns(part.path, [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))])
+    table = read_columns(
+        part.path, [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]
+    )
     table = table.replace_schema_metadata(None)
     for place, name in enumerate(_PARTITIONS):
         table = table.add_column(place, name, pa.array([getattr(part, name)] * table.num_rows, pa.string()))
@@ -146,7 +196,10 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
 
 
 def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
-    """The rows of all parts in a folder of results, conditions that a part lacks as nulls; DataError where there is no part."""
+    """The rows of all parts in a folder of results, conditions that a part lacks as nulls.
+
+    DataError where there is no part.
+    """
     tables = [read_part(part, columns) for part in parts(folder)]
     if not tables:
         raise DataError("holds no dataset of results", where=str(folder))
@@ -166,7 +219,10 @@ MOST = 100
 
 
 def read_many_tests(folder: Path) -> ManyTests:
-    """The dataset of a folder of results; DataError where there is none, DamagedError for a part that labpipe did not write."""
+    """The dataset of a folder of results.
+
+    DataError where there is none, DamagedError for a part that labpipe did not write.
+    """
     table = read_rows(folder)
     table = table.sort_by([("date", "ascending"), ("test", "ascending")])
     valid = table.filter(pc.is_valid(table["parameter"]))
@@ -179,7 +235,11 @@ def read_many_tests(folder: Path) -> ManyTests:
 
 def _columns(table: pa.Table) -> Iterator[TestColumns]:
     """One for each fit, term, band and parameter, in the order in which they first stand in the dataset."""
-    keys = pa.StructArray.from_arrays([table[name].combine_chunks() for name in KEYS], names=list(KEYS)) if table.num_rows else pa.array([])
+    keys = (
+        pa.StructArray.from_arrays([table[name].combine_chunks() for name in KEYS], names=list(KEYS))
+        if table.num_rows
+        else pa.array([])
+    )
     groups: dict[tuple[object, ...], list[int]] = {}
     for row, key in enumerate(keys.to_pylist()):
         groups.setdefault(tuple(key.values()), []).append(row)
@@ -210,7 +270,11 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
     for column in table.column_names:
         if column.startswith(AMOUNT):
             name = column.removeprefix(AMOUNT)
-            units = {amount_of(text)[1] for text in pc.unique(table[CONDITION + name]).to_pylist() if text is not None}
+            units = {
+                amount_of(text)[1]
+                for text in pc.unique(table[CONDITION + name]).to_pylist()
+                if text is not None
+            }
             if len(units) == 1:
                 yield name, (units.pop(), _numbers(table, column))
 
@@ -224,7 +288,9 @@ def _named(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
             if row["test"] in seen:
                 continue
             seen.add(row["test"])
-            text = ", ".join(f"{name.removeprefix(CONDITION)} {row[name]}" for name in conditions if row[name] is not None)
+            text = ", ".join(
+                f"{name.removeprefix(CONDITION)} {row[name]}" for name in conditions if row[name] is not None
+            )
             yield row["test"], text, row[why] or ""
             if len(seen) >= MOST:
                 return

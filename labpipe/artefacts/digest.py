@@ -1,8 +1,10 @@
-"""The digest of an artefact's own content: what was changed after labpipe wrote it, or damaged on its way, is noticed when it is read.
+"""The digest of an artefact's own content: what was changed after labpipe wrote it, or damaged on its way, is
+noticed when it is read.
 
-JSON: SHA-256 of the file without the line of its digest, so ``grep -v '^"digest"' FILE | sha256sum`` gives the same number. Parquet:
-SHA-256 of the file with zeros in the place of the digest, which stands among the metadata in its foot. Bytes and not numbers are
-digested: that costs one pass over the file, and a damaged file is refused before its pages are decoded.
+JSON: SHA-256 of the file without the line of its digest, so ``grep -v '^"digest"' FILE | sha256sum`` gives
+the same number. Parquet: SHA-256 of the file with zeros in the place of the digest, which stands among the
+metadata in its foot. Bytes and not numbers are digested: that costs one pass over the file, and a damaged
+file is refused before its pages are decoded.
 """
 
 from __future__ import annotations
@@ -69,11 +71,18 @@ class DigestAlong:
 
 def mismatch(path: Path) -> DamagedError:
     """The fault of a file whose content does not match its digest."""
-    return DamagedError("content does not match its digest: edited or damaged after labpipe wrote it", where=str(path), hint=AGAIN)
+    return DamagedError(
+        "content does not match its digest: edited or damaged after labpipe wrote it",
+        where=str(path),
+        hint=AGAIN,
+    )
 
 
 def stamp_parquet(path: Path) -> tuple[str, str]:
-    """Put the digest of a finished Parquet file into the place that its metadata keep for it; that digest, and the SHA-256 of the file."""
+    """Put the digest of a finished Parquet file into the place that its metadata keep for it.
+
+    That digest, and the SHA-256 of the file.
+    """
     place = _digest_place(path)
     if place is None:
         raise AssertionError(f"{path} has no place for a digest")
@@ -87,7 +96,10 @@ def stamp_parquet(path: Path) -> tuple[str, str]:
 
 
 def parquet_digest(path: Path) -> str:
-    """The verified digest of a Parquet file, empty when it carries none; DamagedError when its content does not match."""
+    """The verified digest of a Parquet file, empty when it carries none.
+
+    DamagedError when its content does not match.
+    """
     place = _digest_place(path)
     if place is None:
         return ""
@@ -133,7 +145,9 @@ def _digest_before(path: Path, place: int) -> hashlib._Hash:
 
 
 def _digest_after(path: Path, place: int, before: hashlib._Hash, middle: bytes) -> str:
-    """SHA-256 of what stands *before* the place of the digest, of *middle* in it, and of what follows in the file."""
+    """SHA-256 of what stands *before* the place of the digest, of *middle* in it, and of what follows in the
+    file.
+    """
     digest = before.copy()
     digest.update(middle)
     with path.open("rb") as stream:

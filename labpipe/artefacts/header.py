@@ -30,7 +30,9 @@ PLUG_IN_GROUPS = "labpipe."
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 over the source of labpipe, and name and version of every other package that adds to its tables."""
+    """SHA-256 over the source of labpipe, and name and version of every other package that adds to its
+    tables.
+    """
     digest = hashlib.sha256()
     root = Path(labpipe.__file__).parent
     for path in sorted((*root.rglob("*.py"), *root.rglob("entry_points.txt"))):
@@ -43,10 +45,19 @@ def code_digest() -> str:
 
 def _plug_ins() -> set[str]:
     every = entry_points()
-    added = (entry for group in every.groups if group.startswith(PLUG_IN_GROUPS) for entry in every.select(group=group))
-    # What labpipe itself adds is source. Its metadata may lie there twice, as an old folder beside the checkout does.
+    added = (
+        entry
+        for group in every.groups
+        if group.startswith(PLUG_IN_GROUPS)
+        for entry in every.select(group=group)
+    )
+    # What labpipe itself adds is source. Its metadata may lie there twice, as an old folder beside the
+    # checkout does.
     others = (entry for entry in added if entry.dist is None or entry.dist.name != "labpipe")
-    return {f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value for entry in others}
+    return {
+        f"{entry.value} {entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
+        for entry in others
+    }
 
 
 # The commit that this code is of, where that is known: of a checkout, or of what was installed from a
@@ -57,7 +68,9 @@ SHORT = 10
 
 
 def commit(package: Path = Path(__file__).parent) -> str:
-    """The first SHORT letters of the commit, empty where nothing names it; *package*: the folder of the code."""
+    """The first SHORT letters of the commit, empty where nothing names it; *package*: the folder of the
+    code.
+    """
     return (of_checkout(package.parent / ".git") or _of_installation())[:SHORT]
 
 
@@ -112,16 +125,23 @@ class Header:
     schema: int = SCHEMA
     labpipe: str = __version__
     code: str = field(default_factory=code_digest)
-    # Of the file's content, verified when it was read; empty for a file without one, and before it is written.
+    # Of the file's content, verified when it was read; empty for a file without one, and before it is
+    # written.
     digest: str = field(default="", compare=False)
 
     def to_json(self) -> str:
         """The header as JSON entries."""
-        return json.dumps({name: entry for name, entry in dataclasses.asdict(self).items() if name != "digest"}, allow_nan=False)
+        return json.dumps(
+            {name: entry for name, entry in dataclasses.asdict(self).items() if name != "digest"},
+            allow_nan=False,
+        )
 
     def same_work(self, other: Header) -> bool:
         """Whether both were made from the same inputs with the same parameters by the same code."""
-        mine, theirs = (json.dumps([h.kind, h.schema, h.labpipe, h.code, h.parameters, _asdicts(h.inputs)]) for h in (self, other))
+        mine, theirs = (
+            json.dumps([h.kind, h.schema, h.labpipe, h.code, h.parameters, _asdicts(h.inputs)])
+            for h in (self, other)
+        )
         return mine == theirs
 
 
@@ -130,7 +150,10 @@ def _asdicts(records: Iterable[Any]) -> list[dict[str, Any]]:
 
 
 def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "") -> Header:
-    """The header read from an artefact with its verified *digest*; DataError when it is another kind, a newer schema, or none at all."""
+    """The header read from an artefact with its verified *digest*.
+
+    DataError when it is another kind, a newer schema, or none at all.
+    """
     try:
         entries = json_value(text if isinstance(text, str) else text.decode())
     except (ValueError, RecursionError):
@@ -141,18 +164,22 @@ def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "")
         raise DataError(f"is a {entries.get('kind')} file, a {kind} file is needed", where=str(path))
     if entries.get("schema") != SCHEMA:
         hint = "make it again with this version"
-        raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint)
+        raise DataError(
+            f"has schema {entries.get('schema')}, this version reads {SCHEMA}", where=str(path), hint=hint
+        )
     try:
         entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
         entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
         return Header(**{"code": "", **entries, "digest": digest})
     except (KeyError, TypeError) as error:
-        raise DamagedError(f"has a header that cannot be read ({error})", where=str(path), hint=AGAIN) from None
+        raise DamagedError(
+            f"has a header that cannot be read ({error})", where=str(path), hint=AGAIN
+        ) from None
 
 
 def source_ref(path: Path, folder: Path, sha256: str = "") -> SourceRef:
-    """Checksum of a file, *sha256* where it is known; its path is kept relative to *folder* so that the same work gives the same bytes
-    anywhere.
+    """Checksum of a file, *sha256* where it is known; its path is kept relative to *folder* so that the same
+    work gives the same bytes anywhere.
 
     Of a fetched recording it is the URL.
     """

@@ -1,8 +1,11 @@
-"""``identification.json`` and ``fits/TEST.json``: fits with their uncertainty, the records of all other sections.
+"""``identification.json`` and ``fits/TEST.json``: fits with their uncertainty, the records of all other
+sections.
 
-``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses they came from.
+``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses
+they came from.
 
-Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are read as well.
+Schema "labpipe/identification/2", or 3 for many tests, whose fits stand in a dataset; results of schema 1 are
+read as well.
 """
 
 from __future__ import annotations
@@ -20,7 +23,14 @@ from labpipe import __version__
 from labpipe.arrays import ComplexArray
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
-from labpipe.artefacts.json_file import DIGEST, RECORD_FAULTS, entry_of, read_digested, record_of, write_digested
+from labpipe.artefacts.json_file import (
+    DIGEST,
+    RECORD_FAULTS,
+    entry_of,
+    read_digested,
+    record_of,
+    write_digested,
+)
 from labpipe.errors import DataError, cut
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
@@ -61,7 +71,11 @@ def finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, s
 
 def findings_of(entry: dict[str, Any]) -> list[dict[str, Any]]:
     """The findings of an entry that lists them as warnings and remarks, each with its level."""
-    return [{**finding, "level": level} for name, level in _FINDING_LISTS.items() for finding in entry.get(name, [])]
+    return [
+        {**finding, "level": level}
+        for name, level in _FINDING_LISTS.items()
+        for finding in entry.get(name, [])
+    ]
 
 
 # ``fits/TEST.json``: the fits of one test among many, so that an interrupted run can be resumed.
@@ -82,13 +96,18 @@ def _work(settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> di
     return json.loads(json.dumps(entry))
 
 
-def write_fits(path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> None:
+def write_fits(
+    path: Path, fits: Sequence[Fit], settings: Sequence[FitSettings], responses: Sequence[SourceRef]
+) -> None:
     """Write the fits with the settings and the checksums of the responses they were made from."""
     write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
 
 
 def has_fresh_fits(path: Path, settings: Sequence[FitSettings], responses: Sequence[SourceRef]) -> bool:
-    """True if the file contains the fits of these settings and responses by this version; DamagedError for a file that it did not write."""
+    """True if the file contains the fits of these settings and responses by this version.
+
+    DamagedError for a file that it did not write.
+    """
     if not path.exists():
         return False
     entries = read_digested(path, "file of fits")
@@ -111,11 +130,13 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
         entries = read_digested(path, "file of fits")
         return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
     except RECORD_FAULTS as error:
-        raise DamagedError(f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN) from None
+        raise DamagedError(
+            f"is not readable as fits ({cut(str(error))})", where=str(path), hint=AGAIN
+        ) from None
 
 
-# ``identification.json``: all fits with their uncertainty, the records of all other sections, and the responses
-# they came from.
+# ``identification.json``: all fits with their uncertainty, the records of all other sections, and the
+# responses they came from.
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"
 # Of a result of so many tests that their fits and responses stand elsewhere.
@@ -136,21 +157,36 @@ def write_identification(path: Path, identification: Identification) -> None:
         "inputs": list(identification.inputs),
         "rig": identification.rig,
         "settings": identification.settings,
-        **({"failed": [dataclasses.asdict(failed) for failed in identification.failed]} if identification.failed else {}),
+        **(
+            {"failed": [dataclasses.asdict(failed) for failed in identification.failed]}
+            if identification.failed
+            else {}
+        ),
         **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
         "fits": [fit_entry(fit) for fit in identification.fits],
-        "accept": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"],
-        "expect": [_outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"],
+        "accept": [
+            _outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "accept"
+        ],
+        "expect": [
+            _outcome_entry(outcome) for outcome in identification.outcomes if outcome.section == "expect"
+        ],
         **_found_entries(identification.outcomes),
         "responses": [_response_entry(response) for response in identification.responses],
-        **({"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]} if identification.spectra else {}),
+        **(
+            {"spectra": [_spectra_entry(spectra) for spectra in identification.spectra]}
+            if identification.spectra
+            else {}
+        ),
         **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
     write_digested(path, entries)
 
 
 def read_identification(path: Path) -> Identification:
-    """The result of an identification.json; DataError when the file is none, or was changed after labpipe wrote it."""
+    """The result of an identification.json.
+
+    DataError when the file is none, or was changed after labpipe wrote it.
+    """
     try:
         entries = read_digested(path, NAME)
     except FileNotFoundError:
@@ -167,7 +203,9 @@ def read_identification(path: Path) -> Identification:
 
 
 def _upgraded(entries: dict[str, Any]) -> dict[str, Any]:
-    """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a pipeline did not have."""
+    """Schema 1 called the frequency of a fitted curve frequency_hz, and had empty lists for sections that a
+    pipeline did not have.
+    """
     if entries["schema"] in (IDENTIFICATION_SCHEMA, SCHEMA_OF_MANY):
         return entries
     fits = [{**fit, "curve": _upgraded_curve(fit.get("curve"))} for fit in entries["fits"]]
@@ -181,7 +219,8 @@ def _upgraded_curve(curve: dict[str, Any] | None) -> dict[str, Any] | None:
 _REFERENCES = tuple[Mapping[str, str], ...]
 # Entries that are kept as they are, by the type that readers rely on.
 _PLAIN: dict[str, Any] = {
-    "title": str, "pipeline": str, "labpipe": str, "code": str, "settings": Mapping[str, Any], "rig": Mapping[str, Any],
+    "title": str, "pipeline": str, "labpipe": str, "code": str, "settings": Mapping[str, Any],
+    "rig": Mapping[str, Any],
     "sources": _REFERENCES, "inputs": _REFERENCES, "found": Mapping[str, tuple[str, ...]],
 }  # fmt: skip
 
@@ -226,7 +265,18 @@ def _identification(entries: dict[str, Any]) -> Identification:
 
 
 # What every result has; other keys are those of sections, which are loaded only then.
-_WITHOUT_SECTIONS = {"schema", "labpipe", "title", "pipeline", "sources", "settings", "rig", "responses", "spectra", "fits"}
+_WITHOUT_SECTIONS = {
+    "schema",
+    "labpipe",
+    "title",
+    "pipeline",
+    "sources",
+    "settings",
+    "rig",
+    "responses",
+    "spectra",
+    "fits",
+}
 _WITHOUT_SECTIONS |= {"accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST}
 
 
@@ -234,7 +284,11 @@ def _records(entries: dict[str, Any]) -> dict[str, Any]:
     """The records of all sections, by the section's key."""
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
-    return {name: record_of(entries[part.entry], part.record) for name, part in sections() if part.entry in entries}
+    return {
+        name: record_of(entries[part.entry], part.record)
+        for name, part in sections()
+        if part.entry in entries
+    }
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
@@ -242,8 +296,12 @@ def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
 
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
-    """The values in the rules' own units, beside the rules: readers of an earlier labpipe take no further key of a rule."""
-    entries = {key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")}
+    """The values in the rules' own units, beside the rules: readers of an earlier labpipe take no further key
+    of a rule.
+    """
+    entries = {
+        key: [outcome.shown for outcome in outcomes if outcome.section == key] for key in ("accept", "expect")
+    }
     return {"found": entries} if any(any(texts) for texts in entries.values()) else {}
 
 
@@ -257,7 +315,9 @@ _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "dis
 
 
 def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
-    """The response for reading and plotting: its variance, not the whole covariance (that stays in the FRF file)."""
+    """The response for reading and plotting: its variance, not the whole covariance (that stays in the FRF
+    file).
+    """
     variance = response.variance
     optional = {name: getattr(response, name) for name in _OPTIONAL_ARRAYS}
     return {
@@ -282,7 +342,10 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
     matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
     variance = entry["variance"]
     dof = entry["covariance_dof"]
-    optional: dict[str, Any] = {name: None if entry.get(name) is None else np.array(entry[name], np.float64) for name in _OPTIONAL_ARRAYS}
+    optional: dict[str, Any] = {
+        name: None if entry.get(name) is None else np.array(entry[name], np.float64)
+        for name in _OPTIONAL_ARRAYS
+    }
     return FrequencyResponse(
         frequency=np.array(entry["frequency_hz"], np.float64),
         matrix=matrix,
@@ -302,7 +365,9 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
 
 
 def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
-    """The spectra for reading and plotting: the variance of every channel, not the covariances (these stay in the spectra's file)."""
+    """The spectra for reading and plotting: the variance of every channel, not the covariances (these stay in
+    the spectra's file).
+    """
     return {
         "test": spectra.name,
         "channels": [dataclasses.asdict(channel) for channel in spectra.channels],

@@ -1,9 +1,11 @@
-"""JSON of labpipe's files: records by the types that they declare, null for missing numbers, a digest of the content.
+"""JSON of labpipe's files: records by the types that they declare, null for missing numbers, a digest of the
+content.
 
 Records as JSON, read back by the types that they declare.
 
-Dataclasses are objects, tuples lists, complex numbers and arrays {"re", "im"}; a null where a number is meant is not-a-number, or what
-the field's metadata says under "null". Entries that a type does not declare are passed over; those that are missing take the default.
+Dataclasses are objects, tuples lists, complex numbers and arrays {"re", "im"}; a null where a number is meant
+is not-a-number, or what the field's metadata says under "null". Entries that a type does not declare are
+passed over; those that are missing take the default.
 """
 
 from __future__ import annotations
@@ -29,7 +31,16 @@ from labpipe.records.settings import Settings, settings_of
 # Records as JSON, read back by the types that they declare.
 
 # What an entry of another type than the declared one raises, here and where its record is checked at birth.
-RECORD_FAULTS = (KeyError, TypeError, IndexError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError)
+RECORD_FAULTS = (
+    KeyError,
+    TypeError,
+    IndexError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+)
 
 LARGEST_COUNT = 1 << 63
 PLAIN = frozenset((str, bool, int, float))
@@ -41,9 +52,17 @@ def entry_of(record: Any) -> Any:
         return record
     if dataclasses.is_dataclass(record) and not isinstance(record, type):
         skipped = _contents_elsewhere(record)
-        return {name: entry_of(getattr(record, name)) for name in _stored_fields(type(record)) if name not in skipped}
+        return {
+            name: entry_of(getattr(record, name))
+            for name in _stored_fields(type(record))
+            if name not in skipped
+        }
     if isinstance(record, np.ndarray):
-        return {"re": record.real.tolist(), "im": record.imag.tolist()} if np.iscomplexobj(record) else record.tolist()
+        return (
+            {"re": record.real.tolist(), "im": record.imag.tolist()}
+            if np.iscomplexobj(record)
+            else record.tolist()
+        )
     if isinstance(record, Mapping):
         return {str(key): entry_of(value) for key, value in record.items()}
     if isinstance(record, (tuple, list)):
@@ -71,7 +90,10 @@ def _contents_elsewhere(record: Any) -> set[str]:
 
 
 def record_of(entry: Any, kind: Any) -> Any:
-    """The record of a declared type from its entry; KeyError, TypeError or ValueError where the entry is not of that type."""
+    """The record of a declared type from its entry.
+
+    KeyError, TypeError or ValueError where the entry is not of that type.
+    """
     origin = get_origin(kind)
     if kind is Any:
         return entry
@@ -89,7 +111,9 @@ def record_of(entry: Any, kind: Any) -> Any:
 
 
 def _present(kind: Any, entry: Any) -> Any:
-    """The type of a value that may be missing: of several text for a text, where that may be, else the first."""
+    """The type of a value that may be missing: of several text for a text, where that may be, else the
+    first.
+    """
     kinds = [part for part in get_args(kind) if part is not types.NoneType]
     return str if isinstance(entry, str) and str in kinds else kinds[0]
 
@@ -133,7 +157,9 @@ def _array(entry: Any, kind: Any) -> Any:
         # A sum re + 1j im would lose the sign of a zero, and the written file would differ.
         values.real, values.imag = real, imaginary
         return values
-    return np.array(entry, {np.floating: np.float64, np.bool_: np.bool_, np.intp: np.intp}.get(element, np.float64))
+    return np.array(
+        entry, {np.floating: np.float64, np.bool_: np.bool_, np.intp: np.intp}.get(element, np.float64)
+    )
 
 
 def _scalar(entry: Any, kind: Any) -> Any:
@@ -144,7 +170,9 @@ def _scalar(entry: Any, kind: Any) -> Any:
             # OverflowError for an integer that is larger than any number.
             float(entry)
         return math.nan if entry is None else entry
-    if kind in (str, bool, int) and (not isinstance(entry, kind) or (kind is int and isinstance(entry, bool))):
+    if kind in (str, bool, int) and (
+        not isinstance(entry, kind) or (kind is int and isinstance(entry, bool))
+    ):
         raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
     if kind is int and abs(entry) >= LARGEST_COUNT:
         raise OverflowError(f"{cut(str(entry))} is no count")
@@ -170,7 +198,10 @@ _DIGEST_LINE = re.compile(rb'^"digest": "([0-9a-f]{64})",?\n', re.MULTILINE)
 
 
 def write_json(path: Path, entries: dict[str, Any]) -> None:
-    """Write the entries as UTF-8, one line for each entry and for each item of a list; the same bytes for the same entries."""
+    """Write the entries as UTF-8, one line for each entry and for each item of a list.
+
+    The same bytes for the same entries.
+    """
     path.write_bytes(_content(entries))
 
 
@@ -182,7 +213,8 @@ def write_digested(path: Path, entries: dict[str, Any]) -> None:
 
 
 def read_digested(path: Path, what: str) -> dict[str, Any]:
-    """The entries of a file whose content matches its digest, or that carries none; DamagedError says that it is not a readable *what*.
+    """The entries of a file whose content matches its digest, or that carries none; DamagedError says that it
+    is not a readable *what*.
 
     A file that another program wrote again with the same entries in the same order matches as well.
     """
@@ -201,13 +233,17 @@ def read_digested(path: Path, what: str) -> dict[str, Any]:
 def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
     """The digest of the content, then that of the entries written again."""
     yield hashlib.sha256(_DIGEST_LINE.sub(b"", content, count=1)).hexdigest()
-    yield hashlib.sha256(_content({key: entry for key, entry in entries.items() if key != DIGEST})).hexdigest()
+    yield hashlib.sha256(
+        _content({key: entry for key, entry in entries.items() if key != DIGEST})
+    ).hexdigest()
 
 
 def read_bytes(path: Path) -> bytes:
     """The content of a regular file; DataError for anything else, FileNotFoundError where there is none."""
     if path.exists() and not path.is_file():
-        raise DamagedError("is a folder, a file is needed" if path.is_dir() else "is no regular file", where=str(path))
+        raise DamagedError(
+            "is a folder, a file is needed" if path.is_dir() else "is no regular file", where=str(path)
+        )
     return path.read_bytes()
 
 
@@ -216,9 +252,13 @@ def parsed(content: bytes, path: Path, what: str) -> dict[str, Any]:
     try:
         entries = json_value(content.decode("utf-8"))
     except RecursionError:
-        raise DamagedError(f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN) from None
+        raise DamagedError(
+            f"is not a readable {what} (nested too deeply)", where=str(path), hint=AGAIN
+        ) from None
     except ValueError as error:
-        raise DamagedError(f"is not a readable {what} ({cut(str(error))})", where=str(path), hint=AGAIN) from None
+        raise DamagedError(
+            f"is not a readable {what} ({cut(str(error))})", where=str(path), hint=AGAIN
+        ) from None
     if not isinstance(entries, dict):
         raise DamagedError(f"is not a readable {what} (no JSON object)", where=str(path), hint=AGAIN)
     return entries
@@ -229,7 +269,10 @@ NAMES_BEFORE = {"doubt": "uncertainty", "doubts": "uncertainties"}
 
 
 def json_value(text: str) -> Any:
-    """The value of a JSON text with its entries under the names of this version; ValueError, RecursionError as from json.loads."""
+    """The value of a JSON text with its entries under the names of this version.
+
+    ValueError, RecursionError as from json.loads.
+    """
     old = any(f'"{name}"' in text for name in NAMES_BEFORE)
     return json.loads(text, object_hook=_under_new_names if old else None)
 

@@ -1,4 +1,6 @@
-"""``*.frf.parquet``, ``*.spectra.parquet``, ``*.decay.parquet``: what a test was measured as, with its covariance."""
+"""``*.frf.parquet``, ``*.spectra.parquet``, ``*.decay.parquet``: what a test was measured as, with its
+covariance.
+"""
 
 from __future__ import annotations
 
@@ -32,14 +34,21 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
     columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):
-            columns.update({f"{output.label}/{port.label}{suffix}": values for suffix, values in _element(response, o, i)})
+            columns.update(
+                {
+                    f"{output.label}/{port.label}{suffix}": values
+                    for suffix, values in _element(response, o, i)
+                }
+            )
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     for p, q in _stored_pairs(response.stored_covariance):
         columns |= _parts(f"cov:{p}:{q}", response.covariance_of(p, q))
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
-    write_columns(path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings))
+    write_columns(
+        path, columns, dataclasses.replace(header, contents=_contents(response), findings=response.findings)
+    )
 
 
 def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
@@ -77,11 +86,17 @@ def _upper(n: int) -> Iterator[tuple[int, int]]:
 
 
 def _stored_pairs(covariance: StoredCovariance) -> Iterator[tuple[int, int]]:
-    """The pairs of elements whose covariance is written: those of one block where it lies in blocks, all otherwise."""
+    """The pairs of elements whose covariance is written: those of one block where it lies in blocks, all
+    otherwise.
+    """
     if covariance is None:
         return iter(())
     if isinstance(covariance, BlockCovariance):
-        return ((int(members[j]), int(members[k])) for members in covariance.elements for j, k in _upper(members.size))
+        return (
+            (int(members[j]), int(members[k]))
+            for members in covariance.elements
+            for j, k in _upper(members.size)
+        )
     return _upper(covariance.shape[1])
 
 
@@ -122,7 +137,11 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
     real, imaginary = _matrix(columns, pairs, ":re"), _matrix(columns, pairs, ":im")
     dof = contents["covariance_dof"]
     snr_channels = tuple(contents["snr_channels"])
-    by_element = {name: _matrix(columns, pairs, suffix) for name, suffix in _BY_ELEMENT.items() if pairs[0][0] + suffix in columns}
+    by_element = {
+        name: _matrix(columns, pairs, suffix)
+        for name, suffix in _BY_ELEMENT.items()
+        if pairs[0][0] + suffix in columns
+    }
     has_multiple = f"{outputs[0].label}:multiple_coh" in columns
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
@@ -134,12 +153,16 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         **by_element,
         change=_complex(columns, pairs, "change"),
         open_loop=_complex(columns, pairs, "open_loop"),
-        multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1) if has_multiple else None,
+        multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1)
+        if has_multiple
+        else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
         snr_channels=snr_channels,
         averages=contents["averages"],
         covariance_dof=math.inf if dof is None else dof,
-        line_correlation=tuple(complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())),
+        line_correlation=tuple(
+            complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())
+        ),
         line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=_errors(columns, pairs, contents.get("errors", [])),
@@ -156,7 +179,10 @@ def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str)
 def _line_gains(columns: dict[str, FloatArray], pairs: list[list[str]], n_gain: int) -> ComplexArray | None:
     if not n_gain:
         return None
-    parts = [[_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)] for part in ("re", "im")]
+    parts = [
+        [_matrix(columns, pairs, f"{_gain(neighbour)}:{part}") for neighbour in range(n_gain)]
+        for part in ("re", "im")
+    ]
     gains: ComplexArray = np.stack(parts[0], 1) + 1j * np.stack(parts[1], 1)
     return gains
 
@@ -167,10 +193,16 @@ def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) 
     return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
 
 
-def _errors(columns: dict[str, FloatArray], pairs: list[list[str]], uncertainties: list[dict[str, Any]]) -> tuple[MatrixError, ...]:
-    changes = [[_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")] for number in range(len(uncertainties))]
+def _errors(
+    columns: dict[str, FloatArray], pairs: list[list[str]], uncertainties: list[dict[str, Any]]
+) -> tuple[MatrixError, ...]:
+    changes = [
+        [_matrix(columns, pairs, f"{_error(number)}:{part}") for part in ("re", "im")]
+        for number in range(len(uncertainties))
+    ]
     return tuple(
-        MatrixError(Uncertainty(**entry), real + 1j * imaginary) for entry, (real, imaginary) in zip(uncertainties, changes, strict=True)
+        MatrixError(Uncertainty(**entry), real + 1j * imaginary)
+        for entry, (real, imaginary) in zip(uncertainties, changes, strict=True)
     )
 
 
@@ -195,14 +227,20 @@ SPECTRA_SUFFIX = ".spectra.parquet"
 
 
 def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
-    """Write the spectra: per run (numbered from 1) and channel real and imaginary part [SI], and the covariance of every run."""
+    """Write the spectra: per run (numbered from 1) and channel real and imaginary part [SI], and the
+    covariance of every run.
+    """
     columns: dict[str, FloatArray] = {"frequency_hz": spectra.frequency}
     for run in range(len(spectra.runs)):
         for number, channel in enumerate(spectra.channels):
             columns |= _parts(f"{run + 1}/{channel.name}", spectra.vectors[:, run, number])
         for p, q in _upper(len(spectra.channels)):
             columns |= _parts(f"cov:{run + 1}:{p}:{q}", spectra.covariance[:, run, p, q])
-    write_columns(path, columns, dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings))
+    write_columns(
+        path,
+        columns,
+        dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings),
+    )
 
 
 def _parts(name: str, values: ComplexArray) -> dict[str, FloatArray]:
@@ -217,7 +255,9 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
-        "factors": [{**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors],
+        "factors": [
+            {**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors
+        ],
         "conditions": spectra.conditions,
     }
 
@@ -232,7 +272,10 @@ def read_spectra(path: Path) -> ChannelSpectra:
 def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
     contents = header.contents
     table = read_table(path)
-    channels = tuple(Channel(**{key: value for key, value in entry.items() if key != "unit"}) for entry in contents["channels"])
+    channels = tuple(
+        Channel(**{key: value for key, value in entry.items() if key != "unit"})
+        for entry in contents["channels"]
+    )
     runs = tuple(contents["runs"])
     frequency = numpy_array(table.column("frequency_hz"))
     n = len(channels)
@@ -254,7 +297,8 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
         covariance_dof=math.inf if dof is None else dof,
         line_correlation=tuple(complex(*value) for value in contents["line_correlation"]),
         factors=tuple(
-            UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)}) for entry in contents["factors"]
+            UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)})
+            for entry in contents["factors"]
         ),
         name=contents["name"],
         findings=header.findings,
@@ -265,7 +309,10 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
 def _values(table: pa.Table, name: str) -> ComplexArray:
     values = np.empty(table.num_rows, np.complex128)
     # A sum re + 1j im would lose the sign of a zero.
-    values.real, values.imag = numpy_array(table.column(f"{name}:re")), numpy_array(table.column(f"{name}:im"))
+    values.real, values.imag = (
+        numpy_array(table.column(f"{name}:re")),
+        numpy_array(table.column(f"{name}:im")),
+    )
     return values
 
 
@@ -275,7 +322,9 @@ DECAY_SUFFIX = ".decay.parquet"
 
 
 def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
-    """Write the decays: a column of numbers of decays, one of times [s] in the recording, one of every output [SI]."""
+    """Write the decays: a column of numbers of decays, one of times [s] in the recording, one of every output
+    [SI].
+    """
     numbers = np.repeat(np.arange(len(decays.decays)), [decay.samples.shape[0] for decay in decays.decays])
     times = [decay.start + np.arange(decay.samples.shape[0]) / decays.sample_rate for decay in decays.decays]
     samples = np.concatenate([decay.samples for decay in decays.decays])
@@ -307,7 +356,10 @@ def _decay_of(header: Header, path: Path) -> FreeDecays:
     samples = np.column_stack([numpy_array(table.column(f"output:{port.label}")) for port in outputs])
     numbers = numpy_array(table.column("decay"))
     named = zip(contents["recordings"], contents["starts"], strict=True)
-    decays = tuple(FreeDecay(recording, start, samples[numbers == number]) for number, (recording, start) in enumerate(named))
+    decays = tuple(
+        FreeDecay(recording, start, samples[numbers == number])
+        for number, (recording, start) in enumerate(named)
+    )
     return FreeDecays(
         contents["sample_rate"],
         outputs,

@@ -1,7 +1,8 @@
 """Results that lie in an object storage: brought here to be read, or made here and put there.
 
-A folder of this machine is used as it is. Objects appear whole: what a result is made of first, identification.json after it, reports last;
-what is outdated goes at the end. Whoever reads meanwhile, or after an upload that was cut short, finds the earlier result or the new one.
+A folder of this machine is used as it is. Objects appear whole: what a result is made of first,
+identification.json after it, reports last; what is outdated goes at the end. Whoever reads meanwhile, or
+after an upload that was cut short, finds the earlier result or the new one.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ def summary(name: str) -> bool:
 def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
     """A folder of this machine with the results below a place; messages of the block name the place.
 
-    *place* may be an identification.json itself. DataError where there is nothing, StorageError where the storage does not answer.
+    *place* may be an identification.json itself. DataError where there is nothing, StorageError where the
+    storage does not answer.
     """
     if not is_remote(place):
         yield place
@@ -47,15 +49,21 @@ def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
     file = place.suffix == ".json" and status(place) is not None
     with _local(place.parent if file else place) as mirror:
         if not mirror.bring(wanted, named_only=True):
-            raise DataError("there are no results", where=shown(place), hint="results appear with `labpipe run PIPELINE -o PLACE`")
+            raise DataError(
+                "there are no results",
+                where=shown(place),
+                hint="results appear with `labpipe run PIPELINE -o PLACE`",
+            )
         yield mirror.folder / place.name if file else mirror.folder
 
 
 @contextmanager
 def results_made(place: Path, wanted: Wanted = everything) -> Iterator[Path]:
-    """A folder of this machine in which the results of a place are made anew: what is *wanted* of the earlier ones lies in it.
+    """A folder of this machine in which the results of a place are made anew: what is *wanted* of the earlier
+    ones lies in it.
 
-    Its files are put there at the end; where the block ends by a fault of the input, what tests have finished is kept as well.
+    Its files are put there at the end; where the block ends by a fault of the input, what tests have finished
+    is kept as well.
     """
     if not is_remote(place):
         yield place
@@ -74,7 +82,8 @@ def results_made(place: Path, wanted: Wanted = everything) -> Iterator[Path]:
 
 @contextmanager
 def results_kept(place: Path) -> Iterator[Mirror]:
-    """The mirror of results that are added to for as long as the block lasts, with the summary of those that are there.
+    """The mirror of results that are added to for as long as the block lasts, with the summary of those that
+    are there.
 
     Of a folder of this machine it is the folder itself, to be published and forgotten without effect.
     """
@@ -103,13 +112,16 @@ class Mirror:
         self._same: dict[str, tuple[int, int]] = {}
 
     def bring(self, wanted: Wanted, *, named_only: bool = False) -> int:
-        """Bring the objects whose names are wanted; their number. *named_only*: of the parts of a run's dataset those that the index names,
-        and DataError where one is missing."""
+        """Bring the objects whose names are wanted; their number. *named_only*: of the parts of a run's
+        dataset those that the index names, and DataError where one is missing.
+        """
         here = {status.path.relative_to(self.place).as_posix(): status for status in below(self.place)}
         names = [name for name in here if wanted(name)]
         indices = [name for name in names if Path(name).name == NAME]
         self._get(indices, here)
-        unnamed = {part for index in indices for part in self._unnamed_parts(index, names)} if named_only else set()
+        unnamed = (
+            {part for index in indices for part in self._unnamed_parts(index, names)} if named_only else set()
+        )
         self._get([name for name in names if name not in unnamed and name not in indices], here)
         return len(names)
 
@@ -141,17 +153,29 @@ class Mirror:
                 yield name.as_posix(), (status.st_ino, status.st_mtime_ns)
 
     def _unnamed_parts(self, index: str, names: Sequence[str]) -> Iterator[str]:
-        """Parts of a dataset that the result of a run does not name: of an upload that was cut short, or of the result before."""
+        """Parts of a dataset that the result of a run does not name: of an upload that was cut short, or of
+        the result before.
+        """
         try:
             inputs = json.loads((self.folder / index).read_bytes()).get("inputs", [])
-            named = {str(Path(index).parent / entry["path"]) for entry in inputs if entry["path"].endswith(SUFFIX)}
+            named = {
+                str(Path(index).parent / entry["path"]) for entry in inputs if entry["path"].endswith(SUFFIX)
+            }
         except (ValueError, AttributeError, TypeError, KeyError):
             # Whoever reads the file says what is wrong with it.
             return
         home = (Path(index).parent / FOLDER).as_posix() + "/"
         if lacking := named.difference(names) if named else set():
-            raise DataError(f"lacks the part '{min(lacking)}'", where=shown(self.place), hint="it may be changing now; try again")
-        yield from (name for name in names if named and name.startswith(home) and name.endswith(SUFFIX) and name not in named)
+            raise DataError(
+                f"lacks the part '{min(lacking)}'",
+                where=shown(self.place),
+                hint="it may be changing now; try again",
+            )
+        yield from (
+            name
+            for name in names
+            if named and name.startswith(home) and name.endswith(SUFFIX) and name not in named
+        )
 
     def _get(self, names: Sequence[str], found: dict[str, Found]) -> None:
         _at_once(lambda name: get(found[name].path, self.folder / name), names)

@@ -1,4 +1,7 @@
-"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole; which of them are kept."""
+"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole.
+
+Which of them are kept.
+"""
 
 from __future__ import annotations
 
@@ -23,15 +26,22 @@ from labpipe.errors import DataError, cut
 
 
 def arrow_array(values: Any) -> pa.Array:
-    """The numbers of an array (n,) [any unit] as a pyarrow array that shares them, or texts and other cells as a copy."""
+    """The numbers of an array (n,) [any unit] as a pyarrow array that shares them, or texts and other cells
+    as a copy.
+    """
     numbers = np.ascontiguousarray(values) if isinstance(values, np.ndarray) else None
     if numbers is None or numbers.ndim != 1 or numbers.dtype.kind not in "iuf":
         return pa.array(values)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(numbers.dtype), numbers.size, [None, pa.py_buffer(numbers)])
+    return pa.Array.from_buffers(
+        pa.from_numpy_dtype(numbers.dtype), numbers.size, [None, pa.py_buffer(numbers)]
+    )
 
 
 def numpy_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
-    """The values (n,) [unit of the column]; those of one chunk of numbers without a missing one are shared and read-only."""
+    """The values (n,) [unit of the column].
+
+    Those of one chunk of numbers without a missing one are shared and read-only.
+    """
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
         return array.to_numpy(zero_copy_only=False)
@@ -73,7 +83,9 @@ def open_parquet(path: Path) -> pq.ParquetFile:
 
 
 def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.RecordBatch]:
-    """The columns in batches of at most *n_row* rows, one row group after the other: pyarrow would read the next ones ahead."""
+    """The columns in batches of at most *n_row* rows, one row group after the other: pyarrow would read the
+    next ones ahead.
+    """
     file = open_parquet(path)
     with _in_plain_words(path):
         for group in range(file.num_row_groups):
@@ -82,13 +94,17 @@ def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.Recor
 
 @contextmanager
 def as_written(path: Path) -> Iterator[None]:
-    """DamagedError where header or columns are not those of the artefact: only a file without a digest gets so far."""
+    """DamagedError where header or columns are not those of the artefact: only a file without a digest gets
+    so far.
+    """
     try:
         yield
     except RECORD_FAULTS as error:
         if isinstance(error, DataError):
             raise
-        raise DamagedError(f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", where=str(path)) from None
+        raise DamagedError(
+            f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", where=str(path)
+        ) from None
 
 
 def read_table(path: Path) -> pa.Table:
@@ -109,7 +125,9 @@ def metadata_of(header: Header) -> dict[bytes, bytes]:
 
 def write_columns(path: Path, columns: Mapping[str, Any], header: Header) -> None:
     """Write columns of equal length with the header and the digest."""
-    table = pa.table({name: arrow_array(values) for name, values in columns.items()}).replace_schema_metadata(metadata_of(header))
+    table = pa.table({name: arrow_array(values) for name, values in columns.items()}).replace_schema_metadata(
+        metadata_of(header)
+    )
     pq.write_table(table, path, compression="zstd", write_page_checksum=True)
     stamp_parquet(path)
 
@@ -125,7 +143,10 @@ def header_of(path: Path) -> Header:
 
 
 def read_header(path: Path, kind: str) -> Header:
-    """The header of a Parquet file whose content matches its digest, of any kind for ""; DataError without one, DamagedError where not."""
+    """The header of a Parquet file whose content matches its digest, of any kind for "".
+
+    DataError without one, DamagedError where not.
+    """
     with _in_plain_words(path):
         digest = parquet_digest(path)
     metadata = open_parquet(path).metadata.metadata or {}
@@ -139,7 +160,10 @@ def read_header(path: Path, kind: str) -> Header:
 
 
 def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
-    """The path of an artefact that need not be made again; a damaged one is named in the remarks and made again."""
+    """The path of an artefact that need not be made again.
+
+    A damaged one is named in the remarks and made again.
+    """
     path = output.read_path(name)
     if not path.exists():
         return None

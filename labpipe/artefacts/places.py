@@ -1,14 +1,17 @@
-"""Addresses of files on this machine and in object storage, what lies there, and recordings brought here while they are worked on.
+"""Addresses of files on this machine and in object storage, what lies there, and recordings brought here
+while they are worked on.
 
 Addresses of files: paths of this machine, and the URLs of an object storage, which are kept as paths.
 
-``s3://bucket/runs/a.csv`` is ``Path("s3:/bucket/runs/a.csv")`` inside: names, endings and parents are those of any path, and `shown` gives
-the URL back. ``file:///data/a.csv`` is a path of this machine.
+``s3://bucket/runs/a.csv`` is ``Path("s3:/bucket/runs/a.csv")`` inside: names, endings and parents are those
+of any path, and `shown` gives the URL back. ``file:///data/a.csv`` is a path of this machine.
 
-An object storage by pyarrow's file systems: what is there, objects brought here and put there, each whole or not at all.
+An object storage by pyarrow's file systems: what is there, objects brought here and put there, each whole or
+not at all.
 
-Credentials, region and endpoint are those of the usual environment (AWS_ACCESS_KEY_ID, AWS_PROFILE, AWS_DEFAULT_REGION, AWS_ENDPOINT_URL,
-GOOGLE_APPLICATION_CREDENTIALS ...); nothing of them is read or printed here.
+Credentials, region and endpoint are those of the usual environment (AWS_ACCESS_KEY_ID, AWS_PROFILE,
+AWS_DEFAULT_REGION, AWS_ENDPOINT_URL, GOOGLE_APPLICATION_CREDENTIALS ...); nothing of them is read or printed
+here.
 """
 
 from __future__ import annotations
@@ -37,17 +40,49 @@ CONNECT_SECONDS, REQUEST_SECONDS, ATTEMPTS = 5, 10, 3
 CHUNK = 8 << 20
 # Words of pyarrow's messages, what they mean, and what to do.
 _REASONS = (
-    ("NO_SUCH_BUCKET", "there is no such bucket", "check the name, and AWS_ENDPOINT_URL where the storage is not Amazon's"),
-    ("NETWORK_CONNECTION", "the storage does not answer", "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's"),
-    ("curlCode", "the storage does not answer", "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's"),
+    (
+        "NO_SUCH_BUCKET",
+        "there is no such bucket",
+        "check the name, and AWS_ENDPOINT_URL where the storage is not Amazon's",
+    ),
+    (
+        "NETWORK_CONNECTION",
+        "the storage does not answer",
+        "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's",
+    ),
+    (
+        "curlCode",
+        "the storage does not answer",
+        "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's",
+    ),
     ("PermanentRedirect", "the bucket is in another region", "set AWS_DEFAULT_REGION"),
     ("HTTP response code: 301", "the bucket is in another region", "set AWS_DEFAULT_REGION"),
-    ("INVALID_ACCESS_KEY_ID", "the storage refuses the credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"),
-    ("SIGNATURE_DOES_NOT_MATCH", "the storage refuses the credentials", "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"),
-    ("ACCESS_DENIED", "the storage refuses access", "check the credentials in the environment, and the rights on the bucket"),
-    ("UNKNOWN (HTTP status 403)", "the storage refuses access", "check the credentials in the environment, and the rights on the bucket"),
+    (
+        "INVALID_ACCESS_KEY_ID",
+        "the storage refuses the credentials",
+        "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE",
+    ),
+    (
+        "SIGNATURE_DOES_NOT_MATCH",
+        "the storage refuses the credentials",
+        "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE",
+    ),
+    (
+        "ACCESS_DENIED",
+        "the storage refuses access",
+        "check the credentials in the environment, and the rights on the bucket",
+    ),
+    (
+        "UNKNOWN (HTTP status 403)",
+        "the storage refuses access",
+        "check the credentials in the environment, and the rights on the bucket",
+    ),
     ("access token", "the storage refuses access", "set GOOGLE_APPLICATION_CREDENTIALS"),
-    ("credentials", "the storage refuses access", "set GOOGLE_APPLICATION_CREDENTIALS, or the variables of your storage"),
+    (
+        "credentials",
+        "the storage refuses access",
+        "set GOOGLE_APPLICATION_CREDENTIALS, or the variables of your storage",
+    ),
 )
 
 
@@ -57,7 +92,9 @@ class StorageError(DataError):
 
 @dataclass(frozen=True)
 class Found:
-    """An object: its URL as a path, its length in bytes and when it was last changed, in seconds since 1970."""
+    """An object: its URL as a path, its length in bytes and when it was last changed, in seconds since
+    1970.
+    """
 
     path: Path
     size: int
@@ -79,7 +116,11 @@ def below(path: Path) -> list[Found]:
     """All objects whose names begin with that of a folder, sorted by name; none where there is nothing."""
     with _said(path):
         infos = _listed(path, recursive=True)
-    objects = [_found(Path(path.parts[0]) / info.path, info) for info in infos if info.is_file and _is_plain(info.path)]
+    objects = [
+        _found(Path(path.parts[0]) / info.path, info)
+        for info in infos
+        if info.is_file and _is_plain(info.path)
+    ]
     return sorted(objects, key=lambda one: one.path)
 
 
@@ -89,10 +130,18 @@ def get(path: Path, target: Path) -> None:
 
     before = status(path)
     if before is None:
-        raise DataError("no such object", where=shown(path), hint="it may have been removed since it was listed")
+        raise DataError(
+            "no such object", where=shown(path), hint="it may have been removed since it was listed"
+        )
     target.parent.mkdir(parents=True, exist_ok=True)
     with _said(path):
-        copy_files(_inside(path), str(target), source_filesystem=_system(path), destination_filesystem=LocalFileSystem(), chunk_size=CHUNK)
+        copy_files(
+            _inside(path),
+            str(target),
+            source_filesystem=_system(path),
+            destination_filesystem=LocalFileSystem(),
+            chunk_size=CHUNK,
+        )
     if status(path) != before or target.stat().st_size != before.size:
         raise DataError("changed while it was read", where=shown(path), hint="run again when it is complete")
     os.utime(target, (before.changed, before.changed))
@@ -104,7 +153,13 @@ def put(source: Path, path: Path) -> None:
 
     # All of it in one call: a stream of Python's own that an interrupt closes would leave half an object.
     with _said(path):
-        copy_files(str(source), _inside(path), source_filesystem=LocalFileSystem(), destination_filesystem=_system(path), chunk_size=CHUNK)
+        copy_files(
+            str(source),
+            _inside(path),
+            source_filesystem=LocalFileSystem(),
+            destination_filesystem=_system(path),
+            chunk_size=CHUNK,
+        )
 
 
 def remove(path: Path) -> None:
@@ -170,7 +225,11 @@ def _said(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError) as error:
-        if isinstance(error, OSError) and error.errno is not None and not isinstance(error, FileNotFoundError):
+        if (
+            isinstance(error, OSError)
+            and error.errno is not None
+            and not isinstance(error, FileNotFoundError)
+        ):
             # Of this machine: a full disk, say.
             raise
         text = str(error)
@@ -188,7 +247,8 @@ SPOOL = "labpipe-fetched-"
 
 @contextmanager
 def fetched(paths: Sequence[Path], home: Path) -> Iterator[dict[Path, Path]]:
-    """Where those of some paths that are URLs lie here, in a folder in *home* that goes at the end. Messages of the block name the URLs.
+    """Where those of some paths that are URLs lie here, in a folder in *home* that goes at the end. Messages
+    of the block name the URLs.
 
     The parts of such a path end with those of the URL, from which `origin` tells it.
     """

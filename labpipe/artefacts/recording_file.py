@@ -17,7 +17,14 @@ import pyarrow.parquet as pq
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
-from labpipe.artefacts.parquet import arrow_array, batches, metadata_of, numpy_array, open_parquet, read_header
+from labpipe.artefacts.parquet import (
+    arrow_array,
+    batches,
+    metadata_of,
+    numpy_array,
+    open_parquet,
+    read_header,
+)
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -29,7 +36,10 @@ _END = object()
 
 
 def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same blocks in the same order, one of them read ahead in a thread; errors of reading are raised here."""
+    """The same blocks in the same order, one of them read ahead in a thread.
+
+    Errors of reading are raised here.
+    """
     iterator = iter(blocks)
     with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
         coming = reader.submit(next, iterator, _END)
@@ -41,13 +51,17 @@ def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
 # ``*.recording.parquet``: one calibrated recording, written and read block by block.
 
 SUFFIX = ".recording.parquet"
-# A column is quantised, as a logger of up to 17 bits leaves it, where fewer than this share of its first LOOKED_AT numbers differ. A
-# dictionary halves those; of others, byte planes under lz4 are smaller than it and written five times as fast.
+# A column is quantised, as a logger of up to 17 bits leaves it, where fewer than this share of its first
+# LOOKED_AT numbers differ. A dictionary halves those; of others, byte planes under lz4 are smaller than it
+# and written five times as fast.
 DIFFERENT, LOOKED_AT = 0.95, 1 << 14
 
 
 class RecordingWriter:
-    """Writes the blocks of a recording as they come; the header, known at the end, goes to the file's foot."""
+    """Writes the blocks of a recording as they come.
+
+    The header, known at the end, goes to the file's foot.
+    """
 
     def __init__(self, path: Path, channels: tuple[Channel, ...]) -> None:
         self._schema = pa.schema([(channel.name, pa.float64()) for channel in channels])
@@ -59,7 +73,9 @@ class RecordingWriter:
     def __enter__(self) -> RecordingWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._header is not None:
             writer = self._opened(np.empty((0, len(self._schema))))
             writer.add_key_value_metadata(metadata_of(self._header))
@@ -73,7 +89,9 @@ class RecordingWriter:
         if self._writer is None:
             first = block[:LOOKED_AT]
             coarse = [
-                name for name, column in zip(self._schema.names, first.T, strict=True) if np.unique(column).size < DIFFERENT * column.size
+                name
+                for name, column in zip(self._schema.names, first.T, strict=True)
+                if np.unique(column).size < DIFFERENT * column.size
             ]
             fine = [name for name in self._schema.names if name not in coarse]
             self._writer = pq.ParquetWriter(
@@ -96,7 +114,9 @@ class RecordingWriter:
         self._header = header
 
     def recording(self) -> StoredRecording:
-        """The recording of the closed file, whose content was digested a moment ago and is not digested again."""
+        """The recording of the closed file, whose content was digested a moment ago and is not digested
+        again.
+        """
         assert self._header is not None
         digest, checksum = self._digests
         header = header_from_json(self._header.to_json(), self._path, "recording", digest)
@@ -104,9 +124,14 @@ class RecordingWriter:
 
 
 def recording_contents(
-    channels: tuple[Channel, ...], sample_rate: float, name: str, levels: Mapping[str, tuple[float, float]] | None = None
+    channels: tuple[Channel, ...],
+    sample_rate: float,
+    name: str,
+    levels: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[str, object]:
-    """The part of the header that describes the recording's columns; *levels*: mean and standard deviation of channels [SI]."""
+    """The part of the header that describes the recording's columns; *levels*: mean and standard deviation of
+    channels [SI].
+    """
     entries = [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
     # Of a channel that never is a number there is no level.
     finite = {name: pair for name, pair in (levels or {}).items() if math.isfinite(sum(pair))}
@@ -135,8 +160,13 @@ class StoredRecording:
 
     @property
     def levels(self) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation [SI] of the channels whose levels were noted when the recording was written."""
-        return {name: (float(mean), float(scatter)) for name, (mean, scatter) in self.header.contents.get("levels", {}).items()}
+        """Mean and standard deviation [SI] of the channels whose levels were noted when the recording was
+        written.
+        """
+        return {
+            name: (float(mean), float(scatter))
+            for name, (mean, scatter) in self.header.contents.get("levels", {}).items()
+        }
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
@@ -160,9 +190,19 @@ def open_recording(path: Path) -> StoredRecording:
 
 def _recording_of(path: Path, header: Header) -> StoredRecording:
     contents = header.contents
-    channels = tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"])
+    channels = tuple(
+        Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"]
+    )
     file = open_parquet(path)
     missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
     if missing:
         raise DataError(f"lacks the column of channel {', '.join(sorted(missing))}", where=str(path))
-    return StoredRecording(path, channels, contents["sample_rate"], file.metadata.num_rows, contents["name"], header.findings, header)
+    return StoredRecording(
+        path,
+        channels,
+        contents["sample_rate"],
+        file.metadata.num_rows,
+        contents["name"],
+        header.findings,
+        header,
+    )

@@ -33,7 +33,9 @@ def finished(paths: Iterable[Path]) -> list[Path]:
 
 @dataclass(frozen=True)
 class OutputFolder:
-    """A folder being filled: new files go to *staging* and move to *target* together when everything is done."""
+    """A folder being filled: new files go to *staging* and move to *target* together when everything is
+    done.
+    """
 
     target: Path
     staging: Path
@@ -48,7 +50,9 @@ class OutputFolder:
         return path
 
     def outdate(self, name: str) -> None:
-        """*name* in the target folder belongs to what is being replaced: it goes when the new files come, unless it comes anew."""
+        """*name* in the target folder belongs to what is being replaced: it goes when the new files come,
+        unless it comes anew.
+        """
         self.outdated.add(name)
 
     def leave_same(self, name: str) -> None:
@@ -73,11 +77,14 @@ def existing_home(target: Path) -> Path:
 
 
 @contextmanager
-def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] | None = None) -> Iterator[OutputFolder]:
-    """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be written.
+def output_folder(
+    target: Path, scratch: Path | None = None, remarks: list[str] | None = None
+) -> Iterator[OutputFolder]:
+    """A folder that changes only if the block succeeds; DataError when it cannot be a folder or may not be
+    written.
 
-    What is being made stands in a hidden folder in *scratch*, by default in the target itself. *remarks*: a list that takes the
-    folder's remarks.
+    What is being made stands in a hidden folder in *scratch*, by default in the target itself. *remarks*: a
+    list that takes the folder's remarks.
     """
     home = existing_home(target)
     with staging_folder(scratch or home) as staging:
@@ -89,7 +96,10 @@ def output_folder(target: Path, scratch: Path | None = None, remarks: list[str] 
 
 @contextmanager
 def staging_folder(home: Path) -> Iterator[Path]:
-    """A hidden folder in *home* for what is being made, removed at the end in every case; those that killed runs left go as well."""
+    """A hidden folder in *home* for what is being made, removed at the end in every case.
+
+    Those that killed runs left go as well.
+    """
     _remove_abandoned(home)
     staging = home / f"{STAGING}{socket.gethostname()}-{os.getpid()}-{token_hex(8)}"
     # An interruption as soon as the folder is there finds it removed as well.
@@ -132,7 +142,10 @@ def _runs(name: str) -> bool:
 
 @contextmanager
 def only_one(path: Path) -> Iterator[None]:
-    """Hold a lock file; DataError where another process holds it. It goes with the process, however that ends."""
+    """Hold a lock file; DataError where another process holds it.
+
+    It goes with the process, however that ends.
+    """
     with path.open("w") as lock:
         if fcntl is not None and not _locked(lock):
             raise DataError("another process works on this folder", where=str(path.parent))
@@ -140,7 +153,10 @@ def only_one(path: Path) -> Iterator[None]:
 
 
 def _locked(lock: IO[str]) -> bool:
-    """Take the lock of a staging folder, which goes with the process that holds it; False where another one does."""
+    """Take the lock of a staging folder, which goes with the process that holds it.
+
+    False where another one does.
+    """
     if fcntl is None:
         return False
     try:
@@ -157,7 +173,9 @@ def _remove(folder: OutputFolder) -> None:
 
 
 def _move_all(staging: Path, target: Path) -> None:
-    """Move the files to their places: on the disk before their names are, so that no cut of power leaves a name without its content."""
+    """Move the files to their places: on the disk before their names are, so that no cut of power leaves a
+    name without its content.
+    """
     sources = sorted(path for path in staging.rglob("*") if path.is_file() and path != staging / LOCK)
     for source in sources:
         _sync(source)
@@ -184,7 +202,10 @@ def _sync(path: Path) -> None:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[Path]:
-    """A path to write to that becomes *path* if the block succeeds; a device such as /dev/stdout is written as it is."""
+    """A path to write to that becomes *path* if the block succeeds.
+
+    A device such as /dev/stdout is written as it is.
+    """
     if path.is_dir():
         raise DataError("is a folder, a file name is needed", where=str(path))
     if path.exists() and not path.is_file():
@@ -202,13 +223,18 @@ FILE = "file://"
 
 
 def path_of(text: str) -> Path:
-    """The path of an address; ConfigError for a URL without a bucket, or one that names a place twice over."""
+    """The path of an address.
+
+    ConfigError for a URL without a bucket, or one that names a place twice over.
+    """
     if text.startswith(FILE):
         return Path(unquote(urlsplit(text).path))
     path = Path(text)
     if is_remote(path):
         if len(path.parts) < 2 or "//" in text.split("://", 1)[-1] or ".." in path.parts:
-            raise ConfigError("is no URL of an object", where=text, hint="write it as s3://bucket/folder/name")
+            raise ConfigError(
+                "is no URL of an object", where=text, hint="write it as s3://bucket/folder/name"
+            )
     elif "://" in text:
         schemes = ", ".join(f"{scheme}//" for scheme in SCHEMES)
         raise ConfigError("is a URL that cannot be read", where=text, hint=f"known: {schemes}, {FILE}")

@@ -1,4 +1,6 @@
-"""Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients with their uncertainty, how it stands on a rotor."""
+"""Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients with their
+uncertainty, how it stands on a rotor.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Amount:
 
 @dataclass(frozen=True)
 class PressureField:
-    """Pressure of an oil film against ambient (n_theta, n_axial) [Pa], over the angle from +y to +z [rad] and from mid width [m].
+    """Pressure of an oil film against ambient (n_theta, n_axial) [Pa], over the angle from +y to +z [rad] and
+    from mid width [m].
 
     thickness (n_theta,) [m]: of the film.
     """
@@ -45,12 +48,14 @@ class PressureField:
 
 @dataclass(frozen=True)
 class BearingCoefficients:
-    """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the column's [SI units].
+    """Stiffness and damping (n_dof, n_dof): force in the row's dof per displacement or velocity in the
+    column's [SI units].
 
-    rest: equilibrium position; element_state: arrays per rolling element by name; lowest, highest: stiffness over one ball passage
-    (rolling bearings); notes: further numbers of the model; shaft: results of the rigid shaft on the bearing, if the file describes one;
-    shares: contribution of each element of a control loop to the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts
-    by name; film: pressure of an oil film (journal bearings).
+    rest: equilibrium position; element_state: arrays per rolling element by name; lowest, highest: stiffness
+    over one ball passage (rolling bearings); notes: further numbers of the model; shaft: results of the rigid
+    shaft on the bearing, if the file describes one; shares: contribution of each element of a control loop to
+    the direct coefficients; poles: of the closed loop [rad/s]; words: verdicts by name; film: pressure of an
+    oil film (journal bearings).
     """
 
     dofs: tuple[str, ...]
@@ -76,13 +81,18 @@ class BearingCoefficients:
                 object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n, n)))
 
     def unit(self, row: int, column: int) -> str:
-        """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement N.m/m) or N.m/rad."""
+        """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement
+        N.m/m) or N.m/rad.
+        """
         tilts = (self.dofs[row] in TILTS) + (self.dofs[column] in TILTS)
         return ("N/m", "N/rad", "N.m/rad")[tilts]
 
     @property
     def relative(self) -> FloatArray:
-        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1]; zero where a diagonal term is zero."""
+        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1].
+
+        Zero where a diagonal term is zero.
+        """
         diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
         scale = np.outer(diagonal, diagonal)
         relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -91,21 +101,22 @@ class BearingCoefficients:
     def lateral(self, y: str, z: str) -> BearingCoefficients:
         """The coefficients of the dofs *y* and *z* alone, (2, 2), the other dofs held."""
         places = np.ix_(*[[self.dofs.index(y), self.dofs.index(z)]] * 2)
-        return BearingCoefficients(("y", "z"), self.stiffness[places], self.damping[places], findings=self.findings)
+        return BearingCoefficients(
+            ("y", "z"), self.stiffness[places], self.damping[places], findings=self.findings
+        )
 
 
 # Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients, and how it stands on
 # a rotor.
 
-BEARINGS = Registry(
-    "bearing",
-    {},
-)
+BEARINGS = Registry("bearing", {})
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """What a rotor asks of a bearing: static *load* on the journal in y and z [N], *speed* and *frequency* of the motion [rad/s]."""
+    """What a rotor asks of a bearing: static *load* on the journal in y and z [N], *speed* and *frequency* of
+    the motion [rad/s].
+    """
 
     load: tuple[float, float]
     speed: float
@@ -116,19 +127,24 @@ class Bearing(Protocol):
     """A bearing on a rotor, whose load and speed follow from the rotor."""
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Lateral coefficients (2, 2) in y and z [N/m, N.s/m] with their findings; LabpipeError where there is no equilibrium."""
+        """Lateral coefficients (2, 2) in y and z [N/m, N.s/m] with their findings.
+
+        LabpipeError where there is no equilibrium.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class BearingKind:
-    """A kind of bearing: the *settings* of its file, and the *coefficients* of any number of such settings (a sweep).
+    """A kind of bearing: the *settings* of its file, and the *coefficients* of any number of such settings (a
+    sweep).
 
-    bare_units: units of entries that may stand as plain numbers. response: the theoretical frequency response of settings with their
-    coefficients, None where the file describes no shaft. figures: (name, coefficients) -> figures of its own by the names of their SVG
-    files. On a rotor: *operating* gives the entries of the settings that follow from the
-    rotor there, and *lateral* names the dofs that are the rotor's y and z. A kind that needs more on a rotor has its own settings there,
-    *on_rotor*, and *mount*, from these to a Bearing.
+    bare_units: units of entries that may stand as plain numbers. response: the theoretical frequency response
+    of settings with their coefficients, None where the file describes no shaft. figures: (name, coefficients)
+    -> figures of its own by the names of their SVG files. On a rotor: *operating* gives the entries of the
+    settings that follow from the rotor there, and *lateral* names the dofs that are the rotor's y and z. A
+    kind that needs more on a rotor has its own settings there, *on_rotor*, and *mount*, from these to a
+    Bearing.
     """
 
     settings: type
@@ -183,7 +199,8 @@ def not_on_rotor(entry: str) -> ConfigError:
 class BearingUncertainties:
     """Changes of the coefficients by one standard uncertainty of each of the *sources*, with their signs.
 
-    stiffness, damping (n_source, n_dof, n_dof) [SI units of the coefficients]; rest (n_source, n_amount): of the amounts at rest.
+    stiffness, damping (n_source, n_dof, n_dof) [SI units of the coefficients]; rest (n_source, n_amount): of
+    the amounts at rest.
     """
 
     sources: tuple[Uncertainty, ...]
@@ -193,7 +210,9 @@ class BearingUncertainties:
 
     @property
     def stiffness_error(self) -> FloatArray:
-        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all sources, which are independent."""
+        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all sources, which are
+        independent.
+        """
         return np.asarray(np.sqrt(np.sum(self.stiffness**2, axis=0)))
 
     @property
@@ -207,25 +226,41 @@ class BearingUncertainties:
         return np.asarray(np.sqrt(np.sum(self.rest**2, axis=0)))
 
     def shares(self, changes: FloatArray) -> list[tuple[str, float]]:
-        """Source and its share in the variance of one amount, the largest first; *changes* (n_source,) [unit of the amount]."""
+        """Source and its share in the variance of one amount, the largest first.
+
+        *changes* (n_source,) [unit of the amount].
+        """
         whole = float(np.sum(changes**2))
-        parts = [(source.source, float(change**2) / whole) for source, change in zip(self.sources, changes, strict=True)] if whole else []
+        parts = (
+            [
+                (source.source, float(change**2) / whole)
+                for source, change in zip(self.sources, changes, strict=True)
+            ]
+            if whole
+            else []
+        )
         return sorted(parts, key=lambda pair: -pair[1])
 
 
 def bearing_uncertainties(
     sources: Sequence[Uncertainty], ends: Sequence[tuple[BearingCoefficients, BearingCoefficients]]
 ) -> BearingUncertainties:
-    """Half the difference of the coefficients with every number one standard uncertainty above and below its value (GUM 5.1.3, note 2).
+    """Half the difference of the coefficients with every number one standard uncertainty above and below its
+    value (GUM 5.1.3, note 2).
 
-    *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add up with their signs.
-    Equation (unc-bearing).
+    *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add
+    up with their signs. Equation (unc-bearing).
     """
     names = list(dict.fromkeys(source.source for source in sources))
     first = {source.source: source for source in reversed(sources)}
 
     def changes(values: Sequence[FloatArray]) -> FloatArray:
-        return np.array([sum(change for source, change in zip(sources, values, strict=True) if source.source == name) for name in names])
+        return np.array(
+            [
+                sum(change for source, change in zip(sources, values, strict=True) if source.source == name)
+                for name in names
+            ]
+        )
 
     return BearingUncertainties(
         tuple(first[name] for name in names),

@@ -14,7 +14,15 @@ from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertain
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.display import amount_text, plain_text, significant
-from labpipe.project.bearing import Evaluated, bearing_entry, bearing_json, evaluated, swept, write_bearing, write_sweep
+from labpipe.project.bearing import (
+    Evaluated,
+    bearing_entry,
+    bearing_json,
+    evaluated,
+    swept,
+    write_bearing,
+    write_sweep,
+)
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.sweep import Sweep, parse_sweep
 
@@ -26,13 +34,16 @@ LEAST_SPREAD = 1e-4
 MAX_ROWS = 12
 # Sources shown of a coefficient, and the least share in its variance.
 MAX_SHARES, LEAST_SHARE = 3, 0.01
-# Significant digits of coefficients without an uncertainty; amounts at rest that people think of as percentages.
+# Significant digits of coefficients without an uncertainty; amounts at rest that people think of as
+# percentages.
 DIGITS = 4
 PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
-    """The matrices, their uncertainties, the equilibrium, the range over one ball passage, and the warnings."""
+    """The matrices, their uncertainties, the equilibrium, the range over one ball passage, and the
+    warnings.
+    """
     coefficients = whole.coefficients
     echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
@@ -57,13 +68,18 @@ def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
         poles = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in coefficients.poles)
         echo(f"poles [rad/s]: {poles}")
     if coefficients.shaft:
-        echo("(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ from the diagonal term)")
+        echo(
+            "(sdof_k: stiffness from a one-dof fit at the dof's main peak; coupled dofs make it differ "
+            "from the diagonal term)"
+        )
     _echo_passage(coefficients)
     for finding in coefficients.findings:
         echo(f"warning {finding.code}: {finding.message}")
 
 
-def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None) -> None:
+def _echo_matrix(
+    title: str, coefficients: BearingCoefficients, matrix: FloatArray, relative: FloatArray | None
+) -> None:
     second = "" if title == "stiffness" else " s"
     tilts = "" if len(set(coefficients.dofs) & {"bx", "by"}) == 0 else f", N{second}/rad, N m{second}/rad"
     echo(f"{title} [N{second}/m{tilts}]: load of the row per displacement of the column")
@@ -81,14 +97,23 @@ def _echo_matrix(title: str, coefficients: BearingCoefficients, matrix: FloatArr
 def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: BearingUncertainties) -> None:
     """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
     echo("with standard uncertainties, and the shares of their sources:")
-    parts = (("k", coefficients.stiffness, uncertainties.stiffness, ""), ("c", coefficients.damping, uncertainties.damping, ".s"))
+    parts = (
+        ("k", coefficients.stiffness, uncertainties.stiffness, ""),
+        ("c", coefficients.damping, uncertainties.damping, ".s"),
+    )
     for symbol, matrix, changes, per_speed in parts:
-        for (i, row), (j, column) in ((r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)):
+        for (i, row), (j, column) in (
+            (r, c) for r in enumerate(coefficients.dofs) for c in enumerate(coefficients.dofs)
+        ):
             error = float(np.sqrt(np.sum(changes[:, i, j] ** 2)))
             if error <= STRUCTURAL_ZERO * np.max(np.abs(matrix), initial=0.0):
                 continue
             force, _, motion = coefficients.unit(i, j).partition("/")
-            largest = [(source, share) for source, share in uncertainties.shares(changes[:, i, j])[:MAX_SHARES] if share >= LEAST_SHARE]
+            largest = [
+                (source, share)
+                for source, share in uncertainties.shares(changes[:, i, j])[:MAX_SHARES]
+                if share >= LEAST_SHARE
+            ]
             shares = ", ".join(f"{source} {100 * share:.0f} %" for source, share in largest)
             amount = amount_text(float(matrix[i, j]), error, f"{force}{per_speed}/{motion}")
             echo(f"  {f'{symbol}_{row}_{column}':<10}{amount:<32}{shares}".rstrip())
@@ -96,7 +121,9 @@ def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: Bearin
 
 def _rounding(amounts: Sequence[Amount]) -> float:
     """Magnitude below which a load or displacement is rounding; zero for other quantities."""
-    return STRUCTURAL_ZERO * max((abs(amount.value) for amount in amounts if amount.unit in ("m", "rad", "N", "N.m")), default=0.0)
+    return STRUCTURAL_ZERO * max(
+        (abs(amount.value) for amount in amounts if amount.unit in ("m", "rad", "N", "N.m")), default=0.0
+    )
 
 
 def _amount(amount: Amount, least: float) -> str:
@@ -116,7 +143,9 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     if spread.max() < LEAST_SPREAD:
         echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
         return
-    ranges = ", ".join(f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True))
+    ranges = ", ".join(
+        f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True)
+    )
     echo(f"over one ball passage the direct stiffness varies: {ranges}")
 
 
@@ -125,12 +154,19 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
     dofs = cases[0].dofs
     echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")
     echo(f"{sweep.label:>20}" + "".join(f"{f'k_{dof}_{dof}':>12}" for dof in dofs))
-    numbers = range(len(cases)) if len(cases) <= MAX_ROWS else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
+    numbers = (
+        range(len(cases))
+        if len(cases) <= MAX_ROWS
+        else [*range(MAX_ROWS // 2), *range(len(cases) - MAX_ROWS // 2, len(cases))]
+    )
     for number in numbers:
         if len(cases) > MAX_ROWS and number == len(cases) - MAX_ROWS // 2:
             echo(f"{'...':>20}")
         diagonal = np.diag(cases[number].stiffness)
-        echo(f"{sweep.values[number]:>20.6g}" + "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal))
+        echo(
+            f"{sweep.values[number]:>20.6g}"
+            + "".join(f"{significant(float(value), DIGITS):>12}" for value in diagonal)
+        )
     codes = sorted({finding.code for case in cases for finding in case.findings})
     for code in codes:
         affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
@@ -143,8 +179,19 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
 
 @click.command()
 @click.argument("bearing_path", metavar="BEARING", type=options.PATH)
-@click.option("--json", "json_path", type=options.PATH, metavar="FILE", help="Write the coefficients as JSON; - for standard output.")
-@click.option("--sweep", "sweep_text", metavar="KEY=START:STOP:STEP", help="Vary one entry over a range of values, e.g. loads.z=0:2000:50.")
+@click.option(
+    "--json",
+    "json_path",
+    type=options.PATH,
+    metavar="FILE",
+    help="Write the coefficients as JSON; - for standard output.",
+)
+@click.option(
+    "--sweep",
+    "sweep_text",
+    metavar="KEY=START:STOP:STEP",
+    help="Vary one entry over a range of values, e.g. loads.z=0:2000:50.",
+)
 @click.option("-o", "--output", type=options.PATH, metavar="DIR", help="Folder for table and figures.")
 @options.overrides
 @options.quiet
@@ -166,8 +213,12 @@ def bearing(
     """
     if sweep_text is not None:
         if output is None or json_path is not None:
-            raise click.UsageError("--sweep needs -o DIR for its table, and has no --json", click.get_current_context())
-        _sweep(open_bearing(bearing_path, overrides), sweep_text, output, quiet, options.teller(quiet, verbose))
+            raise click.UsageError(
+                "--sweep needs -o DIR for its table, and has no --json", click.get_current_context()
+            )
+        _sweep(
+            open_bearing(bearing_path, overrides), sweep_text, output, quiet, options.teller(quiet, verbose)
+        )
         return
     file = open_bearing(bearing_path, overrides)
     name = file.settings().name or bearing_path.stem
@@ -188,7 +239,9 @@ def bearing(
             echo(f"written to {output}: {', '.join(names)}")
 
 
-def _sweep(file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]) -> None:
+def _sweep(
+    file: BearingFile, sweep_text: str, output: Path, quiet: bool, tell: Callable[[str], None]
+) -> None:
     sweep = parse_sweep(sweep_text, file.kind.settings)
     tell(f"bearing   {file.path}, {sweep.label}: {sweep.values.size} values")
     points = swept(file, sweep)

@@ -18,7 +18,15 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import RESULTS, Unpacked, check_output, contents, is_archive, unpacked, write_archive
+from labpipe.project.archive import (
+    RESULTS,
+    Unpacked,
+    check_output,
+    contents,
+    is_archive,
+    unpacked,
+    write_archive,
+)
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
@@ -28,7 +36,14 @@ from labpipe.project.verification import Verified, differences, pipeline_folder,
 
 @click.command()
 @click.argument("results", type=options.PATH)
-@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="File to write: .zip, or .eln for notebooks.")
+@click.option(
+    "-o",
+    "--output",
+    type=options.PATH,
+    required=True,
+    metavar="FILE",
+    help="File to write: .zip, or .eln for notebooks.",
+)
 @click.option(
     "-c",
     "--config",
@@ -37,13 +52,26 @@ from labpipe.project.verification import Verified, differences, pipeline_folder,
     metavar="PIPELINE",
     help="The pipeline that made the results; by default a file of its name in or above them.",
 )
-@click.option("--digests-only", is_flag=True, help="Of recordings, raw and calibrated, keep the digests and not the recordings.")
-@click.option("--date", "date", metavar="DATE", help="Day of publication, e.g. 2026-11-03; by default that of the result (UTC).")
+@click.option(
+    "--digests-only",
+    is_flag=True,
+    help="Of recordings, raw and calibrated, keep the digests and not the recordings.",
+)
+@click.option(
+    "--date",
+    "date",
+    metavar="DATE",
+    help="Day of publication, e.g. 2026-11-03; by default that of the result (UTC).",
+)
 @options.quiet
-def archive(results: Path, output: Path, pipeline_path: Path | None, digests_only: bool, date: str | None, quiet: bool) -> None:
-    """Pack RESULTS with all they were made from into one file, an RO-Crate 1.1: pipeline, rig, recordings, result, report, digests.
+def archive(
+    results: Path, output: Path, pipeline_path: Path | None, digests_only: bool, date: str | None, quiet: bool
+) -> None:
+    """Pack RESULTS with all they were made from into one file, an RO-Crate 1.1: pipeline, rig, recordings,
+    result, report, digests.
 
-    The same results give the same bytes. `labpipe verify FILE` checks every digest in it, runs the pipeline again and compares.
+    The same results give the same bytes. `labpipe verify FILE` checks every digest in it, runs the pipeline
+    again and compares.
 
     \b
     labpipe run pipeline.yaml -o out/
@@ -54,7 +82,9 @@ def archive(results: Path, output: Path, pipeline_path: Path | None, digests_onl
     day = _day(date)
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
-        raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
+        raise DataError(
+            f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`"
+        )
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
     packed = contents(folder, pipeline, digests_only=digests_only)
     write_archive(packed, output, day or _written(folder / NAME))
@@ -72,7 +102,11 @@ def _pipeline_of(folder: Path) -> Path:
     name = read_identification(folder / NAME).pipeline
     home = pipeline_folder(folder)
     if home is None:
-        raise ConfigError(f"no pipeline '{name}' is in or above the results", where=str(folder), hint="name it with -c PIPELINE")
+        raise ConfigError(
+            f"no pipeline '{name}' is in or above the results",
+            where=str(folder),
+            hint="name it with -c PIPELINE",
+        )
     return home / name
 
 
@@ -104,17 +138,29 @@ def _written(path: Path) -> str:
     metavar="PIPELINE",
     help="The pipeline that made the results: its raw files are compared as well.",
 )
-@click.option("--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte.")
+@click.option(
+    "--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte."
+)
 @options.jobs
 @options.overrides
 @options.quiet
 @options.verbose
-def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
-    """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was made from.
+def verify(
+    folder: Path,
+    pipeline_path: Path | None,
+    again: bool,
+    jobs: int,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> int:
+    """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was
+    made from.
 
-    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is held against its digest as well, and with
-    recordings in it the pipeline is run again and its artefacts compared byte for byte. Exit code 0 when all holds, 1 when something does
-    not, 2 when nothing could be verified. Results of earlier versions carry no digest, which is said and is no fault.
+    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is held against its
+    digest as well, and with recordings in it the pipeline is run again and its artefacts compared byte for
+    byte. Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified. Results of
+    earlier versions carry no digest, which is said and is no fault.
 
     \b
     labpipe verify out/
@@ -122,18 +168,26 @@ def verify(folder: Path, pipeline_path: Path | None, again: bool, jobs: int, ove
     labpipe verify evidence.zip
     """
     if is_archive(folder) and is_remote(folder):
-        raise DataError("is an archive elsewhere, and is read from this machine only", where=shown(folder), hint="copy it here")
+        raise DataError(
+            "is an archive elsewhere, and is read from this machine only",
+            where=shown(folder),
+            hint="copy it here",
+        )
     if is_archive(folder):
         return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        return _verify_folder(here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        return _verify_folder(
+            here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
+        )
 
 
 @dataclass(frozen=True)
 class Manners:
-    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is named."""
+    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is
+    named.
+    """
 
     again: bool
     jobs: int
@@ -165,7 +219,9 @@ def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manne
 
 
 def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int:
-    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes again; the exit code."""
+    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes
+    again; the exit code.
+    """
     with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
         archive = unpacked(path, Path(scratch))
         for name, fault in archive.faults:
@@ -177,14 +233,20 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         try:
             hindrance = "" if how.again else _hindrance(archive)
             named = pipeline_path or archive.pipeline
-            code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance))
+            code = _verify_folder(
+                archive.results, f"{path}: {RESULTS}", named, replace(how, again=not hindrance)
+            )
         except LabpipeError as error:
             # What the metadata list is there and holds, and is no result with its pipeline for all that.
             for line in str(error).replace(f"{scratch}/", f"{path}: ").splitlines():
                 echo(message_line(f"FAILED {line}"))
             return 1
         if not how.quiet:
-            echo(f"not run again: {hindrance}" if hindrance else "run again: " + ("other bytes" if code else "the same bytes"))
+            echo(
+                f"not run again: {hindrance}"
+                if hindrance
+                else "run again: " + ("other bytes" if code else "the same bytes")
+            )
         return code
 
 
@@ -211,5 +273,9 @@ def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
 def _echo(artefact: Verified, name: str, verbose: bool) -> None:
     for fault in artefact.faults:
         echo(f"FAILED {name}: {fault}")
-    for remark in artefact.remarks if verbose else [remark for remark in artefact.remarks if remark == "carries no digest"]:
+    for remark in (
+        artefact.remarks
+        if verbose
+        else [remark for remark in artefact.remarks if remark == "carries no digest"]
+    ):
         echo(f"note   {name}: {remark}")

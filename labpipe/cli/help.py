@@ -36,7 +36,9 @@ MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report; *fault*: what is wrong, empty for none; *needed*: labpipe does not work without it."""
+    """One line of the report; *fault*: what is wrong, empty for none; *needed*: labpipe does not work without
+    it.
+    """
 
     what: str
     state: str
@@ -46,7 +48,10 @@ class Check:
 
 @click.command()
 def doctor() -> int:
-    """Show versions, threads, optional packages and faults of this installation; exit code 2 when something required is missing."""
+    """Show versions, threads, optional packages and faults of this installation.
+
+    Exit code 2 when something required is missing.
+    """
     checks = [*_machine(), *_packages(), _temporary_folder()]
     width = max(len(check.what) for check in checks)
     for check in checks:
@@ -57,14 +62,23 @@ def doctor() -> int:
 
 
 def _machine() -> list[Check]:
-    threads = ", ".join(f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ)
+    threads = ", ".join(
+        f"{name}={os.environ[name]}"
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        if name in os.environ
+    )
     encoding = sys.stdout.encoding or "unknown"
     return [
         Check("labpipe", f"{__version__} (commit {commit()})" if commit() else __version__),
         Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
         Check("processors", str(os.cpu_count())),
         Check("threads of linear algebra", threads),
-        Check("terminal", encoding, "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm", needed=False),
+        Check(
+            "terminal",
+            encoding,
+            "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm",
+            needed=False,
+        ),
     ]
 
 
@@ -102,7 +116,9 @@ def _temporary_folder() -> Check:
 
 @click.command()
 @click.argument("kind", type=click.Choice(list(SCHEMAS)), default="pipeline")
-@click.option("-o", "--output", type=options.PATH, metavar="FILE", help="File to write; default: standard output.")
+@click.option(
+    "-o", "--output", type=options.PATH, metavar="FILE", help="File to write; default: standard output."
+)
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON schema of a pipeline, rig, bearing or plan file.
 

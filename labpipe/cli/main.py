@@ -27,7 +27,8 @@ MOST_FAULTS = 40
 INTERRUPTIONS = (KeyboardInterrupt, click.Abort)
 DEBUG = "--debug"
 INTERRUPTED = "interrupted; nothing was changed"
-# Command -> its module in labpipe.cli, and what --help says of it. Methods add commands by the entry-point group labpipe.command.
+# Command -> its module in labpipe.cli, and what --help says of it. Methods add commands by the entry-point
+# group labpipe.command.
 COMMANDS = {
     "init": ("start", "Scaffold a project: rig, pipeline and a sample recording; runs as it is."),
     "inspect": ("start", "Content of a recording: channels, rate, length, gaps, clipping, levels."),
@@ -56,7 +57,11 @@ COMMANDS = {
 }
 # A function named `list` would hide Python's own.
 TABLE = Registry(
-    "command", {name: f"labpipe.cli.{module}:{'list_results' if name == 'list' else name}" for name, (module, _) in COMMANDS.items()}
+    "command",
+    {
+        name: f"labpipe.cli.{module}:{'list_results' if name == 'list' else name}"
+        for name, (module, _) in COMMANDS.items()
+    },
 )
 
 
@@ -74,7 +79,9 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
-            formatter.write_dl([(name, COMMANDS[name][1] if name in COMMANDS else _words_of(name)) for name in TABLE])
+            formatter.write_dl(
+                [(name, COMMANDS[name][1] if name in COMMANDS else _words_of(name)) for name in TABLE]
+            )
 
 
 def _words_of(name: str) -> str:
@@ -93,8 +100,20 @@ def _print_version(context: click.Context, _option: click.Parameter, asked: bool
 
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Show version and commit.")
-@click.option(DEBUG, is_flag=True, expose_value=False, help="Print the traceback of a fault of labpipe itself; at any place.")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show version and commit.",
+)
+@click.option(
+    DEBUG,
+    is_flag=True,
+    expose_value=False,
+    help="Print the traceback of a fault of labpipe itself; at any place.",
+)
 def group() -> None:
     """From recorded test-rig runs to stiffness and damping with their uncertainty.
 
@@ -104,14 +123,17 @@ def group() -> None:
 
 
 def main() -> NoReturn:
-    """Run the command line and end with exit code 0 (done), 1 (a rule fails), 2 (not done) or 3 (a fault of labpipe itself)."""
+    """Run the command line and end with exit code 0 (done), 1 (a rule fails), 2 (not done) or 3 (a fault of
+    labpipe itself).
+    """
     try:
         sys.exit(_run([argument for argument in sys.argv[1:] if argument != DEBUG]))
     except INTERRUPTIONS:
         code = _fail(INTERRUPTED)
         sys.stdout.flush()
         sys.stderr.flush()
-        # Where Ctrl-C met an exec() of text, as dataclasses use when they are imported, Python would end by the signal in spite of all.
+        # Where Ctrl-C met an exec() of text, as dataclasses use when they are imported, Python would end by
+        # the signal in spite of all.
         os._exit(code)
     except Exception as error:
         sys.exit(_own_fault(error))
@@ -144,7 +166,10 @@ def _run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except MemoryError:
-        return _fail("there is not enough memory for this; check lengths, rates and block sizes, or use fewer processes")
+        return _fail(
+            "there is not enough memory for this; check lengths, rates and block sizes, or use "
+            "fewer processes"
+        )
     except OSError as error:
         if error.errno is None:
             raise
@@ -153,7 +178,10 @@ def _run(arguments: list[str]) -> int:
 
 
 def _own_fault(error: Exception) -> int:
-    """Say that labpipe itself is at fault; the traceback goes to a file that is named, or to the terminal where that is asked for."""
+    """Say that labpipe itself is at fault.
+
+    The traceback goes to a file that is named, or to the terminal where that is asked for.
+    """
     from tempfile import NamedTemporaryFile
     from traceback import format_exception
 
@@ -161,20 +189,36 @@ def _own_fault(error: Exception) -> int:
     place = "the traceback above"
     if DEBUG not in sys.argv:
         try:
-            with NamedTemporaryFile("w", prefix="labpipe-fault-", suffix=".txt", delete=False, encoding="utf-8") as file:
+            with NamedTemporaryFile(
+                "w", prefix="labpipe-fault-", suffix=".txt", delete=False, encoding="utf-8"
+            ) as file:
                 file.write(f"labpipe {__version__}, Python {sys.version}\n{sys.argv}\n\n{text}")
             place, text = file.name, ""
         except OSError:
             pass
     echo(text, err=True, nl=False)
     words = "; ".join((f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())))
-    echo(message_line(f"error: this is a fault of labpipe, not of your files ({cut(words, 200)}); please report it with {place}"), err=True)
+    echo(
+        message_line(
+            f"error: this is a fault of labpipe, not of your files ({cut(words, 200)}); please "
+            f"report it with {place}"
+        ),
+        err=True,
+    )
     return 3
 
 
 def _echo_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """A warning of a library as one line, without the place in its source; what will change in a later version as a note."""
-    echo(message_line(f"note: {message}" if category is FutureWarning else f"warning: {message} ({category.__name__})"), err=True)
+    """A warning of a library as one line, without the place in its source.
+
+    What will change in a later version as a note.
+    """
+    echo(
+        message_line(
+            f"note: {message}" if category is FutureWarning else f"warning: {message} ({category.__name__})"
+        ),
+        err=True,
+    )
 
 
 def _fail(*messages: str) -> int:

@@ -23,7 +23,9 @@ QUIET_SECONDS = 1.0
 
 
 class Progress:
-    """Shows after each test the number finished and the remaining time: one changing line on a terminal, one line each with -v."""
+    """Shows after each test the number finished and the remaining time: one changing line on a terminal, one
+    line each with -v.
+    """
 
     def __init__(self, verbose: bool) -> None:
         self._begin = time.monotonic()
@@ -32,7 +34,11 @@ class Progress:
 
     def __call__(self, finished: int, total: int, name: str) -> None:
         elapsed = time.monotonic() - self._begin
-        remaining = f", {duration(elapsed / finished * (total - finished))} left" if finished < total else f" in {duration(elapsed)}"
+        remaining = (
+            f", {duration(elapsed / finished * (total - finished))} left"
+            if finished < total
+            else f" in {duration(elapsed)}"
+        )
         if self._verbose:
             echo(f"test {finished} of {total}  {name}{remaining}", err=True)
         elif sys.stderr.isatty() and (elapsed > QUIET_SECONDS or self._shown):
@@ -58,7 +64,9 @@ def duration(seconds: float) -> str:
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
-    return Manner(options.teller(quiet, verbose), silent if quiet else Progress(verbose), executor(jobs, cluster))
+    return Manner(
+        options.teller(quiet, verbose), silent if quiet else Progress(verbose), executor(jobs, cluster)
+    )
 
 
 def check_shared(output: Path, cluster: str | None) -> None:
@@ -71,7 +79,10 @@ def check_shared(output: Path, cluster: str | None) -> None:
 def executor(jobs: int, cluster: str | None) -> Execute:
     """Where tests run according to the options of a command."""
     if cluster is not None and jobs != 1:
-        raise ConfigError("--cluster and -j exclude each other", hint="the cluster's workers determine how many tests run at once")
+        raise ConfigError(
+            "--cluster and -j exclude each other",
+            hint="the cluster's workers determine how many tests run at once",
+        )
     if cluster is not None:
         return on_cluster(cluster)
     processes = jobs or os.cpu_count() or 1
@@ -83,4 +94,7 @@ def echo_failed(failed: Sequence[Failed]) -> None:
     for failure in failed:
         echo(message_line(f"error: {failure.name}: {failure.message}"), err=True)
     if failed:
-        echo(f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again", err=True)
+        echo(
+            f"{len(failed)} failed, the rest is finished; correct the fault and run the same command again",
+            err=True,
+        )

@@ -15,7 +15,10 @@ from labpipe.cli.output import echo
 
 
 class _Address(click.Path):
-    """A path, or file://...; where results and recordings may lie *elsewhere* also the URL of an object storage, as a path."""
+    """A path, or file://....
+
+    Where results and recordings may lie *elsewhere* also the URL of an object storage, as a path.
+    """
 
     def __init__(self, *, elsewhere: bool) -> None:
         super().__init__(path_type=Path)
@@ -38,18 +41,42 @@ overrides = click.option(
     help="Override a config entry, e.g. identify.direct.band='60-70 Hz'.",
 )
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
-verbose = click.option("-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal.")
-out_folder = click.option("-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results.")
-out_place = click.option(
-    "-o", "--output", type=PLACE, required=True, metavar="DIR", help="Folder for the results, or s3://bucket/prefix, gs://bucket/prefix."
+verbose = click.option(
+    "-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal."
 )
-pipeline_file = click.option("-c", "--config", "pipeline_path", type=PATH, required=True, metavar="PIPELINE", help="Pipeline file (YAML).")
+out_folder = click.option(
+    "-o", "--output", type=PATH, required=True, metavar="DIR", help="Folder for the results."
+)
+out_place = click.option(
+    "-o",
+    "--output",
+    type=PLACE,
+    required=True,
+    metavar="DIR",
+    help="Folder for the results, or s3://bucket/prefix, gs://bucket/prefix.",
+)
+pipeline_file = click.option(
+    "-c",
+    "--config",
+    "pipeline_path",
+    type=PATH,
+    required=True,
+    metavar="PIPELINE",
+    help="Pipeline file (YAML).",
+)
 
-jobs = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Processes for several tests; 0: one per processor.")
+jobs = click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=0),
+    default=1,
+    help="Processes for several tests; 0: one per processor.",
+)
 cluster = click.option(
     "--cluster",
     metavar="ADDRESS|local|FILE",
-    help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786, or tls://...; of this machine; of a cluster in YAML.",
+    help="Run the tests on the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786, or tls://...; of this "
+    "machine; of a cluster in YAML.",
 )
 
 _FILTERS = (
@@ -58,7 +85,12 @@ _FILTERS = (
     click.option("--test", default="", help="Only this test; '*' matches any characters."),
     click.option("--since", default="", metavar="DATE", help="Only from this day on, e.g. 2026-11-03."),
     click.option("--until", default="", metavar="DATE", help="Only up to this day."),
-    click.option("--where", multiple=True, metavar="CONDITION", help="Only tests at this condition, e.g. 'preload >= 400 N' (repeatable)."),
+    click.option(
+        "--where",
+        multiple=True,
+        metavar="CONDITION",
+        help="Only tests at this condition, e.g. 'preload >= 400 N' (repeatable).",
+    ),
 )
 
 

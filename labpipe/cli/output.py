@@ -27,12 +27,21 @@ def printable(text: str, kept: str = "") -> str:
     """The text with control, escape and bidirectional characters as their codes, except those *kept*."""
     if text.isascii() and text.isprintable():
         return text
-    return "".join(_code(letter) if unicodedata.category(letter) in _ACTING and letter not in kept else letter for letter in text)
+    return "".join(
+        _code(letter) if unicodedata.category(letter) in _ACTING and letter not in kept else letter
+        for letter in text
+    )
 
 
 def _code(letter: str) -> str:
     number = ord(letter)
-    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
+    return (
+        f"\\x{number:02x}"
+        if number < 0x100
+        else f"\\u{number:04x}"
+        if number < 0x10000
+        else f"\\U{number:08x}"
+    )
 
 
 def message_line(text: str) -> str:
@@ -46,9 +55,16 @@ def message_line(text: str) -> str:
 
 
 def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print a text; of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal."""
+    """Print a text.
+
+    Of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal.
+    """
     parts = _OWN.split(str(text))
-    click.echo("".join(part if number % 2 else printable(part, KEPT) for number, part in enumerate(parts)), err=err, nl=nl)
+    click.echo(
+        "".join(part if number % 2 else printable(part, KEPT) for number, part in enumerate(parts)),
+        err=err,
+        nl=nl,
+    )
 
 
 # Tables on the terminal: columns of minimum width, empty ones omitted.
@@ -60,12 +76,17 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
     columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
     widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
     for row in (header, *rows):
-        cells = (row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number]) for number in columns)
+        cells = (
+            row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number])
+            for number in columns
+        )
         echo("  ".join(cells).rstrip())
 
 
 def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
-    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that suits them."""
+    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that
+    suits them.
+    """
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
     number, uncertainty = written(to_display(value, shown), error)

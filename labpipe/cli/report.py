@@ -31,16 +31,23 @@ from labpipe.project.report import write_campaign, write_report, write_test_repo
     metavar="FILE",
     help="Report file; its suffix (.html, .pdf, .md) determines the format.",
 )
-@click.option("--figures", type=options.PATH, metavar="DIR", help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR.")
+@click.option(
+    "--figures",
+    type=options.PATH,
+    metavar="DIR",
+    help="Also write every figure as SVG and PNG, and its numbers as CSV, to DIR.",
+)
 @click.option("--test", default="", metavar="NAME", help="Only the pages of this test, of a result of many.")
 @options.quiet
 @options.verbose
-def report(results: tuple[Path, ...], output: Path, figures: Path | None, test: str, quiet: bool, verbose: bool) -> None:
+def report(
+    results: tuple[Path, ...], output: Path, figures: Path | None, test: str, quiet: bool, verbose: bool
+) -> None:
     """Write the report of a result: verdict, parameters, figures, warnings, provenance.
 
-    A result may be at s3://bucket/prefix. Several results, or a folder with results below it, give the report of a campaign: every
-    coefficient over preload, speed, temperature and the condition `date` of its tests, control limits, and results that differ from the
-    others.
+    A result may be at s3://bucket/prefix. Several results, or a folder with results below it, give the report
+    of a campaign: every coefficient over preload, speed, temperature and the condition `date` of its tests,
+    control limits, and results that differ from the others.
 
     \b
     labpipe report out/ -o report.pdf --figures out/figures
@@ -83,14 +90,20 @@ def result_files(results: Sequence[Path]) -> list[Path]:
     for path in results:
         below = finished(path.rglob(NAME)) if path.is_dir() and not (path / NAME).exists() else []
         if path.is_dir() and not below and not (path / NAME).exists():
-            raise DataError(f"holds no {NAME}, neither does a folder below it", where=str(path), hint="run `labpipe run` first")
+            raise DataError(
+                f"holds no {NAME}, neither does a folder below it",
+                where=str(path),
+                hint="run `labpipe run` first",
+            )
         files.extend(below or [path / NAME if path.is_dir() else path])
     return list(dict.fromkeys(files))
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
     """The shortest unique ends of the folders' paths."""
-    folders = [path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths]
+    folders = [
+        path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths
+    ]
     for parts in range(1, max(len(folder.parts) for folder in folders) + 1):
         names = ["/".join(folder.parts[-parts:]) for folder in folders]
         if len(set(names)) == len(names):
@@ -103,12 +116,16 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 @click.command()
 @click.argument("artefact", type=options.PATH)
-@click.option("--to", "target_format", type=click.Choice(WRITERS.names()), required=True, help="Format of the file.")
+@click.option(
+    "--to", "target_format", type=click.Choice(WRITERS.names()), required=True, help="Format of the file."
+)
 @click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="File to write.")
 def export(artefact: Path, target_format: str, output: Path) -> None:
-    """Write a recording, free decays, a frequency response, or the parameters or mode shapes of an identification for other programs.
+    """Write a recording, free decays, a frequency response, or the parameters or mode shapes of an
+    identification for other programs.
 
-    Of an identification csv and parquet hold the parameters, shapes (a table) and uff (records 15, 82 and 55) the mode shapes.
+    Of an identification csv and parquet hold the parameters, shapes (a table) and uff (records 15, 82 and 55)
+    the mode shapes.
     """
     table = WRITERS.load(target_format)
     with output_file(output) as target:

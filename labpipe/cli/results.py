@@ -37,14 +37,17 @@ from labpipe.records.identification import ListedParameter, of_fit
 
 @click.command(name="list")
 @click.argument("folder", type=options.PLACE, default=Path("."))
-@click.option("-p", "--parameter", default="", help="Show the values of a parameter; '*' matches any characters.")
+@click.option(
+    "-p", "--parameter", default="", help="Show the values of a parameter; '*' matches any characters."
+)
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
 def list_results(folder: Path, parameter: str, table: Path | None, **filters: object) -> None:
     """List the results below FOLDER, or their parameter values.
 
-    FOLDER may be s3://bucket/prefix. Every identification.json counts. Conditions are written as `--where "preload >= 400 N"`; all of
-    them must hold. The date is the test's condition `date`, or else that of the file.
+    FOLDER may be s3://bucket/prefix. Every identification.json counts. Conditions are written as `--where
+    "preload >= 400 N"`; all of them must hold. The date is the test's condition `date`, or else that of the
+    file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     find = found_values if _selects_values(criteria) else found_results
@@ -75,7 +78,17 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 def echo_results(rows: Sequence[ResultRow]) -> None:
     """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
-    lines = [(row.date, row.path.removesuffix("/identification.json"), row.rig, str(row.tests), row.verdict, _remark(row)) for row in rows]
+    lines = [
+        (
+            row.date,
+            row.path.removesuffix("/identification.json"),
+            row.rig,
+            str(row.tests),
+            row.verdict,
+            _remark(row),
+        )
+        for row in rows
+    ]
     echo_table(header, lines, right=(3,))
 
 
@@ -94,7 +107,18 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
         band = f"{row.low_hz:g}-{row.high_hz:g} Hz" if row.high_hz > row.low_hz else ""
         cells = value_cells(row.value, row.std_error, row.unit, units[row.parameter, row.unit])
         conditions = [row.conditions.get(name, "") for name in names]
-        lines.append((row.path.removesuffix("/identification.json"), row.test, fit, band, row.parameter, *cells, *conditions, row.warnings))
+        lines.append(
+            (
+                row.path.removesuffix("/identification.json"),
+                row.test,
+                fit,
+                band,
+                row.parameter,
+                *cells,
+                *conditions,
+                row.warnings,
+            )
+        )
     echo_table(header, lines, right=(5, 6))
 
 
@@ -114,26 +138,43 @@ LEVEL = 0.05
 @click.command()
 @click.argument("folder", type=options.PLACE, default=Path("."))
 @click.option("-p", "--parameter", required=True, help="The parameter; '*' matches any characters.")
-@click.option("--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`.")
+@click.option(
+    "--over", required=True, metavar="CONDITION", help="A condition of the tests such as preload, or `date`."
+)
 @options.catalogue_filters
 @click.option("--csv", "table", type=options.PATH, help="Write the values, in SI units, to this file.")
 @click.option(
-    "-o", "--output", type=options.PATH, metavar="FILE", help="Also write the campaign report of these results (.html, .pdf, .md)."
+    "-o",
+    "--output",
+    type=options.PATH,
+    metavar="FILE",
+    help="Also write the campaign report of these results (.html, .pdf, .md).",
 )
-def trend(folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object) -> None:
-    """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control limits.
+def trend(
+    folder: Path, parameter: str, over: str, table: Path | None, output: Path | None, **filters: object
+) -> None:
+    """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control
+    limits.
 
-    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors; control limits are mean -+ 3 x mean moving range /
-    1.128 in the order of the dates.
+    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors; control limits are mean -+
+    3 x mean moving range / 1.128 in the order of the dates.
     """
     if output is not None:
         format_of(output)
     with results_read(folder) as here:
         rows = found_values(here, Filter(parameter=parameter, **filters))  # type: ignore[arg-type]
-        results = {} if output is None else {path: read_identification(here / path) for path in sorted({row.path for row in rows})}
+        results = (
+            {}
+            if output is None
+            else {path: read_identification(here / path) for path in sorted({row.path for row in rows})}
+        )
     all_series = trends(rows, over)
     for row in undated(rows) if over == DATE else ():
-        echo(f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03", err=True)
+        echo(
+            f"warning: {row.path}: test '{row.test}': '{cut(row.date)}' is not a date; write it as "
+            "2026-11-03",
+            err=True,
+        )
     selected = [row for series in all_series for row in series.rows]
     if not selected:
         raise DataError("no result matches these filters", where=shown_path(folder))
@@ -143,7 +184,14 @@ def trend(folder: Path, parameter: str, over: str, table: Path | None, output: P
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
         chosen = {row.path for row in selected}
-        write_campaign([(path.removesuffix("/identification.json"), result) for path, result in results.items() if path in chosen], output)
+        write_campaign(
+            [
+                (path.removesuffix("/identification.json"), result)
+                for path, result in results.items()
+                if path in chosen
+            ],
+            output,
+        )
         echo(f"written: {output}", err=True)
 
 
@@ -156,9 +204,17 @@ def _echo_series(series: Series) -> None:
     for x, row in zip(series.condition, series.rows, strict=True):
         mark = "out of control" if id(row) in outside else row.warnings
         rows.append(
-            (f"  {x:g} {series.condition_unit}", *value_cells(row.value, row.std_error, row.unit, shown), row.label, row.date, mark)
+            (
+                f"  {x:g} {series.condition_unit}",
+                *value_cells(row.value, row.std_error, row.unit, shown),
+                row.label,
+                row.date,
+                mark,
+            )
         )
-    echo_table((f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2))
+    echo_table(
+        (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", ""), rows, right=(1, 2)
+    )
     echo(f"  {_slope(series)}")
     if series.over == DATE:
         echo(f"  {_control(series)}")
@@ -173,14 +229,20 @@ def _slope(series: Series) -> str:
     """The slope in words, in display units."""
     line = series.line
     if line is None:
-        return "no trend can be computed: at least three values with standard errors at different conditions are required"
+        return (
+            "no trend can be computed: at least three values with standard errors at different "
+            "conditions are required"
+        )
     unit = _unit(series)
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile * error, line.p_of(1)
     per = series.condition_unit.split(" ")[0]
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    return f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = {p_value:.2g}{scatter}"
+    return (
+        f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = "
+        f"{p_value:.2g}{scatter}"
+    )
 
 
 def _control(series: Series) -> str:
@@ -190,7 +252,10 @@ def _control(series: Series) -> str:
     unit = _unit(series)
     low, high = (to_display(value, unit) for value in (limits.low, limits.high))
     beyond = ", ".join(row.label for row in series.outside) or "none"
-    return f"control limits {' '.join(filter(None, (number(low), 'to', number(high), unit_label(unit))))}: beyond {beyond}"
+    return (
+        f"control limits {' '.join(filter(None, (number(low), 'to', number(high), unit_label(unit))))}: "
+        f"beyond {beyond}"
+    )
 
 
 # labpipe compare A B
@@ -199,13 +264,18 @@ def _control(series: Series) -> str:
 @click.command()
 @click.argument("first", type=options.PLACE)
 @click.argument("second", type=options.PLACE)
-@click.option("-p", "--parameter", multiple=True, help="Show only this parameter (repeatable); the correction counts all of them.")
+@click.option(
+    "-p",
+    "--parameter",
+    multiple=True,
+    help="Show only this parameter (repeatable); the correction counts all of them.",
+)
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
 def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
     """Compare the result SECOND with FIRST (folders or identification.json), parameter by parameter.
 
-    Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard errors alone, corrected for
-    the number of parameters (Holm).
+    Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard
+    errors alone, corrected for the number of parameters (Holm).
     """
     pairs = differences(_parameters(first), _parameters(second))
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
@@ -216,7 +286,10 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    echo(f"{n_different} of {len(tested)} parameters differ (level {100 * DIFFERENCE_LEVEL:g} %, corrected for their number)")
+    echo(
+        f"{n_different} of {len(tested)} parameters differ (level {100 * DIFFERENCE_LEVEL:g} %, corrected "
+        "for their number)"
+    )
 
 
 def _parameters(path: Path) -> list[ListedParameter]:
@@ -230,11 +303,16 @@ def _parameters(path: Path) -> list[ListedParameter]:
 
 
 def _cells(pair: Difference) -> tuple[str, ...]:
-    """A row in one unit, all numbers to the place that the error of the difference supports; differences have no offset (degC)."""
+    """A row in one unit, all numbers to the place that the error of the difference supports.
+
+    Differences have no offset (degC).
+    """
     unit = shown_unit(pair.unit, pair.first, pair.second)
     error = None if pair.std_error is None else difference_in(pair.std_error, unit)
     change = difference_in(pair.second - pair.first, unit)
-    difference, uncertainty, first, second = written(change, error, *(to_display(value, unit) for value in (pair.first, pair.second)))
+    difference, uncertainty, first, second = written(
+        change, error, *(to_display(value, unit) for value in (pair.first, pair.second))
+    )
     p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
     numbers = first, second, difference, uncertainty, unit_label(unit)
     return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

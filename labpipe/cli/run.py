@@ -40,18 +40,30 @@ from labpipe.records.identification import RuleOutcome
 @options.out_place
 @options.jobs
 @options.cluster
-@click.option("--only", default="", metavar="TEST", help="Work on this test alone, up to its fits; a run without --only then finishes.")
+@click.option(
+    "--only",
+    default="",
+    metavar="TEST",
+    help="Work on this test alone, up to its fits; a run without --only then finishes.",
+)
 @options.overrides
 @options.quiet
 @options.verbose
 def run(
-    pipeline_path: Path, output: Path, jobs: int, cluster: str | None, only: str, overrides: tuple[str, ...], quiet: bool, verbose: bool
+    pipeline_path: Path,
+    output: Path,
+    jobs: int,
+    cluster: str | None,
+    only: str,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
 ) -> int:
     """Run all stages of PIPELINE: recordings -> FRFs -> identification.json -> report.
 
-    identification.json is written before the report is drawn. Results and reports that are up to date are not made again. When a test
-    fails, the others are finished and the failed one is named at the end (exit code 2); an interrupted run continues where it stopped.
-    Exit code 1 when an accept: or expect: rule fails.
+    identification.json is written before the report is drawn. Results and reports that are up to date are not
+    made again. When a test fails, the others are finished and the failed one is named at the end (exit code
+    2); an interrupted run continues where it stopped. Exit code 1 when an accept: or expect: rule fails.
     """
     how = manner(quiet, verbose, jobs, cluster)
     check_shared(output, cluster)
@@ -68,7 +80,10 @@ def run(
         write_reports(identification, here, pipeline.report.formats, how.tell)
     echo_identification(identification, quiet)
     if not quiet:
-        echo(f"written: {shown(output)}/identification.json" + "".join(f", report.{name}" for name in pipeline.report.formats))
+        echo(
+            f"written: {shown(output)}/identification.json"
+            + "".join(f", report.{name}" for name in pipeline.report.formats)
+        )
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
@@ -78,11 +93,19 @@ def run(
 
 @click.command()
 @click.argument("pipelines", nargs=-1, required=True, metavar="PIPELINE...", type=options.PATH)
-@click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Pipelines at the same time; 0: one per processor.")
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=0),
+    default=1,
+    help="Pipelines at the same time; 0: one per processor.",
+)
 @options.overrides
 @options.quiet
 @options.verbose
-def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def check(
+    pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> int:
     """Run each PIPELINE from scratch and test its expect: and accept: rules; exit code 1 when one fails."""
     failed = 0
     for path, outcomes in _checked(pipelines, overrides, jobs, quiet, verbose):
@@ -98,7 +121,10 @@ def check(pipelines: tuple[Path, ...], jobs: int, overrides: tuple[str, ...], qu
 def _checked(
     pipelines: Sequence[Path], overrides: tuple[str, ...], jobs: int, quiet: bool, verbose: bool
 ) -> Iterator[tuple[Path, tuple[RuleOutcome, ...]]]:
-    """The outcomes of each pipeline; in parallel, pipelines with a study run last, since a study uses all processors."""
+    """The outcomes of each pipeline.
+
+    In parallel, pipelines with a study run last, since a study uses all processors.
+    """
     work = partial(outcomes_of, overrides=overrides, quiet=quiet, verbose=verbose)
     processes = min(jobs or os.cpu_count() or 1, len(pipelines))
     if processes == 1:
@@ -106,7 +132,9 @@ def _checked(
         return
     studies = [path for path in pipelines if "study" in load_pipeline(path, overrides).sections]
     others = [path for path in pipelines if path not in studies]
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(
+        processes, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+    ) as pool:
         try:
             yield from zip(others, pool.map(work, others), strict=True)
         except BaseException:
@@ -115,7 +143,9 @@ def _checked(
     yield from zip(studies, map(work, studies), strict=True)
 
 
-def outcomes_of(path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> tuple[RuleOutcome, ...]:
+def outcomes_of(
+    path: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> tuple[RuleOutcome, ...]:
     """The outcomes of a pipeline's rules; DataError when one of its tests fails."""
     pipeline = load_pipeline(path, overrides)
     manner = Manner(options.teller(quiet, verbose))
@@ -137,7 +167,9 @@ def _failure(path: Path, outcome: RuleOutcome) -> str:
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.overrides
 def tests(pipeline_path: Path, overrides: tuple[str, ...]) -> None:
-    """Print the names of the tests of PIPELINE, one in each line, for schedulers that run them one by one with `labpipe run --only`."""
+    """Print the names of the tests of PIPELINE, one in each line, for schedulers that run them one by one
+    with `labpipe run --only`.
+    """
     for test in load_pipeline(pipeline_path, overrides).tests:
         echo(test.name)
 
@@ -168,7 +200,10 @@ class _Seconds(click.ParamType[float]):
 def _asked_to_stop() -> Iterator[list[int]]:
     """The signals that asked the watch to end, instead of ending it at once."""
     asked: list[int] = []
-    before = {number: signal.signal(number, lambda received, _frame: asked.append(received)) for number in (signal.SIGTERM, signal.SIGINT)}
+    before = {
+        number: signal.signal(number, lambda received, _frame: asked.append(received))
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
     try:
         yield asked
     finally:
@@ -182,12 +217,35 @@ def _asked_to_stop() -> Iterator[list[int]]:
 @options.out_place
 @click.option("--every", type=_Seconds(), default="10 s", show_default=True, help="Time between two looks.")
 @click.option(
-    "--settle", type=_Seconds(), default="5 s", show_default=True, help="A recording is complete when it did not change for so long."
+    "--settle",
+    type=_Seconds(),
+    default="5 s",
+    show_default=True,
+    help="A recording is complete when it did not change for so long.",
 )
-@click.option("--marker", default="", metavar="SUFFIX", help="A recording is complete when a file of its name and this suffix is there.")
-@click.option("--append", type=_Seconds(), default="5 min", show_default=True, help="Results wait so long at most until they are appended.")
-@click.option("--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names.")
-@click.option("--log", "logs", type=options.PATH, metavar="DIR", help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.")
+@click.option(
+    "--marker",
+    default="",
+    metavar="SUFFIX",
+    help="A recording is complete when a file of its name and this suffix is there.",
+)
+@click.option(
+    "--append",
+    type=_Seconds(),
+    default="5 min",
+    show_default=True,
+    help="Results wait so long at most until they are appended.",
+)
+@click.option(
+    "--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names."
+)
+@click.option(
+    "--log",
+    "logs",
+    type=options.PATH,
+    metavar="DIR",
+    help="Folder of watch.prom and watch.log.jsonl; default: RESULTS.",
+)
 @click.option("--once", is_flag=True, help="Work on what is complete now, then end.")
 @options.jobs
 @options.cluster
@@ -213,10 +271,11 @@ def watch(
 ) -> int:
     """Watch FOLDER and work on every new recording once it is complete, each exactly once.
 
-    The only entry of `tests:` in PIPELINE, one with `each:`, says what a recording becomes; which files are looked at, FOLDER and --names
-    say. Results are appended to the dataset in RESULTS; a recording that cannot be evaluated is moved to RESULTS/quarantine with its
-    reason. Beside them stand watch.prom (metrics) and watch.log.jsonl. FOLDER and RESULTS may be of an object storage, s3://bucket/prefix;
-    bad recordings then stay where they are, and only the reason goes to RESULTS/quarantine.
+    The only entry of `tests:` in PIPELINE, one with `each:`, says what a recording becomes; which files are
+    looked at, FOLDER and --names say. Results are appended to the dataset in RESULTS; a recording that cannot
+    be evaluated is moved to RESULTS/quarantine with its reason. Beside them stand watch.prom (metrics) and
+    watch.log.jsonl. FOLDER and RESULTS may be of an object storage, s3://bucket/prefix; bad recordings then
+    stay where they are, and only the reason goes to RESULTS/quarantine.
 
     SIGTERM or Ctrl-C end the watch after the recording in work.
     """
@@ -224,12 +283,20 @@ def watch(
         raise DataError("no such folder", where=str(folder), hint="name the folder that recordings arrive in")
     pipeline, per_file = load_for_files_to_come(pipeline_path, overrides)
     if what := hindrance(pipeline, independent_fits(pipeline)):
-        raise ConfigError(f"{what}, which needs all tests at once", where=str(pipeline_path), hint="watch with a pipeline of fits alone")
+        raise ConfigError(
+            f"{what}, which needs all tests at once",
+            where=str(pipeline_path),
+            hint="watch with a pipeline of fits alone",
+        )
     settings = WatchSettings(settle=settle, every=every, append=append, marker=marker, names=names, once=once)
     check_shared(output, cluster)
     log_folder = logs or output
     if is_remote(log_folder):
-        raise ConfigError("--log: is needed where the results are elsewhere", where=shown(output), hint="name a folder of this machine")
+        raise ConfigError(
+            "--log: is needed where the results are elsewhere",
+            where=shown(output),
+            hint="name a folder of this machine",
+        )
     log_folder.mkdir(parents=True, exist_ok=True)
     with only_one(log_folder / LOCK), _asked_to_stop() as asked, results_kept(output) as mirror:
         watched = Watch(
@@ -248,5 +315,8 @@ def watch(
         )
         index = watched.run().index
     if not quiet:
-        echo(f"{index.tests} tests in the dataset, {index.failed} failed; {watched.counts.evaluated} worked on now")
+        echo(
+            f"{index.tests} tests in the dataset, {index.failed} failed; {watched.counts.evaluated} worked "
+            "on now"
+        )
     return 0

@@ -39,7 +39,14 @@ from labpipe.records.spectra import ChannelSpectra, FreeDecays
 @options.overrides
 @options.quiet
 @options.verbose
-def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+def ingest(
+    sources: tuple[Path, ...],
+    rig_path: Path,
+    output: Path,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> None:
     """Calibrate raw files to SI units: SOURCE... -> DIR/*.recording.parquet."""
     rig = load_rig(rig_path, overrides)
     options.teller(quiet, verbose)(f"ingest    {len(sources)} file(s)")
@@ -48,7 +55,9 @@ def ingest(sources: tuple[Path, ...], rig_path: Path, output: Path, overrides: t
     for recording in recordings:
         if not quiet:
             seconds = recording.n_sample / recording.sample_rate
-            echo(f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s")
+            echo(
+                f"{recording.name}: {recording.n_sample} samples, {recording.sample_rate:g} Hz, {seconds:g} s"
+            )
         for finding in recording.findings:
             echo(f"  {finding.level} {finding.code}: {finding.message}")
 
@@ -98,7 +107,11 @@ def with_recordings(pipeline: Pipeline, recordings: tuple[Path, ...]) -> Pipelin
     if rig is None:
         raise ConfigError("rig: is missing", where=str(pipeline.path), hint="add rig: FILE")
     test = Test("", tuple(SourceFile(path, rig) for path in recordings))
-    return replace(pipeline, tests=(test,), sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"})
+    return replace(
+        pipeline,
+        tests=(test,),
+        sections={name: part for name, part in pipeline.sections.items() if name != "calibrate"},
+    )
 
 
 def echo_measured(measured: MeasuredTest, quiet: bool) -> None:
@@ -130,7 +143,10 @@ def _response_line(response: FrequencyResponse) -> str:
 
 def _decays_line(decays: FreeDecays) -> str:
     outputs = ", ".join(port.label for port in decays.outputs)
-    return f"{decays.name or 'decay'}: {len(decays.decays)} free decay(s) of {outputs} at {decays.sample_rate:g} Hz"
+    return (
+        f"{decays.name or 'decay'}: {len(decays.decays)} free decay(s) of {outputs} at "
+        f"{decays.sample_rate:g} Hz"
+    )
 
 
 # labpipe identify -c PIPELINE -o DIR [FRF...]
@@ -143,16 +159,27 @@ def _decays_line(decays: FreeDecays) -> str:
 @options.overrides
 @options.quiet
 @options.verbose
-def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def identify(
+    frfs: tuple[Path, ...],
+    pipeline_path: Path,
+    output: Path,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> int:
     """Identify parameters from frequency responses, or from free decays: DIR/identification.json.
 
-    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline. Of very many tests the results are
-    kept as a dataset, as `labpipe run` does.
+    Without FRF... the responses of `labpipe frf` in DIR are used, or those under frfs: in the pipeline. Of
+    very many tests the results are kept as a dataset, as `labpipe run` does.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     options.teller(quiet, verbose)(f"identify  {pipeline.title}")
     with options.results_folder(output) as folder:
-        many = None if frfs else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
+        many = (
+            None
+            if frfs
+            else identify_many(pipeline, folder, Manner(progress=silent if quiet else Progress(verbose)))
+        )
         identification = many if many is not None else _identified(pipeline, frfs, folder)
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
@@ -162,7 +189,10 @@ def identify(frfs: tuple[Path, ...], pipeline_path: Path, output: Path, override
 def _identified(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
     """The result of all tests at once."""
     if frfs:
-        tests, inputs = [load_measured(path) for path in frfs], [source_ref(path, path.parent) for path in frfs]
+        tests, inputs = (
+            [load_measured(path) for path in frfs],
+            [source_ref(path, path.parent) for path in frfs],
+        )
     else:
         tests, inputs = _of_pipeline(pipeline, folder)
     files = [reference for reference in inputs if reference.path != DESCRIPTION]
@@ -171,7 +201,10 @@ def _identified(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder
 
 
 def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:
-    """What the folder holds of the pipeline's tests, or frfs: names, with name and conditions of the test; what they depend on."""
+    """What the folder holds of the pipeline's tests, or frfs: names, with name and conditions of the test.
+
+    What they depend on.
+    """
     tests: list[MeasuredTest] = []
     references: list[SourceRef] = []
     for test in pipeline.tests:
@@ -180,7 +213,11 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
             references.extend(ready_refs(ready))
         measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
         if test.recordings and not measured_path.exists():
-            raise DataError("no such file", where=str(measured_path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+            raise DataError(
+                "no such file",
+                where=str(measured_path),
+                hint="run `labpipe frf` first, or `labpipe run` for all stages",
+            )
         if test.recordings:
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
@@ -196,15 +233,20 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
 @options.overrides
 @options.quiet
 @options.verbose
-def calibrate(pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
+def calibrate(
+    pipeline_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> int:
     """Fit the straight lines of a file's calibrate: section: DIR/identification.json.
 
-    A rig file can then name a fitted slope as a sensitivity: `sensitivity: results/identification.json#probe_y`.
+    A rig file can then name a fitted slope as a sensitivity: `sensitivity:
+    results/identification.json#probe_y`.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     calibrations = pipeline.sections.get("calibrate", ())
     if not calibrations:
-        raise ConfigError("calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns")
+        raise ConfigError(
+            "calibrate: is missing", where=str(pipeline_path), hint="name a table with its x and y columns"
+        )
     options.teller(quiet, verbose)(f"calibrate {pipeline.title}")
     names = {calibration.name for calibration in calibrations}
     rules = tuple(rule for rule in pipeline.rules if rule.fit in names)
@@ -224,21 +266,31 @@ STUDY = "study"
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.out_folder
-@click.option("-j", "--jobs", type=click.IntRange(min=0), default=0, help="Processes; default: one per processor.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(min=0), default=0, help="Processes; default: one per processor."
+)
 @options.overrides
 @options.quiet
 @options.verbose
-def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> int:
-    """Repeat the fits of PIPELINE on its virtual rig: bias, scatter against the Cramer-Rao bound, coverage, success.
+def study(
+    pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ...], quiet: bool, verbose: bool
+) -> int:
+    """Repeat the fits of PIPELINE on its virtual rig: bias, scatter against the Cramer-Rao bound, coverage,
+    success.
 
-    Writes identification.json, study.csv and the report. The same seed gives the same results on any number of processes.
+    Writes identification.json, study.csv and the report. The same seed gives the same results on any number
+    of processes.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
     if STUDY not in pipeline.sections:
-        raise ConfigError("study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels")
+        raise ConfigError(
+            "study: is missing", where=str(pipeline_path), hint="name a virtual rig and noise levels"
+        )
     rules = tuple(rule for rule in pipeline.rules if rule.fit == STUDY)
     # The fits are repeated, not made.
-    alone = replace(pipeline, tests=(), rules=rules, sections={"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]})
+    alone = replace(
+        pipeline, tests=(), rules=rules, sections={"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]}
+    )
     with output_folder(output) as folder:
         identification = identify_stage(alone, (), (), folder, options.teller(quiet, verbose), jobs)
         write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
@@ -246,5 +298,8 @@ def study(pipeline_path: Path, output: Path, jobs: int, overrides: tuple[str, ..
     write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
     echo_identification(identification, quiet)
     if not quiet:
-        echo(f"written: {output}/identification.json, study.csv" + "".join(f", report.{name}" for name in pipeline.report.formats))
+        echo(
+            f"written: {output}/identification.json, study.csv"
+            + "".join(f", report.{name}" for name in pipeline.report.formats)
+        )
     return 0 if identification.accepted else 1

@@ -39,12 +39,17 @@ SCAFFOLD_RIG = "virtual-magnetic-rig"
 @click.command()
 @click.argument("folder", metavar="DIR", type=options.PATH, required=False)
 @click.argument("recordings", metavar="[RECORDING...]", nargs=-1, type=options.PATH)
-@click.option("--example", metavar="NAME", help="An example rig with its recordings and pipelines; `--example list` lists them.")
+@click.option(
+    "--example",
+    metavar="NAME",
+    help="An example rig with its recordings and pipelines; `--example list` lists them.",
+)
 def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None) -> None:
     """Scaffold a project in DIR: rig.yaml, pipeline.yaml and a sample recording; it runs as it is.
 
-    With RECORDING... (or FRFs) the two files are filled in from the recording: channels, units, rate, kind of excitation, band.
-    Entries that only a person can decide are marked, and labpipe names each of them until it is decided.
+    With RECORDING... (or FRFs) the two files are filled in from the recording: channels, units, rate, kind of
+    excitation, band. Entries that only a person can decide are marked, and labpipe names each of them until
+    it is decided.
     """
     if example is not None and recordings:
         raise ConfigError("--example has its own recordings", hint="leave out one of the two")
@@ -101,10 +106,19 @@ def _next(pipeline: Path, folder: Path) -> None:
 
 @click.command()
 @click.argument("file", type=options.PATH)
-@click.option("-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with.")
-@click.option("-o", "--output", type=options.PATH, metavar="CARD", help="Also write a card with small plots (.html, .pdf, .md).")
+@click.option(
+    "-r", "--rig", "rig_path", type=options.PATH, help="Rig file to compare names, units and rate with."
+)
+@click.option(
+    "-o",
+    "--output",
+    type=options.PATH,
+    metavar="CARD",
+    help="Also write a card with small plots (.html, .pdf, .md).",
+)
 def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
-    """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping, levels.
+    """Show the content of a recording, an FRF or spectra: channels, units, rate, length, gaps, clipping,
+    levels.
 
     \b
     labpipe inspect run.tdms -r rig.yaml -o card.html
@@ -128,7 +142,10 @@ def _echo_response(response: FrequencyResponse, file: str) -> None:
     frequency = response.frequency
     lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
     echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
-    for title, ports in (("responses", response.outputs), ("bases" if response.form == "transmissibility" else "forces", response.inputs)):
+    for title, ports in (
+        ("responses", response.outputs),
+        ("bases" if response.form == "transmissibility" else "forces", response.inputs),
+    ):
         echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
     qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
     echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
@@ -143,7 +160,10 @@ def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
     for number, channel in enumerate(spectra.channels):
         size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
         noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
-        echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} {channel.dof}")
+        echo(
+            f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {channel.unit}, {channel.role} "
+            f"{channel.dof}"
+        )
     for finding in spectra.findings:
         echo(f"  {finding.level} {finding.code}: {finding.message}")
 
@@ -178,22 +198,64 @@ Value = TypeVar("Value")
 
 
 @click.command()
-@click.option("-o", "--output", type=options.PATH, required=True, metavar="FILE", help="Signal file: .csv, .parquet or .wav.")
+@click.option(
+    "-o",
+    "--output",
+    type=options.PATH,
+    required=True,
+    metavar="FILE",
+    help="Signal file: .csv, .parquet or .wav.",
+)
 @click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
-@click.option("--spacing", default="0.5 Hz", show_default=True, help="Spacing of the lines; one period lasts 1 / spacing.")
+@click.option(
+    "--spacing",
+    default="0.5 Hz",
+    show_default=True,
+    help="Spacing of the lines; one period lasts 1 / spacing.",
+)
 @click.option("--rate", default="20 kHz", show_default=True, help="Sampling rate.")
-@click.option("--periods", type=click.IntRange(min=1), default=6, show_default=True, help="Periods or sweeps written.")
+@click.option(
+    "--periods", type=click.IntRange(min=1), default=6, show_default=True, help="Periods or sweeps written."
+)
 @click.option("--level", default="1 V", show_default=True, help="Root mean square of the signal.")
-@click.option("--phases", type=click.Choice(list(PHASES)), default="schroeder", show_default=True, help="Method for the phases.")
+@click.option(
+    "--phases",
+    type=click.Choice(list(PHASES)),
+    default="schroeder",
+    show_default=True,
+    help="Method for the phases.",
+)
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
 @click.option(
-    "--leave-out", type=click.IntRange(min=0), default=0, metavar="N", help="Leave out one line of every N: these show odd distortion."
+    "--leave-out",
+    type=click.IntRange(min=0),
+    default=0,
+    metavar="N",
+    help="Leave out one line of every N: these show odd distortion.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of random phases and of the lines left out.")
-@click.option("--sweep", type=click.Choice(LAWS), default=None, help="A swept sine over the band in place of a multisine.")
-@click.option("--direction", type=click.Choice(DIRECTIONS), default="up", show_default=True, help="Of the sweeps.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of random phases and of the lines left out.",
+)
+@click.option(
+    "--sweep",
+    type=click.Choice(LAWS),
+    default=None,
+    help="A swept sine over the band in place of a multisine.",
+)
+@click.option(
+    "--direction", type=click.Choice(DIRECTIONS), default="up", show_default=True, help="Of the sweeps."
+)
 @click.option("--length", default="60 s", show_default=True, help="Length of one sweep.")
-@click.option("--pause", default="5 s", show_default=True, help="Pause after each sweep, in which the rig comes to rest.")
+@click.option(
+    "--pause",
+    default="5 s",
+    show_default=True,
+    help="Pause after each sweep, in which the rig comes to rest.",
+)
 @options.quiet
 def excite(
     output: Path,
@@ -218,17 +280,28 @@ def excite(
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
     rms = _option("--level", lambda: parse_value(level, "V"))
     if sweep is not None:
-        times = _option("--length", lambda: parse_value(length, "s")), _option("--pause", lambda: parse_value(pause, "s"))
+        times = (
+            _option("--length", lambda: parse_value(length, "s")),
+            _option("--pause", lambda: parse_value(pause, "s")),
+        )
         swept = Sweep(limits, times[0], rms, sweep, direction, times[1])
         write_signal(output, swept.samples(sample_rate, periods), sample_rate)
         if not quiet:
-            echo(f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; pauses of {times[1]:g} s")
+            echo(
+                f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}; "
+                f"pauses of {times[1]:g} s"
+            )
         return
-    signal = design_multisine(limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed)
+    signal = design_multisine(
+        limits, line_spacing, rms, phases=phases, odd_only=odd, leave_out=leave_out, seed=seed
+    )
     write_signal(output, signal.samples(sample_rate, periods), sample_rate)
     if quiet:
         return
-    lines = f"{signal.lines.size} lines, {signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
+    lines = (
+        f"{signal.lines.size} lines, "
+        f"{signal.lines[0] * line_spacing:g}-{signal.lines[-1] * line_spacing:g} Hz"
+    )
     echo(f"{lines}, period {1 / line_spacing:g} s, {phases} phases: crest factor {signal.crest_factor:.3f}")
 
 
@@ -255,13 +328,27 @@ def _option(name: str, read: Callable[[], Value]) -> Value:
 @click.command()
 @click.argument("rig_path", metavar="RIG", type=options.PATH)
 @options.out_folder
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the noise; the same seed, the same bytes.")
-@click.option("--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed of the noise; the same seed, the same bytes.",
+)
+@click.option(
+    "--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all."
+)
 @options.overrides
 @options.quiet
 @options.verbose
 def simulate(
-    rig_path: Path, output: Path, seed: int, runs: tuple[str, ...], overrides: tuple[str, ...], quiet: bool, verbose: bool
+    rig_path: Path,
+    output: Path,
+    seed: int,
+    runs: tuple[str, ...],
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Simulate recordings of a virtual RIG with known truth (truth.json)."""
     rig = load_virtual_rig(rig_path, overrides)

@@ -22,7 +22,10 @@ IN_REPORT_ONLY = ("shape_", "participation_")
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
-    """Findings of the measurement, fits, warnings and outcomes of rules; long sliding series are shortened, the report is complete."""
+    """Findings of the measurement, fits, warnings and outcomes of rules.
+
+    Long sliding series are shortened, the report is complete.
+    """
     if quiet:
         return
     if identification.dataset is not None:
@@ -50,7 +53,10 @@ def _echo_dataset(index: DatasetIndex) -> None:
     fits = ", ".join(f"{count} of {name}" for name, count in index.fits.items())
     failed = f", {index.failed} failed" if index.failed else ""
     refused = f", {index.not_accepted} not accepted" if index.not_accepted else ""
-    echo(f"{index.tests} tests evaluated{failed}{refused}; fits: {fits or 'none'}; {index.rows} rows in dataset/")
+    echo(
+        f"{index.tests} tests evaluated{failed}{refused}; fits: {fits or 'none'}; {index.rows} rows in "
+        "dataset/"
+    )
     for counted in index.of_level(WARNING):
         echo(f"  {_coloured('warning', 'yellow')} {counted.message}")
     for counted in index.of_level(NOTE)[:MAX_NOTES]:
@@ -83,7 +89,9 @@ def _parameter_line(parameter: Parameter) -> str:
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
-    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum number."""
+    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum
+    number.
+    """
     by_code: dict[str, dict[int, str]] = {}
     for number, findings in enumerate(carriers):
         for finding in of_level(WARNING, findings):

@@ -19,8 +19,8 @@ from labpipe.registry import Registry
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Panel, Series
 from labpipe.report.document import Document, Figure
 
-# Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker, so
-# that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
+# Okabe and Ito's colours, distinguishable for colour-blind readers and in grey print; amber and sky darker,
+# so that thin lines reach a contrast of 3:1 with white (WCAG 2.1, criterion 1.4.11).
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#B97F00", "#3A94D0", "#000000")
 GREY_TONE = "#808080"
 # From -1 to 1: orange, white, violet, of one lightness at both ends.
@@ -44,26 +44,22 @@ PRINT_DPI = 200
 TITLE, SMALL_TITLE, SMALL = 9.0, 8.0, 7.0
 # Bars of markers smaller than this [pt] have no caps: there are too many of them.
 LEAST_CAPPED, CAP = 3.0, 2.0
-# Letters that fit into an inch of an ordinate; names of places with more to the inch of the figure are turned [deg].
+# Letters that fit into an inch of an ordinate; names of places with more to the inch of the figure are turned
+# [deg].
 LETTERS_UPWARDS, MOST_LEVEL = 13, 9
 UPRIGHT, SLANTED = 90.0, 25.0
 # Letters that fit into a legend as wide as the page, and those of the sample beside each name.
 LEGEND_LETTERS, SAMPLE, MOST_COLUMNS = 112, 11, 5
 # Points beyond which a legend stands in a corner: matplotlib looks at each of them to find the best place.
 MOST_SEEN = 20_000
-# Steps between numbers; many degrees have parts of a turn. A logarithmic axis of fewer decades than the first has
-# numbers in equal steps, of fewer than the second numbers within its decades.
+# Steps between numbers; many degrees have parts of a turn. A logarithmic axis of fewer decades than the first
+# has numbers in equal steps, of fewer than the second numbers within its decades.
 STEPS, TURNS, MANY_DEGREES = (1, 2, 2.5, 5, 10), (15, 30, 45, 90, 180, 360), 60.0
 LEAST_DECADES, FEW_DECADES, WITHIN = 0.7, 2.2, (1.0, 2.0, 5.0)
 # Numbers from here on, and below the other, are written with an exponent.
 LARGE, SMALLEST = 1e6, 1e-4
 # What is not numbers over axes, by kind: each draws its subject on a canvas of a size.
-DRAWINGS = Registry(
-    "drawing",
-    {
-        "mode-shapes": "labpipe.document.drawings:shape_canvas",
-    },
-)
+DRAWINGS = Registry("drawing", {"mode-shapes": "labpipe.document.drawings:shape_canvas"})
 
 
 def styled(grid: bool = True) -> Any:
@@ -83,7 +79,12 @@ def svg_text(canvas: Canvas, outlined: bool = False) -> str:
     """The canvas as SVG without its XML prologue, no clock in it. *outlined*: letters as outlines."""
     stream = io.StringIO()
     with mpl.rc_context({**STYLE, "svg.fonttype": "path" if outlined else "none"}):
-        _save(canvas, stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        _save(
+            canvas,
+            stream,
+            format="svg",
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
     text = stream.getvalue()
     return text[text.index("<svg") :]
 
@@ -113,7 +114,9 @@ def _save(canvas: Canvas, stream: IO[Any], **options: Any) -> None:
 
 def figure_files(document: Document) -> dict[str, bytes]:
     """name -> content: figure-01-... .svg, .png and .csv of every figure, numbered as in the report."""
-    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [
+        block for section in document.sections for block in section.blocks if isinstance(block, Figure)
+    ]
     contents: dict[str, bytes] = {}
     for number, figure in enumerate(figures, 1):
         stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
@@ -173,7 +176,9 @@ def _scales(axes: Axes, chart: Chart, number: int) -> None:
 
 
 def _is_lowest(chart: Chart, number: int) -> bool:
-    """Whether the abscissa of a panel has its numbers: it moves alone, or no panel of the chart stands below."""
+    """Whether the abscissa of a panel has its numbers: it moves alone, or no panel of the chart stands
+    below.
+    """
     return "x" not in chart.shared or number + chart.columns >= len(chart.panels)
 
 
@@ -196,7 +201,9 @@ def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
         if not once["y"]:
             # A title that is longer than its panel is high has its unit on a second line.
             room = LETTERS_UPWARDS * chart.size[1] * chart.heights[number // chart.columns]
-            axes.set_ylabel(panel.y.label.replace(" [", "\n[") if len(panel.y.label) > room else panel.y.label)
+            axes.set_ylabel(
+                panel.y.label.replace(" [", "\n[") if len(panel.y.label) > room else panel.y.label
+            )
     if once["x"]:
         canvas.supxlabel(chart.panels[0].x.label, fontsize=TITLE)
     if once["y"]:
@@ -215,13 +222,18 @@ def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[
         listed |= fresh
         if chart.legend == "panels" and fresh:
             crowded = sum(series.x.size for series in panel.series) > MOST_SEEN
-            place: dict[str, Any] = {"loc": "upper right" if crowded else "best", "ncols": _columns(fresh, chart.columns)}
+            place: dict[str, Any] = {
+                "loc": "upper right" if crowded else "best",
+                "ncols": _columns(fresh, chart.columns),
+            }
             axes.legend(*_samples(fresh, handles), **place)
     if chart.legend == "above" and listed:
         canvas.legend(*_samples(listed, handles), ncols=_columns(listed, 1), loc="outside upper center")
 
 
-def _samples(entries: dict[tuple[str, int], list[Series]], handles: dict[int, Artist]) -> tuple[list[Any], list[str]]:
+def _samples(
+    entries: dict[tuple[str, int], list[Series]], handles: dict[int, Artist]
+) -> tuple[list[Any], list[str]]:
     """Samples and names: of an entry its first line and its first marks, one on the other."""
     samples: list[Any] = []
     for series in entries.values():
@@ -248,7 +260,9 @@ def _numbered(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
     if decades >= LEAST_DECADES:
         drawn.set_major_locator(LogLocator(subs=WITHIN if decades < FEW_DECADES else (1.0,)))
     else:
-        drawn.set_major_locator(Degrees() if axis.unit == "deg" else MaxNLocator("auto", steps=STEPS, min_n_ticks=3))
+        drawn.set_major_locator(
+            Degrees() if axis.unit == "deg" else MaxNLocator("auto", steps=STEPS, min_n_ticks=3)
+        )
     drawn.set_major_formatter(NumberTexts(even=decades < LEAST_DECADES))
 
 
@@ -366,7 +380,9 @@ def _cells(axes: Axes, series: Series) -> None:
 
 def _arrow(axes: Axes, series: Series) -> None:
     tail, head = np.column_stack([series.x, series.y])
-    arrow = axes.annotate("", head, tail, arrowprops={"arrowstyle": "-|>", "color": tone(series.colour)}, annotation_clip=True)
+    arrow = axes.annotate(
+        "", head, tail, arrowprops={"arrowstyle": "-|>", "color": tone(series.colour)}, annotation_clip=True
+    )
     arrow.set_in_layout(False)
 
 

@@ -31,9 +31,15 @@ def shape_canvas(sketch: ShapeSketch, size: tuple[float, float]) -> Canvas:
 
 def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) -> None:
     there, back = sketch.extremes(mode)
-    for points, colour, style in ((sketch.positions, "0.75", "-"), (back, PALETTE[0], ":"), (there, PALETTE[0], "-")):
+    for points, colour, style in (
+        (sketch.positions, "0.75", "-"),
+        (back, PALETTE[0], ":"),
+        (there, PALETTE[0], "-"),
+    ):
         _draw(axes, sketch, projected(points, *eye), colour, style)
-    half = np.max([np.abs(projected(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
+    half = (
+        np.max([np.abs(projected(sketch.positions, *view)).max(axis=0) for _, *view in VIEWS], axis=0) + ROOM
+    )
     axes.set_xlim(-half[0], half[0])
     axes.set_ylim(-half[1], half[1])
     axes.set_aspect("equal")
@@ -44,5 +50,7 @@ def _view(axes: Axes, sketch: ShapeSketch, mode: int, eye: tuple[float, float]) 
 
 
 def _draw(axes: Axes, sketch: ShapeSketch, seen: FloatArray, colour: str, style: str) -> None:
-    axes.add_collection(LineCollection(list(seen[sketch.lines]), colors=colour, linestyles=style, linewidths=1.2))
+    axes.add_collection(
+        LineCollection(list(seen[sketch.lines]), colors=colour, linestyles=style, linewidths=1.2)
+    )
     axes.plot(*seen.T, ".", color=colour, markersize=3)

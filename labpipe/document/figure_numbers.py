@@ -1,4 +1,6 @@
-"""The numbers of a figure: as JSON for the script of a page, as CSV, and as a table for readers without script."""
+"""The numbers of a figure: as JSON for the script of a page, as CSV, and as a table for readers without
+script.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class NumberList:
         self._places: dict[tuple[float | None, ...], int] = {}
 
     def add(self, values: FloatArray, digits: int = DIGITS) -> int:
-        """The place of *values* (n,) [unit of their axis] in the list, rounded to the *digits* that a screen can show."""
+        """The place of *values* (n,) [unit of their axis] in the list, rounded to the *digits* that a screen
+        can show.
+        """
         rounded = tuple(_rounded(value, digits) for value in np.ravel(values).tolist())
         if rounded not in self._places:
             self._places[rounded] = len(self.lists)
@@ -46,7 +50,9 @@ class NumberList:
 
 
 def _read_digits(series: Series) -> int:
-    """Digits of what a series shows: more where it differs little from a constant, whose digits say nothing."""
+    """Digits of what a series shows: more where it differs little from a constant, whose digits say
+    nothing.
+    """
     shown = [part[np.isfinite(part)] for part in (series.y, series.low, series.high) if part is not None]
     values = np.concatenate([part.ravel() for part in shown])
     span = float(np.ptp(values)) if values.size else 0.0
@@ -109,13 +115,27 @@ def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]
 
 def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     colour = RULE if series.colour == GREY else series.colour
-    entry: dict[str, Any] = {"kind": series.kind, "name": series.name, "colour": colour, "line": series.line, "width": series.width}
+    entry: dict[str, Any] = {
+        "kind": series.kind,
+        "name": series.name,
+        "colour": colour,
+        "line": series.line,
+        "width": series.width,
+    }
     if series.entry:
         entry["entry"] = series.entry
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
         values = [[_rounded(value, CELL_DIGITS) for value in row] for row in series.y.tolist()]
-        return {**entry, "name": "", "scale": series.name, "x": nothing, "y": nothing, "texts": series.texts, "values": values}
+        return {
+            **entry,
+            "name": "",
+            "scale": series.name,
+            "x": nothing,
+            "y": nothing,
+            "texts": series.texts,
+            "values": values,
+        }
     entry |= {
         "x": numbers.add(series.x),
         "y": numbers.add(series.y, _read_digits(series)),
@@ -144,7 +164,11 @@ def shape_numbers(sketch: ShapeSketch) -> dict[str, Any]:
         "lines": sketch.lines.tolist(),
         "reach": REACH,
         "modes": [
-            {"title": title, "real": moved.real.round(SHAPE_DIGITS).tolist(), "imaginary": moved.imag.round(SHAPE_DIGITS).tolist()}
+            {
+                "title": title,
+                "real": moved.real.round(SHAPE_DIGITS).tolist(),
+                "imaginary": moved.imag.round(SHAPE_DIGITS).tolist(),
+            }
             for title, moved in zip(sketch.titles, sketch.motion, strict=True)
         ],
     }
@@ -168,15 +192,26 @@ def figure_csv(chart: Chart, caption: str) -> str:
 
 
 def figure_table(chart: Chart) -> Table:
-    """The same rows for a page without script: of a long series points at equal distances, its first and last among them."""
+    """The same rows for a page without script: of a long series points at equal distances, its first and last
+    among them.
+    """
     series = _rows_of_series(chart)
     room = max(2, MOST_ROWS // max(len(series), 1))
-    chosen = [rows[n] for rows in series for n in sorted({round(at) for at in np.linspace(0, len(rows) - 1, min(room, len(rows)))})]
+    chosen = [
+        rows[n]
+        for rows in series
+        for n in sorted({round(at) for at in np.linspace(0, len(rows) - 1, min(room, len(rows)))})
+    ]
     used = [n for n in range(len(COLUMNS)) if any(row[n] for row in chosen)]
     left_out = sum(map(len, series)) - len(chosen)
     caption = f"{len(chosen)} of {len(chosen) + left_out} points" if left_out else ""
     number = tuple(place for place, n in enumerate(used) if COLUMNS[n] in ("x", "y", "low", "high"))
-    return Table(tuple(COLUMNS[n] for n in used), tuple(tuple(_short(row[n], COLUMNS[n]) for n in used) for row in chosen), caption, number)
+    return Table(
+        tuple(COLUMNS[n] for n in used),
+        tuple(tuple(_short(row[n], COLUMNS[n]) for n in used) for row in chosen),
+        caption,
+        number,
+    )
 
 
 def _short(text: str, column: str) -> str:
@@ -199,9 +234,16 @@ def _rows_of_series(chart: Chart) -> list[list[list[str]]]:
 
 def _cell_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:
     """One row per cell, named by the row and column it stands in."""
-    columns, rows = ([label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))] for axis in (panel.x, panel.y))
+    columns, rows = (
+        [label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))]
+        for axis in (panel.x, panel.y)
+    )
     n_row, n_column = series.y.shape
-    return [[name, rows[r], "", columns[c], "", _number(float(series.y[r, c])), "", "", ""] for r in range(n_row) for c in range(n_column)]
+    return [
+        [name, rows[r], "", columns[c], "", _number(float(series.y[r, c])), "", "", ""]
+        for r in range(n_row)
+        for c in range(n_column)
+    ]
 
 
 def _point_rows(panel: Panel, name: str, series: Series) -> list[list[str]]:

@@ -1,4 +1,6 @@
-"""A document as one HTML page that opens without a network: style, script, numbers and drawings inside, nothing fetched."""
+"""A document as one HTML page that opens without a network: style, script, numbers and drawings inside,
+nothing fetched.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +42,21 @@ def script_text() -> str:
 def policy() -> str:
     """What the page may do: run this script, style itself, show embedded pictures; no request to anywhere."""
     digest = base64.b64encode(hashlib.sha256(script_text().encode()).digest()).decode()
-    parts = ("default-src 'none'", f"script-src 'sha256-{digest}'", "style-src 'unsafe-inline'", "img-src data:")
+    parts = (
+        "default-src 'none'",
+        f"script-src 'sha256-{digest}'",
+        "style-src 'unsafe-inline'",
+        "img-src data:",
+    )
     return "; ".join((*parts, "base-uri 'none'", "form-action 'none'"))
 
 
 def render_html(document: Document) -> str:
     """The document as HTML."""
     counter = _Figures()
-    sections = "\n".join(_section(number, section, counter) for number, section in enumerate(document.signed, 1))
+    sections = "\n".join(
+        _section(number, section, counter) for number, section in enumerate(document.signed, 1)
+    )
     script = f"<script>{script_text()}</script>\n" if counter.alive else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
@@ -72,7 +81,11 @@ class _Figures:
         graphic, name = figure.graphic, escape(figure.alternative)
         living = live_json(graphic)
         self.alive |= living is not None
-        kind, numbers = ("", "") if living is None else (f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>')
+        kind, numbers = (
+            ("", "")
+            if living is None
+            else (f' class="{living[0]}"', f'<script type="application/json">{living[1]}</script>')
+        )
         if isinstance(graphic, Chart):
             still = f"<noscript><p>{NEEDS_SCRIPT}</p>{_whole(figure_table(graphic))}</noscript>"
         else:
@@ -91,7 +104,9 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
 
 
 def drawing_source(drawing: Drawing) -> str:
-    """A drawing as the source of an image inside the page: lines, or dots in print resolution where these are shorter."""
+    """A drawing as the source of an image inside the page: lines, or dots in print resolution where these are
+    shorter.
+    """
     # Matplotlib, which takes its time to load, is for drawings alone.
     from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
@@ -105,18 +120,28 @@ def drawing_source(drawing: Drawing) -> str:
 def _contents(document: Document) -> str:
     if len(document.signed) < LEAST_LISTED:
         return ""
-    entries = "".join(f'<li><a href="#section-{n}">{escape(section.heading)}</a></li>' for n, section in enumerate(document.signed, 1))
+    entries = "".join(
+        f'<li><a href="#section-{n}">{escape(section.heading)}</a></li>'
+        for n, section in enumerate(document.signed, 1)
+    )
     return f'<nav aria-label="Contents"><ul>{entries}</ul></nav>\n'
 
 
 def _section(number: int, section: Section, counter: _Figures) -> str:
     blocks = "\n".join(_block(block, counter) for block in section.blocks)
-    return f'<section aria-labelledby="section-{number}"><h2 id="section-{number}">{escape(section.heading)}</h2>\n{blocks}</section>'
+    return (
+        f'<section aria-labelledby="section-{number}"><h2 '
+        f'id="section-{number}">{escape(section.heading)}</h2>\n{blocks}</section>'
+    )
 
 
 def _block(block: Block, counter: _Figures) -> str:
     if isinstance(block, Paragraph):
-        return f'<p class="{escape(block.kind)}">{escape(block.text)}</p>' if block.kind else f"<p>{escape(block.text)}</p>"
+        return (
+            f'<p class="{escape(block.kind)}">{escape(block.text)}</p>'
+            if block.kind
+            else f"<p>{escape(block.text)}</p>"
+        )
     if isinstance(block, Code):
         return f'<pre tabindex="0">{escape(block.text)}</pre>'
     return counter.html(block) if isinstance(block, Figure) else _table(block)
@@ -135,10 +160,19 @@ def _name(table: Table) -> str:
 def _whole(table: Table) -> str:
     """Rows under a header; a first cell with text is the row's header."""
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
-    heads = "".join(f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header))
-    body = "\n".join("<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>" for cells in table.rows)
+    heads = "".join(
+        f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header)
+    )
+    body = "\n".join(
+        "<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>"
+        for cells in table.rows
+    )
     name = escape(_name(table))
-    blank = ' class="signature"' if table.rows and not any(cell.strip() for row in table.rows for cell in row) else ""
+    blank = (
+        ' class="signature"'
+        if table.rows and not any(cell.strip() for row in table.rows for cell in row)
+        else ""
+    )
     named = "" if table.caption else f' aria-label="{name}"'
     whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
     return f'<div class="wide" tabindex="0" role="region" aria-label="{name}">{whole}</div>'
@@ -149,8 +183,14 @@ def _folded(table: Table, name: str, whole: str) -> str:
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([table.header, *table.rows])
     content = base64.b64encode(stream.getvalue().encode()).decode("ascii")
-    link = f'<a download="{short_name(table.caption or "table")}.csv" href="data:text/csv;base64,{content}">CSV</a>'
-    return f'<details class="long"><summary>{name}: {len(table.rows)} rows</summary>\n<p>{link}</p>\n{whole}</details>'
+    link = (
+        f'<a download="{short_name(table.caption or "table")}.csv" '
+        f'href="data:text/csv;base64,{content}">CSV</a>'
+    )
+    return (
+        f'<details class="long"><summary>{name}: {len(table.rows)} '
+        f"rows</summary>\n<p>{link}</p>\n{whole}</details>"
+    )
 
 
 def _cell(table: Table, column: int, text: str) -> str:

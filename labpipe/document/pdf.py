@@ -58,7 +58,10 @@ def pdf_report(identification: Identification) -> bytes:
 
 
 def render_pdf(document: Document) -> bytes:
-    """The document as PDF: a cover to sign (or just its title), then every section; headings are the file's bookmarks."""
+    """The document as PDF: a cover to sign (or just its title), then every section.
+
+    Headings are the file's bookmarks.
+    """
     # The SVG reader warns of elements that it skips; none of them is visible.
     logging.getLogger("fpdf.svg").setLevel(logging.ERROR)
     pages = _Pages(document)
@@ -82,7 +85,9 @@ def render_pdf(document: Document) -> bytes:
 
 
 def _height_of(section: Section) -> float:
-    """The height [mm] of a figure that a section begins with: a heading needs room for it on the same page."""
+    """The height [mm] of a figure that a section begins with: a heading needs room for it on the same
+    page.
+    """
     first = section.blocks[0] if section.blocks else None
     return _size(first)[1] if isinstance(first, Figure) else 0.0
 
@@ -131,7 +136,9 @@ def _box(pages: _Pages, block: Paragraph) -> None:
     pages.set_font(FONT, "B" if block.kind in ("passed", "failed") else "", 11)
     pages.set_text_color(*TONES.get(block.kind, INK))
     pages.set_x(23)
-    pages.multi_cell(167, 6.5, block.text, fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3))
+    pages.multi_cell(
+        167, 6.5, block.text, fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3)
+    )
     if pages.page == page:
         pages.set_fill_color(*TONES.get(block.kind, INK))
         pages.rect(20, start, 1.6, pages.get_y() - start, style="F")
@@ -139,7 +146,9 @@ def _box(pages: _Pages, block: Paragraph) -> None:
     pages.ln(3)
 
 
-def _text(pages: _Pages, text: str, size: float, *, bold: bool = False, colour: tuple[int, int, int] = INK) -> None:
+def _text(
+    pages: _Pages, text: str, size: float, *, bold: bool = False, colour: tuple[int, int, int] = INK
+) -> None:
     pages.set_font(FONT, "B" if bold else "", size)
     pages.set_text_color(*colour)
     pages.multi_cell(0, size * 0.5, text, new_x="LMARGIN", new_y="NEXT", align="L")
@@ -147,7 +156,9 @@ def _text(pages: _Pages, text: str, size: float, *, bold: bool = False, colour: 
 
 def _put(pages: _Pages, block: Block) -> None:
     if isinstance(block, Paragraph):
-        _text(pages, block.text, 9, bold=block.kind in ("passed", "failed"), colour=TONES.get(block.kind, INK))
+        _text(
+            pages, block.text, 9, bold=block.kind in ("passed", "failed"), colour=TONES.get(block.kind, INK)
+        )
         pages.ln(1.5)
     elif isinstance(block, Code):
         _text(pages, block.text, 6, colour=GREY)
@@ -172,9 +183,14 @@ def _figure(pages: _Pages, figure: Figure) -> None:
 
 
 def _picture(figure: Figure) -> io.BytesIO:
-    """The drawing as lines and outlines; as dots of print resolution where it is a heat map or has very many points."""
+    """The drawing as lines and outlines.
+
+    As dots of print resolution where it is a heat map or has very many points.
+    """
     canvas, graphic = canvas_of(figure.graphic), figure.graphic
-    if isinstance(graphic, Chart) and any(series.kind == "cells" for panel in graphic.panels for series in panel.series):
+    if isinstance(graphic, Chart) and any(
+        series.kind == "cells" for panel in graphic.panels for series in panel.series
+    ):
         return io.BytesIO(png_bytes(canvas))
     text = svg_text(canvas, outlined=True)
     return io.BytesIO(text.encode() if len(text) <= MOST_VECTOR else png_bytes(canvas))

@@ -22,26 +22,37 @@ from labpipe.report.fits import fit_figures
 def plot(result: Any) -> Canvas:
     """The figure of a result as the report has it, a new matplotlib Figure each time.
 
-    result: a Fit (measured and fitted FRF), several Fits of one sliding fit (coefficients over frequency), a FrequencyResponse, a
-    Comparison, or an Identification (the first figure of its report).
-    Raises DataError where a result has no figure, TypeError for what is none of these.
+    result: a Fit (measured and fitted FRF), several Fits of one sliding fit (coefficients over frequency), a
+    FrequencyResponse, a Comparison, or an Identification (the first figure of its report). Raises DataError
+    where a result has no figure, TypeError for what is none of these.
     """
     for kind, figures in FIGURES.items():
         if isinstance(result, kind):
             shown = figures(result)
             if not shown:
-                raise DataError(f"this {type(result).__name__} has no figure", hint="its curve or responses are missing")
+                raise DataError(
+                    f"this {type(result).__name__} has no figure", hint="its curve or responses are missing"
+                )
             return canvas_of(shown[0].graphic)
-    raise TypeError(f"no figure of {type(result).__name__}; known: {', '.join(kind.__name__ for kind in FIGURES)}")
+    raise TypeError(
+        f"no figure of {type(result).__name__}; known: {', '.join(kind.__name__ for kind in FIGURES)}"
+    )
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
     """The figures of its report in their order."""
-    return [block for section in build(identification).sections for block in section.blocks if isinstance(block, Figure)]
+    return [
+        block
+        for section in build(identification).sections
+        for block in section.blocks
+        if isinstance(block, Figure)
+    ]
 
 
 def _of_comparison(comparison: Comparison) -> list[Figure]:
-    """The figures that need no response: those of pairs of FRFs stand in the report of their identification."""
+    """The figures that need no response: those of pairs of FRFs stand in the report of their
+    identification.
+    """
     return comparison_figures(comparison, ())
 
 

@@ -1,4 +1,6 @@
-"""A report in the format of a file, Markdown among them. RENDERERS by format: identification -> the bytes of a file."""
+"""A report in the format of a file, Markdown among them. RENDERERS by format: identification -> the bytes of
+a file.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,17 @@ DOCUMENTS = Registry(
 
 
 def html_document(document: Document) -> bytes:
-    """A document as the bytes of an HTML file that opens offline: style and drawings inside, nothing fetched, names from files escaped."""
+    """A document as the bytes of an HTML file that opens offline: style and drawings inside, nothing fetched,
+    names from files escaped.
+    """
     return render_html(document).encode()
 
 
 def markdown_document(document: Document) -> bytes:
-    """A document as the bytes of a Markdown file; figures are named by their captions, and none of them is drawn."""
+    """A document as the bytes of a Markdown file.
+
+    Figures are named by their captions, and none of them is drawn.
+    """
     parts = [f"# {_plain(document.title)}", _plain(document.subtitle)]
     for section in document.signed:
         parts.append(f"## {_plain(section.heading)}")
@@ -59,8 +66,15 @@ def _markdown(block: Block) -> str:
         return "```json\n" + block.text + "\n```"
     if isinstance(block, Figure):
         return f"*Figure (drawn in the HTML report):* {_plain(block.caption)}"
-    rows = [block.header, tuple("---:" if n in block.numeric else "---" for n in range(len(block.header))), *block.rows]
-    lines = ["| " + " | ".join(cell if set(cell) <= set("-:") else _plain(cell) for cell in row) + " |" for row in rows]
+    rows = [
+        block.header,
+        tuple("---:" if n in block.numeric else "---" for n in range(len(block.header))),
+        *block.rows,
+    ]
+    lines = [
+        "| " + " | ".join(cell if set(cell) <= set("-:") else _plain(cell) for cell in row) + " |"
+        for row in rows
+    ]
     return (f"*{_plain(block.caption)}*\n\n" if block.caption else "") + "\n".join(lines)
 
 

@@ -1,1 +1,3 @@
-"""The estimation kernel: models linear in their parameters, estimators, judgement of the residual, intervals and budgets."""
+"""The estimation kernel: models linear in their parameters, estimators, judgement of the residual, intervals
+and budgets.
+"""

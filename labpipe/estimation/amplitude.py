@@ -1,4 +1,6 @@
-"""amplitude: one degree of freedom from the amplitudes of the FRF alone, for measurements with unreliable phase."""
+"""amplitude: one degree of freedom from the amplitudes of the FRF alone, for measurements with unreliable
+phase.
+"""
 
 from __future__ import annotations
 
@@ -51,20 +53,29 @@ class _Amplitudes:
 
 
 def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
-    """|H|^2 [(w_0^2 - w^2)^2 + (c w / m)^2] = 1 / m^2, linear in (w_0^4, c^2 / m^2 - 2 w_0^2, 1 / m^2) (Knaapen 1997, sec. 4.2).
+    """|H|^2 [(w_0^2 - w^2)^2 + (c w / m)^2] = 1 / m^2, linear in (w_0^4, c^2 / m^2 - 2 w_0^2, 1 / m^2)
+    (Knaapen 1997, sec. 4.2).
 
-    weight none: linear least squares of the equation times |H|, as in the source; noise: amplitudes weighted by their noise, started
-    from the former. FitError where the amplitudes correspond to no real stiffness or damping. Equation (est-amplitude).
+    weight none: linear least squares of the equation times |H|, as in the source; noise: amplitudes weighted
+    by their noise, started from the former. FitError where the amplitudes correspond to no real stiffness or
+    damping. Equation (est-amplitude).
     """
     if model.names not in (("k", "c"), ("k", "c", "m")):
-        raise ConfigError("the amplitude fit estimates k and c, or k, c and m", hint="leave `fixed` and `eliminate` out")
+        raise ConfigError(
+            "the amplitude fit estimates k and c, or k, c and m", hint="leave `fixed` and `eliminate` out"
+        )
     amplitude = np.abs(measured.matrix).reshape(-1)
     dof = amplitude.size - len(model.terms)
     if dof <= 0:
-        raise FitError(f"{amplitude.size} amplitudes cannot determine {len(model.terms)} parameters", hint="widen the band")
+        raise FitError(
+            f"{amplitude.size} amplitudes cannot determine {len(model.terms)} parameters",
+            hint="widen the band",
+        )
     std = _amplitude_noise(measured)
     if weight == "noise" and std is None:
-        raise FitError("the noise of the FRF is not known, so lines cannot weigh by it", hint="leave `weight` out")
+        raise FitError(
+            "the noise of the FRF is not known, so lines cannot weigh by it", hint="leave `weight` out"
+        )
     problem = _Amplitudes(measured, model, amplitude, std)
     values, covariance = _linear(problem)
     converged, steps = True, 0
@@ -95,7 +106,10 @@ def _amplitude_noise(measured: Measured) -> FloatArray | None:
 
 
 def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
-    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4; x_3 = 1 / m^2 is known with the mass."""
+    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4.
+
+    X_3 = 1 / m^2 is known with the mass.
+    """
     a, w = problem.amplitude, problem.measured.omega
     # Amplitude and frequency near 1: fourth powers span too many digits otherwise.
     a_unit, w_unit = float(np.max(a)), float(np.max(w))
@@ -120,9 +134,14 @@ def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
 
 
 def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), and their slopes by x, (n, n)."""
+    """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), and their slopes by x, (n,
+    n).
+    """
     if x[0] <= 0 or x[2] <= 0:
-        raise FitError("the amplitudes fit no real stiffness and mass", hint="widen the band to both sides of the resonance")
+        raise FitError(
+            "the amplitudes fit no real stiffness and mass",
+            hint="widen the band to both sides of the resonance",
+        )
     damping_square = x[1] + 2 * np.sqrt(x[0])
     if damping_square <= 0:
         raise FitError(NO_DAMPING, hint="lines nearer to the resonance, or the estimator ml")

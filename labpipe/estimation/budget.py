@@ -1,10 +1,13 @@
-"""The uncertainty budget of a fit of a linear model: systematic errors of sensors, mass and directions, and repeats.
+"""The uncertainty budget of a fit of a linear model: systematic errors of sensors, mass and directions, and
+repeats.
 
-The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions do to its parameters.
+The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions do
+to its parameters.
 
-An estimate is the root of a score s(p, q) = 0 in its parameters p; q are numbers that were given. By implicit differentiation
-dp/dq = -(ds/dp)^-1 ds/dq, one more step of the estimator from its result on data changed by dq, with the weights as they were: no fit is
-repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of ds/dp.)
+An estimate is the root of a score s(p, q) = 0 in its parameters p; q are numbers that were given. By implicit
+differentiation dp/dq = -(ds/dp)^-1 ds/dq, one more step of the estimator from its result on data changed by
+dq, with the weights as they were: no fit is repeated. (GUM, JCGM 100:2008, 5.1; Gauss-Newton's form of
+ds/dp.)
 """
 
 from __future__ import annotations
@@ -28,28 +31,46 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.estimation.statistics import Estimate, Stated, pulls_of
-from labpipe.estimation.weights import Weights, equal_weights, fit_weights, has_noise, weight_uncertainty, whitener
+from labpipe.estimation.weights import (
+    Weights,
+    equal_weights,
+    fit_weights,
+    has_noise,
+    weight_uncertainty,
+    whitener,
+)
 from labpipe.records.finding import Contribution, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
-from labpipe.records.uncertain import COURSES, Budget, MatrixError, RepeatSource, Uncertain, Uncertainty, uncertainty_of
+from labpipe.records.uncertain import (
+    COURSES,
+    Budget,
+    MatrixError,
+    RepeatSource,
+    Uncertain,
+    Uncertainty,
+    uncertainty_of,
+)
 
 # Systematic errors of a measured matrix: of the gain, delay and phase of its ports, and of the sums of
 # channels among them.
 
-# Errors are tried at this share of their standard uncertainty on either side, so that slopes are those at the estimate.
+# Errors are tried at this share of their standard uncertainty on either side, so that slopes are those at the
+# estimate.
 SHARE = 1e-3
 # Sine of the angle between directions below which they do not tell the plane.
 PARALLEL = 0.02
 
 
 def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[MatrixError, ...]:
-    """dH (n_line, n_output, n_input) [m/N] by one standard uncertainty of every source; numbers of one source err together.
+    """dH (n_line, n_output, n_input) [m/N] by one standard uncertainty of every source; numbers of one source
+    err together.
 
-    An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n of COURSES. With *directions*
-    an error d of an angle changes row or column by -d times that at right angles, where ports of known direction tell it; else
-    directions are left to the models that know them. Equation (unc-port).
+    An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n
+    of COURSES. With *directions* an error d of an angle changes row or column by -d times that at right
+    angles, where ports of known direction tell it; else directions are left to the models that know them.
+    Equation (unc-port).
     """
     uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, ComplexArray] = {}
@@ -66,12 +87,15 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
                     slope, power = COURSES[calibration.effect]
                     change = np.zeros_like(whole)
                     at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
-                    change[at] = (sign * calibration.uncertainty.std_error * slope * measured.omega**power)[:, None] * whole[at]
+                    change[at] = (sign * calibration.uncertainty.std_error * slope * measured.omega**power)[
+                        :, None
+                    ] * whole[at]
                     add(calibration.uncertainty, change)
                 elif directions and (across := across_ports(ports)) is not None:
                     add(
                         calibration.uncertainty,
-                        calibration.uncertainty.std_error * turned(measured.matrix, number, across, of_forces=sign < 0),
+                        calibration.uncertainty.std_error
+                        * turned(measured.matrix, number, across, of_forces=sign < 0),
                     )
     for error in measured.errors:
         add(error.uncertainty, error.change)
@@ -79,10 +103,11 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
 
 
 def across_ports(ports: Sequence[Port]) -> FloatArray | None:
-    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None where they do not tell.
+    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None
+    where they do not tell.
 
-    Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at a + 90 deg.
-    Equation (unc-across).
+    Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at
+    a + 90 deg. Equation (unc-across).
     """
     with_angle = [number for number, port in enumerate(ports) if port.angle is not None]
     angles = np.array([ports[number].angle for number in with_angle], float)
@@ -90,14 +115,18 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
     if len(with_angle) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
         return None
     across = np.zeros((len(ports), len(ports)))
-    across[np.ix_(with_angle, with_angle)] = np.column_stack([-np.sin(angles), np.cos(angles)]) @ np.linalg.pinv(plane)
+    across[np.ix_(with_angle, with_angle)] = np.column_stack(
+        [-np.sin(angles), np.cos(angles)]
+    ) @ np.linalg.pinv(plane)
     return across
 
 
 def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
-    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one port was written too large.
+    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one
+    port was written too large.
 
-    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation (unc-direction).
+    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation
+    (unc-direction).
     """
     change = np.zeros_like(matrix)
     if of_forces:
@@ -107,9 +136,16 @@ def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: 
     return change
 
 
-def changes_by(errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]) -> list[tuple[Uncertainty, FloatArray]]:
-    """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix [m/N], one for each error."""
-    return [(error.uncertainty, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE)) for error in errors]
+def changes_by(
+    errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]
+) -> list[tuple[Uncertainty, FloatArray]]:
+    """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix
+    [m/N], one for each error.
+    """
+    return [
+        (error.uncertainty, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE))
+        for error in errors
+    ]
 
 
 # The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions
@@ -127,7 +163,10 @@ Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
 @dataclass(frozen=True)
 class Case:
-    """A fit as it was made: ports and settings, measured data, model and estimate; *model_of* makes the model anew from other numbers."""
+    """A fit as it was made: ports and settings, measured data, model and estimate.
+
+    *model_of* makes the model anew from other numbers.
+    """
 
     setup: Setup
     measured: Measured
@@ -137,7 +176,8 @@ class Case:
 
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
-    """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not converge.
+    """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not
+    converge.
 
     Equation (unc-implicit).
     """
@@ -147,33 +187,47 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> Budget | None:
     step = _step_of(case)
     changes = []
     for uncertainty, change in sources:
-        ends = [_values(case, step, *change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)]
+        ends = [
+            _values(case, step, *change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)
+        ]
         changes.append((ends[0] - ends[1]) / (2 * SHARE))
     kept = [number for number, row in enumerate(changes) if np.any(row != 0)]
     if not kept:
         return None
-    random = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in parameters])
+    random = np.array(
+        [np.nan if parameter.full_error is None else parameter.full_error for parameter in parameters]
+    )
     dof = float(np.min(case.estimate.student_dof))
     return Budget(
-        tuple(parameter.name for parameter in parameters), random, dof, tuple(sources[n][0] for n in kept), np.array(changes)[kept]
+        tuple(parameter.name for parameter in parameters),
+        random,
+        dof,
+        tuple(sources[n][0] for n in kept),
+        np.array(changes)[kept],
     )
 
 
-# Change of chi-square below which stated numbers are where data and statements together have them, and most steps on the way.
+# Change of chi-square below which stated numbers are where data and statements together have them, and most
+# steps on the way.
 NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
 
 
 def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
-    """The fit with stated numbers where data and statements together have them, the sources, and what these still change of its residual.
+    """The fit with stated numbers where data and statements together have them, the sources, and what these
+    still change of its residual.
 
-    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of these: far above the noise it is
-    not linear. Of unknown noise the fit as it was made. FitError as `solve_scaled`.
+    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of
+    these: far above the noise it is not linear. Of unknown noise the fit as it was made. FitError as
+    `solve_scaled`.
     """
     sources, known = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if known else 1.0
     weights, uncertainties = fit_weights(case.measured), tuple(uncertainty for uncertainty, _ in sources)
     moved, at, before = case, np.zeros(len(sources)), np.inf
-    likely, followed = (case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))), np.zeros(case.estimate.values.size)
+    likely, followed = (
+        (case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))),
+        np.zeros(case.estimate.values.size),
+    )
     for number in range(MOST_ROUNDS if sources else 0):
         problem = OutputError(moved.measured, expected(moved.measured, moved.model), weights)
         values = moved.estimate.values
@@ -199,8 +253,12 @@ def most_likely(case: Case) -> tuple[Case, tuple[Uncertainty, ...], Stated]:
     return likely
 
 
-def _moved(case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatArray, values: FloatArray) -> Case:
-    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,) [parameter units]."""
+def _moved(
+    case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatArray, values: FloatArray
+) -> Case:
+    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)
+    [parameter units].
+    """
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
         setup, measured = change(moved, amount * uncertainty.std_error)
@@ -209,10 +267,13 @@ def _moved(case: Case, sources: Sequence[tuple[Uncertainty, Change]], at: FloatA
     return replace(moved, model=model, estimate=replace(case.estimate, values=values))
 
 
-def _residual_changes(case: Case, sources: Sequence[tuple[Uncertainty, Change]], weights: Weights) -> FloatArray:
+def _residual_changes(
+    case: Case, sources: Sequence[tuple[Uncertainty, Change]], weights: Weights
+) -> FloatArray:
     """Changes of the whitened residual (n_source, n_equation) [1] by one standard uncertainty of each source.
 
-    A gain acts on the fitted response here, not on the measured one: times its noise it would take the residual's own noise for an error.
+    A gain acts on the fitted response here, not on the measured one: times its noise it would take the
+    residual's own noise for an error.
     """
     values = case.estimate.values
     fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
@@ -222,29 +283,44 @@ def _residual_changes(case: Case, sources: Sequence[tuple[Uncertainty, Change]],
         model = case.model if setup is case.setup else case.model_of(setup)
         return OutputError(measured, expected(measured, model), weights).residual(values)
 
-    ends = [[residual(*change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)] for uncertainty, change in sources]
+    ends = [
+        [residual(*change(case, sign * SHARE * uncertainty.std_error)) for sign in (1.0, -1.0)]
+        for uncertainty, change in sources
+    ]
     return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
-    """A fit whose k and c are the given mass times what is fitted, with what the uncertainty of that mass adds; as it is without one."""
+    """A fit whose k and c are the given mass times what is fitted, with what the uncertainty of that mass
+    adds; as it is without one.
+    """
     return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
 
 
 def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
-    """The given mass as a source of stiffness and damping that are in proportion to it; none without an uncertainty of it."""
+    """The given mass as a source of stiffness and damping that are in proportion to it.
+
+    None without an uncertainty of it.
+    """
     number = dict(settings.uncertainties).get("mass")
     if number is None or settings.mass == ESTIMATE or not number.value:
         return []
     relative = number.std_error / number.value
-    changes = np.array([relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0 for parameter in parameters])
+    changes = np.array(
+        [
+            relative * parameter.value if parameter.unit in ("N/m", "N.s/m") else 0.0
+            for parameter in parameters
+        ]
+    )
     return [(_of_mass(number), changes)]
 
 
 def mass_uncertainty(settings: FitSettings) -> Uncertainty | None:
     """The uncertainty of a given mass; None where it has none, or is estimated."""
     number = dict(settings.uncertainties).get("mass")
-    return None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
+    return (
+        None if number is None or settings.mass == ESTIMATE or not number.std_error > 0 else _of_mass(number)
+    )
 
 
 def _of_mass(number: Uncertain) -> Uncertainty:
@@ -252,30 +328,53 @@ def _of_mass(number: Uncertain) -> Uncertainty:
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
-    """The fit with what further systematic *sources* add to the uncertainty of its parameters; as it is where none changes an interval."""
-    before = np.array([np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters])
-    counted = [(uncertainty, changes) for uncertainty, changes in sources if np.any(changes[np.isfinite(before)])]
+    """The fit with what further systematic *sources* add to the uncertainty of its parameters.
+
+    As it is where none changes an interval.
+    """
+    before = np.array(
+        [np.nan if parameter.full_error is None else parameter.full_error for parameter in fit.parameters]
+    )
+    counted = [
+        (uncertainty, changes) for uncertainty, changes in sources if np.any(changes[np.isfinite(before)])
+    ]
     if not counted:
         return fit
     names = tuple(parameter.name for parameter in fit.parameters)
-    added = Budget(names, before, float(fit.dof), tuple(uncertainty for uncertainty, _ in counted), np.array([row for _, row in counted]))
+    added = Budget(
+        names,
+        before,
+        float(fit.dof),
+        tuple(uncertainty for uncertainty, _ in counted),
+        np.array([row for _, row in counted]),
+    )
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)
-    parameters = tuple(entry if entry.systematic is None else replace(entry, systematic=float(size)) for entry, size in stated)
+    parameters = tuple(
+        entry if entry.systematic is None else replace(entry, systematic=float(size))
+        for entry, size in stated
+    )
     return replace(fit, parameters=parameters, budget=budget)
 
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
-    """The fit with combined and expanded uncertainty of every parameter that given numbers make uncertain, and with its sources.
+    """The fit with combined and expanded uncertainty of every parameter that given numbers make uncertain,
+    and with its sources.
 
-    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of freedom.
+    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of
+    freedom.
     """
-    return fit if fit.budget is None else replace(fit, parameters=contributed(fit.parameters, fit.budget, coverage))
+    return (
+        fit
+        if fit.budget is None
+        else replace(fit, parameters=contributed(fit.parameters, fit.budget, coverage))
+    )
 
 
 def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float) -> tuple[Parameter, ...]:
-    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all of them.
+    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all
+    of them.
 
     *coverage* [1]: as for `with_contributions`. A parameter without a systematic part stays as it is.
     """
@@ -288,8 +387,18 @@ def contributed(parameters: Sequence[Parameter], budget: Budget, coverage: float
         combined, dof = float(budget.combined[column]), float(budget.dof[column])
         factor = coverage_factor(coverage, dof)
         shares = budget.shares(parameter.name).items()
-        contributions = tuple(Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares)
-        stated.append(replace(parameter, combined=combined, expanded=factor * combined, coverage_factor=factor, budget=contributions))
+        contributions = tuple(
+            Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares
+        )
+        stated.append(
+            replace(
+                parameter,
+                combined=combined,
+                expanded=factor * combined,
+                coverage_factor=factor,
+                budget=contributions,
+            )
+        )
     return tuple(stated)
 
 
@@ -306,7 +415,9 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[Uncertainty, Chan
                 entry = (calibration.uncertainty, _change_of(calibration.effect, number, sign))
                 changes.setdefault(calibration.uncertainty.source, []).append(entry)
     for matrix_error in measured.errors:
-        changes.setdefault(matrix_error.uncertainty.source, []).append((matrix_error.uncertainty, _change_by(matrix_error)))
+        changes.setdefault(matrix_error.uncertainty.source, []).append(
+            (matrix_error.uncertainty, _change_by(matrix_error))
+        )
     mass = mass_uncertainty(setup.settings)
     if mass is not None:
         changes.setdefault(mass.source, []).append((mass, _heavier))
@@ -330,7 +441,10 @@ def _together(entries: Sequence[tuple[Uncertainty, Change]]) -> Change:
 
 
 def _change_of(effect: str, number: int, sign: float) -> Change:
-    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction; *sign* -1 for a force, which divides."""
+    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction.
+
+    *sign* -1 for a force, which divides.
+    """
     if effect == "direction":
         return _change_of_direction(number, sign)
     slope, power = COURSES[effect]
@@ -343,15 +457,19 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
         else:
             matrix[:, :, number] *= factor[:, None]
         offset = case.measured.offset
-        return case.setup, replace(case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None])
+        return case.setup, replace(
+            case.measured, matrix=matrix if offset is None else matrix - offset[:, None, None]
+        )
 
     return change
 
 
 def _change_of_direction(number: int, sign: float) -> Change:
-    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of the motion across it.
+    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of
+    the motion across it.
 
-    A sensor without another of known direction beside it is turned in the model, as if the motion were alike in all directions.
+    A sensor without another of known direction beside it is turned in the model, as if the motion were alike
+    in all directions.
     """
 
     def change(case: Case, error: float) -> tuple[Setup, Measured]:
@@ -359,7 +477,9 @@ def _change_of_direction(number: int, sign: float) -> Change:
         if across is None or not np.any(across[number]):
             return _turned(case.setup, number, sign, error), case.measured
         matrix = case.measured.matrix
-        return case.setup, replace(case.measured, matrix=matrix + error * turned(matrix, number, across, of_forces=False))
+        return case.setup, replace(
+            case.measured, matrix=matrix + error * turned(matrix, number, across, of_forces=False)
+        )
 
     return change
 
@@ -375,7 +495,10 @@ def _change_by(matrix_error: MatrixError) -> Change:
 
 
 def _turned(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    """The setup with an output (*sign* 1) or a force in another direction; a port without a direction stays."""
+    """The setup with an output (*sign* 1) or a force in another direction.
+
+    A port without a direction stays.
+    """
 
     def other(ports: tuple[Port, ...]) -> tuple[Port, ...]:
         port = ports[number]
@@ -401,7 +524,12 @@ def support_uncertainties(support: Support | None) -> Iterator[tuple[str, Uncert
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
-            yield name, uncertainty_of(number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit)
+            yield (
+                name,
+                uncertainty_of(
+                    number, f"{name} of the support, {amount_text(number.value, None, unit)}", unit
+                ),
+            )
 
 
 def _other_support(name: str) -> Change:
@@ -416,14 +544,19 @@ def _other_support(name: str) -> Change:
 
 
 def _values(case: Case, step: Step, setup: Setup, measured: Measured) -> FloatArray:
-    """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed data."""
+    """Reported values (n_parameter,) [parameter units] with the numbers of a changed setup on changed
+    data.
+    """
     model = case.model if setup is case.setup else case.model_of(setup)
     estimate = replace(case.estimate, values=step(model, measured))
     return np.array([parameter.value for parameter in reported_parameters(estimate, model, setup)])
 
 
 def _step_of(case: Case) -> Step:
-    """The estimator's step; without one that of ml, where the estimate is that of ml, else the estimate anew."""
+    """The estimator's step.
+
+    Without one that of ml, where the estimate is that of ml, else the estimate anew.
+    """
     settings = case.setup.settings
     estimator = settings.estimates
     if estimator.step is not None:
@@ -441,15 +574,21 @@ def _is_likeliest(case: Case) -> bool:
 
 
 def instrumental_step(case: Case) -> Step:
-    """One more step of the instrumental variables from their estimate, on changed data and with a changed model."""
-    by_instruments = instrument_step(case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values)
+    """One more step of the instrumental variables from their estimate, on changed data and with a changed
+    model.
+    """
+    by_instruments = instrument_step(
+        case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values
+    )
     return lambda model, measured: by_instruments(_linear(model), measured)
 
 
 def least_squares_step(case: Case) -> Step:
     """Least squares, which needs no estimate to step from."""
     weight = case.setup.settings.weight
-    return lambda model, measured: equation_solution(regression(measured, _linear(model), weight), _linear(model))[0]
+    return lambda model, measured: equation_solution(
+        regression(measured, _linear(model), weight), _linear(model)
+    )[0]
 
 
 def _linear(model: BandModel) -> DynamicModel:
@@ -458,7 +597,9 @@ def _linear(model: BandModel) -> DynamicModel:
 
 
 def likelihood_step(case: Case) -> Step:
-    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the estimate."""
+    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the
+    estimate.
+    """
     weights, jacobian, residual = _linearised(case)
     _, inverse = solve_scaled(jacobian, residual)
 
@@ -470,7 +611,9 @@ def likelihood_step(case: Case) -> Step:
 
 
 def _linearised(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,) at the estimate."""
+    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,)
+    at the estimate.
+    """
     measured, values = case.measured, case.estimate.values
     weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
     problem = OutputError(measured, expected(measured, case.model), weights)
@@ -480,11 +623,13 @@ def _linearised(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
 # Scatter between repeats of a test as sources of its uncertainty: drift between days, remounting.
 
 
-def with_repeat_sources(fit: Fit, sources: Sequence[RepeatSource], test: str, conditions: Mapping[str, Any], coverage: float) -> Fit:
+def with_repeat_sources(
+    fit: Fit, sources: Sequence[RepeatSource], test: str, conditions: Mapping[str, Any], coverage: float
+) -> Fit:
     """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties.
 
-    One source changes one parameter, since repeats of one coefficient do not tell how others go with it. ConfigError for a test without
-    the condition that its errors go by.
+    One source changes one parameter, since repeats of one coefficient do not tell how others go with it.
+    ConfigError for a test without the condition that its errors go by.
     """
     names = [parameter.name for parameter in fit.parameters]
     counted = [_source(source, fit, test, conditions) for source in sources if source.parameter in names]
@@ -493,9 +638,19 @@ def with_repeat_sources(fit: Fit, sources: Sequence[RepeatSource], test: str, co
 
 def _source(source: RepeatSource, fit: Fit, test: str, conditions: Mapping[str, Any]) -> Source:
     if source.per and source.per not in conditions:
-        what = f"{source.name} goes by the condition '{source.per}', which {f'test {test}' if test else 'the test'} does not have"
+        what = (
+            f"{source.name} goes by the condition '{source.per}', which "
+            f"{f'test {test}' if test else 'the test'} does not have"
+        )
         raise ConfigError(what, hint=f"conditions: {{{source.per}: ...}}, or leave `per` out")
     same = f"{source.per} {conditions[source.per]}" if source.per else test or "this test"
-    changes = np.array([source.relative * parameter.value if parameter.name == source.parameter else 0.0 for parameter in fit.parameters])
+    changes = np.array(
+        [
+            source.relative * parameter.value if parameter.name == source.parameter else 0.0
+            for parameter in fit.parameters
+        ]
+    )
     size = abs(float(np.sum(changes)))
-    return Uncertainty(f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof), changes
+    return Uncertainty(
+        f"{source.name} ({same})", size, fit.parameter(source.parameter).unit, source.dof
+    ), changes

@@ -1,17 +1,19 @@
 """Causes of a mismatch that the data show: a stated number, a wrong given mass, drift within the record.
 
-A stated number whose most likely value lies further from what was stated than its uncertainty and that of the data allow.
+A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
+data allow.
 
-The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the fit.
+The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the
+fit.
 
-Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion and the goodness of fit
-hardly changes. The height of the curve under a known force still tells the mass.
+Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion
+and the goodness of fit hardly changes. The height of the curve under a known force still tells the mass.
 
 Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
 
-To first order a changed parameter changes H by dH/dp, a changed gain by its own row or column of H. The change of H is projected on
-these shapes, whitened with the noise of H, whose own level between all lines is the measure of chance: so it does not matter how well
-the covariance is known.
+To first order a changed parameter changes H by dH/dp, a changed gain by its own row or column of H. The
+change of H is projected on these shapes, whitened with the noise of H, whose own level between all lines is
+the measure of chance: so it does not matter how well the covariance is known.
 """
 
 from __future__ import annotations
@@ -38,31 +40,44 @@ from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertaint
 from labpipe.records.finding import Finding
 from labpipe.records.uncertain import Uncertainty
 
-# A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
-# data allow.
+# A stated number whose most likely value lies further from what was stated than its uncertainty and that of
+# the data allow.
 
 
-def stated_findings(uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]) -> list[Finding]:
-    """Findings that name every stated number that the data contradict, with the value that they ask for; masses by the code `mass`.
+def stated_findings(
+    uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]
+) -> list[Finding]:
+    """Findings that name every stated number that the data contradict, with the value that they ask for;
+    masses by the code `mass`.
 
-    *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are one number.
+    *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are
+    one number.
     """
     said: dict[bool, list[str]] = {True: [], False: []}
     for number in np.flatnonzero(pulls.far):
-        said[uncertainties[int(number)].unit == "kg"].append(_asked(uncertainties[int(number)], pulls, int(number), values))
+        said[uncertainties[int(number)].unit == "kg"].append(
+            _asked(uncertainties[int(number)], pulls, int(number), values)
+        )
     what = (
-        "Each is judged with all others within what was stated, and counts in the intervals with its distance. One of these numbers is "
+        "Each is judged with all others within what was stated, and counts in the intervals with its "
+        "distance. One of these numbers is "
         "wrong, or its uncertainty is larger than stated: weigh or calibrate again"
     )
     masses, others = (f"the data contradict {'; '.join(said[of_mass])}. {what}" for of_mass in (True, False))
-    return [*([Finding("mass", masses)] if said[True] else []), *([Finding("stated-value", others)] if said[False] else [])]
+    return [
+        *([Finding("mass", masses)] if said[True] else []),
+        *([Finding("stated-value", others)] if said[False] else []),
+    ]
 
 
 def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
     size, unit = uncertainty.std_error, uncertainty.unit
     asked, error = pulls.asked[number] * size, pulls.error[number] * size
     relative = unit == "1"
-    stated = f"{uncertainty.source} (stated +- {f'{100 * size:.2g} %' if relative else amount_text(size, None, unit)})"
+    stated = (
+        f"{uncertainty.source} (stated +- "
+        f"{f'{100 * size:.2g} %' if relative else amount_text(size, None, unit)})"
+    )
     if uncertainty.source in values:
         wanted = amount_text(values[uncertainty.source] + asked, error, unit, "+-")
     elif relative:
@@ -70,7 +85,10 @@ def _asked(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[
     else:
         shown = shown_unit(unit, asked, error)
         wanted = f"a change by {change_text(difference_in(asked, shown), difference_in(error, shown), shown)}"
-    return f"{stated}: they ask for {wanted}, {pulls.sizes[number]:.2g} standard uncertainties of both from what was stated"
+    return (
+        f"{stated}: they ask for {wanted}, {pulls.sizes[number]:.2g} standard uncertainties of both from "
+        "what was stated"
+    )
 
 
 # The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good
@@ -80,14 +98,17 @@ CONTRADICTED_P = 0.01
 # Share of the chi-square beyond the noise that a free mass explains where the mass is what is wrong.
 EXPLAINED = 0.5
 MOST_STEPS = 40
-# A given mass is taken as known to this share: forces and responses are hardly calibrated better, and a window's resolution at a sharp
-# resonance, which no covariance holds, moves a free mass by tenths of a per cent.
+# A given mass is taken as known to this share: forces and responses are hardly calibrated better, and a
+# window's resolution at a sharp resonance, which no covariance holds, moves a free mass by tenths of a per
+# cent.
 TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class _Freed:
-    """A model with its mass to be estimated: *names* of the masses, last among its parameters, and their *given* values [kg]."""
+    """A model with its mass to be estimated: *names* of the masses, last among its parameters, and their
+    *given* values [kg].
+    """
 
     model: DynamicModel
     names: tuple[str, ...]
@@ -103,13 +124,17 @@ class _FreeFit:
     dof: float
 
 
-def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, setup: Setup, stated: Stated | None = None) -> list[Finding]:
-    """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the fit with it.
+def mass_findings(
+    measured: Measured, model: DynamicModel, values: FloatArray, setup: Setup, stated: Stated | None = None
+) -> list[Finding]:
+    """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the
+    fit with it.
 
-    Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least squares would be biased by
-    noise. No finding where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then. Nor in
-    sliding bands, which are for stiffness that changes with frequency: within a band that looks like another mass. What *stated* numbers
-    change adds to the uncertainty of the free mass. Equation (est-mass).
+    Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least
+    squares would be biased by noise. No finding where the mass was not given, or the forces' factors are
+    estimated too: the curve knows ratios only then. Nor in sliding bands, which are for stiffness that
+    changes with frequency: within a band that looks like another mass. What *stated* numbers change adds to
+    the uncertainty of the free mass. Equation (est-mass).
     """
     freed = _freed(model, setup)
     if freed is None or setup.settings.sliding is not None:
@@ -122,7 +147,10 @@ def mass_findings(measured: Measured, model: DynamicModel, values: FloatArray, s
 
 
 def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
-    """The model with a term per mass: a single one for a mass that is one number, else one per dof; None without given mass or force."""
+    """The model with a term per mass: a single one for a mass that is one number, else one per dof.
+
+    None without given mass or force.
+    """
     given, force = model.constant.mass, model.constant.force
     diagonal = np.diag(given)
     if not np.any(diagonal > 0) or not np.any(force):
@@ -133,7 +161,9 @@ def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
     else:
         dofs = [port.dof or port.label for port in setup.outputs]
         units = np.eye(diagonal.size)
-        parts = {f"m_{dof}_{dof}": np.outer(units[n], units[n]) for n, dof in enumerate(dofs) if diagonal[n] > 0}
+        parts = {
+            f"m_{dof}_{dof}": np.outer(units[n], units[n]) for n, dof in enumerate(dofs) if diagonal[n] > 0
+        }
     amounts = np.array([float(np.max(given * part)) for part in parts.values()])
     rest = given - np.tensordot(amounts, np.array(list(parts.values())), 1)
     terms = tuple(Term(name, "kg", replace(empty, mass=part)) for name, part in parts.items())
@@ -141,11 +171,14 @@ def _freed(model: DynamicModel, setup: Setup) -> _Freed | None:
     return _Freed(free, tuple(parts), amounts)
 
 
-def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None) -> _FreeFit | None:
+def _free_fit(
+    measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None
+) -> _FreeFit | None:
     """The fit from *start* (n_parameter,); None where the data cannot tell the mass.
 
-    Its covariance comes from the measured noise where that explains the residual. Else it comes from the residual's own scatter along the
-    lines, and of a measured excess the free mass must explain most: otherwise something else is wrong with the model.
+    Its covariance comes from the measured noise where that explains the residual. Else it comes from the
+    residual's own scatter along the lines, and of a measured excess the free mass must explain most:
+    otherwise something else is wrong with the model.
     """
     weighted = has_noise(measured)
     try:
@@ -160,7 +193,11 @@ def _free_fit(measured: Measured, model: DynamicModel, start: FloatArray, stated
         if weighted:
             uncertainty = weight_uncertainty(measured, dof)
             by_stated = (
-                0.0 if stated is None else pulls_of(residual, Stated.of(stated.changes), jacobian, inverse, uncertainty.inflation).explained
+                0.0
+                if stated is None
+                else pulls_of(
+                    residual, Stated.of(stated.changes), jacobian, inverse, uncertainty.inflation
+                ).explained
             )
             after, of_noise = linear.chi2 - by_stated, dof * uncertainty.excess
             if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
@@ -183,7 +220,9 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
 
 
 def _p_value(fit: _FreeFit, given: FloatArray) -> float:
-    """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE: Hotelling's T^2 of all together."""
+    """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE:
+    Hotelling's T^2 of all together.
+    """
     n = given.size
     covariance, off, limits = fit.covariance[-n:, -n:], fit.values[-n:] - given, TOLERANCE * given
     if not np.any(covariance):
@@ -197,9 +236,13 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
 def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup) -> str:
     n, model = len(freed.names), freed.model
     free = corrected(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
-    before = corrected(Estimated(model.names[:-n], model.units[:-n], values, np.zeros((values.size, values.size))), setup.settings)
+    before = corrected(
+        Estimated(model.names[:-n], model.units[:-n], values, np.zeros((values.size, values.size))),
+        setup.settings,
+    )
     masses = ", ".join(
-        f"{name} = {_amount(given, 'kg')} was given, free it comes out as {_amount(free.value(name), 'kg', free.std_error(name))}"
+        f"{name} = {_amount(given, 'kg')} was given, free it comes out as "
+        f"{_amount(free.value(name), 'kg', free.std_error(name))}"
         for name, given in zip(freed.names, freed.given, strict=True)
     )
     stiffness = [name for name, unit in zip(before.names, before.units, strict=True) if unit == "N/m"]
@@ -207,11 +250,14 @@ def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, s
     becomes = ""
     if changed is not None:
         error = free.std_error(changed)
-        becomes = f" {changed} is then {_amount(free.value(changed), 'N/m', error)} instead of {_amount(before.value(changed), 'N/m')}."
+        becomes = (
+            f" {changed} is then {_amount(free.value(changed), 'N/m', error)} instead of "
+            f"{_amount(before.value(changed), 'N/m')}."
+        )
     return (
-        f"the data contradict the given mass by more than {100 * TOLERANCE:g} % (p = {p_value:.2g}): {masses}.{becomes} Either the mass "
-        "or the calibration is wrong, or stiffness changes with frequency in the band. Weigh what moves, calibrate, fit with "
-        "`mass: estimate`, or narrow the band"
+        f"the data contradict the given mass by more than {100 * TOLERANCE:g} % (p = {p_value:.2g}): "
+        f"{masses}.{becomes} Either the mass or the calibration is wrong, or stiffness changes with "
+        "frequency in the band. Weigh what moves, calibrate, fit with `mass: estimate`, or narrow the band"
     )
 
 
@@ -224,7 +270,8 @@ def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
 
 # A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
 DRIFT_P = 1e-3
-# Singular values of shapes of length 1 below which they are one shape: a common gain of all outputs is that of all forces.
+# Singular values of shapes of length 1 below which they are one shape: a common gain of all outputs is that
+# of all forces.
 SAME_SHAPE = 1e-8
 KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
 
@@ -239,7 +286,9 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Chance:
-    """Variance of a projection on a smooth shape by noise alone [1], and the degrees of freedom that this rests on."""
+    """Variance of a projection on a smooth shape by noise alone [1], and the degrees of freedom that this
+    rests on.
+    """
 
     variance: float
     dof: float
@@ -249,12 +298,15 @@ class _Chance:
         return f_tail(square / (n * self.variance), n, self.dof)
 
 
-def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n_band: int = 1) -> list[Finding]:
-    """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter units] of the fit.
+def drift_findings(
+    measured: Measured, model: FittedModel, values: FloatArray, n_band: int = 1
+) -> list[Finding]:
+    """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter
+    units] of the fit.
 
-    Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all parameters together; p-values
-    are for the best of all, in *n_band* bands of one record (Bonferroni). None where the halves or the noise are not known.
-    Equation (est-drift).
+    Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all
+    parameters together; p-values are for the best of all, in *n_band* bands of one record (Bonferroni). None
+    where the halves or the noise are not known. Equation (est-drift).
     """
     if measured.change is None or not has_noise(measured):
         return []
@@ -276,11 +328,16 @@ def drift_findings(measured: Measured, model: FittedModel, values: FloatArray, n
     p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
     if p_value >= DRIFT_P:
         return []
-    said = _of_shape(shape, change, chance) if best <= together else _of_parameters(jacobian, model, values, change, chance)
+    said = (
+        _of_shape(shape, change, chance)
+        if best <= together
+        else _of_parameters(jacobian, model, values, change, chance)
+    )
     message = (
-        f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is twice that from the "
-        "beginning to the end. The parameters are those of no moment of the record, and their standard errors do not hold. Wait until "
-        "temperature and amplifiers have settled, or record in shorter pieces"
+        f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is "
+        "twice that from the beginning to the end. The parameters are those of no moment of the record, and "
+        "their standard errors do not hold. Wait until temperature and amplifiers have settled, or record "
+        "in shorter pieces"
     )
     return [Finding("drift", message)]
 
@@ -313,7 +370,10 @@ def _basis(shapes: FloatArray) -> FloatArray:
 
 
 def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:
-    """From what no shape explains; lines that share noise make smooth projections larger and leave fewer degrees of freedom."""
+    """From what no shape explains.
+
+    Lines that share noise make smooth projections larger and leave fewer degrees of freedom.
+    """
     basis = _basis(shapes)
     rest = change - (basis @ change) @ basis
     dof = change.size - basis.shape[0]
@@ -335,7 +395,9 @@ def _of_shape(shape: _Shape, change: FloatArray, chance: _Chance) -> str:
     return f"it looks like {shape.name} changed by {change_text(100 * amount, 100 * error, '%')}"
 
 
-def _of_parameters(jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance) -> str:
+def _of_parameters(
+    jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance
+) -> str:
     """The parameter that changed most, in standard errors."""
     inverse = np.linalg.pinv(jacobian @ jacobian.T)
     changes = inverse @ (jacobian @ change)

@@ -29,8 +29,9 @@ from labpipe.records.settings import ESTIMATE
 # number of modes.
 
 PASSES = 8
-# The descent ends where a further full step would lower chi-square by a small part of its expectation per equation only: differences
-# in AIC count from 10, and a surplus mode creeps long through noise before it converges.
+# The descent ends where a further full step would lower chi-square by a small part of its expectation per
+# equation only: differences in AIC count from 10, and a surplus mode creeps long through noise before it
+# converges.
 NEAR = 0.02
 # Bound of the descent: surplus modes may have no minimum to reach.
 MOST_STEPS = 150
@@ -38,11 +39,12 @@ MOST_STEPS = 150
 
 @dataclass(frozen=True)
 class RationalFit:
-    """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree 2 n - 2.
+    """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree
+    2 n - 2.
 
-    Receptances of n modes have this form. Polynomials are sums over the basis phi_0 ... phi_2n, orthogonal on the lines, phi_k of degree
-    k in s = j w; A has 1 at phi_2n. *whitener* (n_line, n_element, n_element) [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element.
-    Equation (est-rational).
+    Receptances of n modes have this form. Polynomials are sums over the basis phi_0 ... phi_2n, orthogonal on
+    the lines, phi_k of degree k in s = j w; A has 1 at phi_2n. *whitener* (n_line, n_element, n_element)
+    [N/m]. Parameters: 2 n of A, then 2 n - 1 of every element. Equation (est-rational).
     """
 
     measured: Measured
@@ -61,7 +63,8 @@ class RationalFit:
 
     @cached_property
     def basis(self) -> ComplexArray:
-        """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary, as powers of j w are.
+        """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary,
+        as powers of j w are.
 
         Powers themselves are so alike that the normal equations of a few modes would lose all digits.
         """
@@ -95,11 +98,15 @@ class RationalFit:
         return -self._whitened(self._columns(fitted, 1 / denominator)).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without finite response."""
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,).
+
+        Infinite without finite response.
+        """
         return sum_of_squares(self.residual, parameters)
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
-        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations, without the tall Jacobian.
+        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations, without the tall
+        Jacobian.
 
         By QR where rounding leaves them not positive definite.
         """
@@ -115,7 +122,8 @@ class RationalFit:
         return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
 
     def start(self) -> FloatArray:
-        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass (Sanathanan and Koerner 1963).
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass
+        (Sanathanan and Koerner 1963).
 
         Of all passes the one with the lowest chi-square.
         """
@@ -126,7 +134,9 @@ class RationalFit:
             highest = self.elements * (self.basis[:, -1] * weight)[:, None]
             normal, right_side = self._normal_equations(self.elements, weight, highest)
             scale = np.sqrt(np.diag(normal))
-            values = np.linalg.lstsq(normal / (scale[:, None] * scale), right_side / scale, rcond=None)[0] / scale
+            values = (
+                np.linalg.lstsq(normal / (scale[:, None] * scale), right_side / scale, rcond=None)[0] / scale
+            )
             denominator = self._denominator(values)
             if np.any(denominator == 0):
                 break
@@ -143,10 +153,14 @@ class RationalFit:
         """A (n_line,) and B / A (n_line, n_element)."""
         n = 2 * self.modes
         denominator = self._denominator(parameters)
-        return denominator, self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T / denominator[:, None]
+        return denominator, self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T / denominator[
+            :, None
+        ]
 
     def _columns(self, elements: ComplexArray, weight: ComplexArray) -> ComplexArray:
-        """Columns of B_e - H_e (a_0 phi_0 + a_1 phi_1 + ...) times the weight, (n_parameter, n_line, n_element)."""
+        """Columns of B_e - H_e (a_0 phi_0 + a_1 phi_1 + ...) times the weight, (n_parameter, n_line,
+        n_element).
+        """
         powers, n = (self.basis * weight[:, None]).T, 2 * self.modes
         columns = np.zeros((self.n_parameter, *elements.shape), np.complex128)
         columns[:n] = -elements * powers[:n, :, None]
@@ -165,10 +179,14 @@ class RationalFit:
         basis = self.basis[:, :-1].T
         return basis.conj()[:, None] * basis[None]
 
-    def _normal_equations(self, elements: ComplexArray, weight: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """J^T J (n_parameter, n_parameter) and J^T r (n_parameter,) [1] of J = `_columns` and r = *right_side*, both whitened.
+    def _normal_equations(
+        self, elements: ComplexArray, weight: ComplexArray, right_side: ComplexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """J^T J (n_parameter, n_parameter) and J^T r (n_parameter,) [1] of J = `_columns` and r =
+        *right_side*, both whitened.
 
-        Every column is a basis function times a vector over the elements: the sums over lines are products of few small tables.
+        Every column is a basis function times a vector over the elements: the sums over lines are products of
+        few small tables.
         """
         n, n_element = 2 * self.modes, elements.shape[1]
         precision = self._precision * (np.abs(weight) ** 2)[:, None, None]
@@ -177,15 +195,21 @@ class RationalFit:
         normal[:n, :n] = self._sums(n, n, np.einsum("lf,lf->l", by_element, elements)[:, None])[:, :, 0]
         crossed = -self._sums(n, n - 1, by_element).transpose(0, 2, 1).reshape(n, -1)
         normal[:n, n:], normal[n:, :n] = crossed, crossed.T
-        numerators = self._sums(n - 1, n - 1, precision.reshape(-1, n_element**2)).reshape(n - 1, n - 1, n_element, n_element)
+        numerators = self._sums(n - 1, n - 1, precision.reshape(-1, n_element**2)).reshape(
+            n - 1, n - 1, n_element, n_element
+        )
         normal[n:, n:] = numerators.transpose(2, 0, 3, 1).reshape(normal[n:, n:].shape)
         weighted = np.einsum("lef,lf->le", self._precision, right_side) * weight.conj()[:, None]
         basis = self.basis[:, :n].conj()
         along = np.einsum("le,le->l", elements.conj(), weighted)
-        return normal, np.concatenate([-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()])
+        return normal, np.concatenate(
+            [-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()]
+        )
 
     def _sums(self, rows: int, columns: int, values: ComplexArray) -> FloatArray:
-        """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b < *columns*: (rows, columns, n)."""
+        """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b <
+        *columns*: (rows, columns, n).
+        """
         products = self._products[:rows, :columns].reshape(rows * columns, -1)
         return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
 
@@ -196,7 +220,8 @@ class RationalFit:
 
 # Comparison of model structures: the model of a fit against simpler and richer ones on the same lines.
 
-# Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson 2002, sec. 2.6).
+# Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson
+# 2002, sec. 2.6).
 NO_SUPPORT = 10.0
 # Bound of each descent of a variant: a structure that contradicts the data may have no minimum to reach.
 MOST_COMPARED_STEPS = 40
@@ -211,13 +236,17 @@ class _Variant:
     inside: tuple[str, ...] = ()
 
 
-def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = None) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of those that did not converge.
+def candidates(
+    measured: Measured, setup: Setup, ml_estimate: Estimate | None = None
+) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
+    """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and the names of
+    those that did not converge.
 
-    None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is fitted again. Every descent is
-    bounded. Without `compare` only the alternative to a damping law: independent damping coefficients.
-    p_value: probability of an equal or larger decrease of chi-square to the richest variant that contains this one, if this one is true
-    (likelihood ratio, chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
+    None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is
+    fitted again. Every descent is bounded. Without `compare` only the alternative to a damping law:
+    independent damping coefficients. p_value: probability of an equal or larger decrease of chi-square to the
+    richest variant that contains this one, if this one is true (likelihood ratio, chi-square with as many
+    degrees of freedom as additional parameters). Equation (est-aic).
     """
     if not has_noise(measured):
         return (), ()
@@ -232,14 +261,22 @@ def candidates(measured: Measured, setup: Setup, ml_estimate: Estimate | None = 
     if whole:
         results.update(_orders(measured, len(setup.outputs)))
     fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
-    inside = {variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants}
+    inside = {
+        variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
+    }
     tested = [_tested(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
-    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(name for name in results if name not in fitted)
+    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), tuple(
+        name for name in results if name not in fitted
+    )
 
 
 def comparison_notes(left_out: tuple[str, ...]) -> tuple[str, ...]:
     """A note that names the variants without a minimum."""
-    return (f"Compared models left out, their descents found no minimum: {'; '.join(left_out)}.",) if left_out else ()
+    return (
+        (f"Compared models left out, their descents found no minimum: {'; '.join(left_out)}.",)
+        if left_out
+        else ()
+    )
 
 
 def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
@@ -249,8 +286,8 @@ def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
         return ()
     best = ranking[0]
     message = (
-        f"another model is better supported by the data: '{best.name}' with {best.parameters} parameters has AIC {best.aic:.4g}, this one "
-        f"with {this_model.parameters} parameters {this_model.aic:.4g}"
+        f"another model is better supported by the data: '{best.name}' with {best.parameters} parameters has "
+        f"AIC {best.aic:.4g}, this one with {this_model.parameters} parameters {this_model.aic:.4g}"
     )
     return (Finding("other-model", message),)
 
@@ -259,11 +296,17 @@ THIS = "this model"
 
 
 def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
-    """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the model."""
+    """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the
+    model.
+    """
     weights = whitener(measured)
     fits = [RationalFit(measured, weights, modes) for modes in range(max(n_output - 1, 1), n_output + 2)]
     names = [f"{fit.modes} mode{'s' if fit.modes > 1 else ''}, any structure" for fit in fits]
-    return {name: _order(name, fit) for name, fit in zip(names, fits, strict=True) if measured.n_equation > fit.n_parameter}
+    return {
+        name: _order(name, fit)
+        for name, fit in zip(names, fits, strict=True)
+        if measured.n_equation > fit.n_parameter
+    }
 
 
 def _order(name: str, fit: RationalFit) -> Candidate | None:
@@ -277,13 +320,20 @@ def _order(name: str, fit: RationalFit) -> Candidate | None:
 def _variants(settings: FitSettings) -> list[_Variant]:
     """Plausible alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
-    return [_Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))), *_richer(plain), *_simpler(plain)]
+    return [
+        _Variant(f"{THIS}: {_described(plain)}", plain, tuple(v.name for v in _richer(plain))),
+        *_richer(plain),
+        *_simpler(plain),
+    ]
 
 
 def _damping_variants(settings: FitSettings) -> list[_Variant]:
     plain = replace(settings, weight="none", sliding=None)
     viscous = replace(plain, damping=VISCOUS)
-    return [_Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)), _Variant(_described(viscous), viscous)]
+    return [
+        _Variant(f"{THIS}: {_described(plain)}", plain, (_described(viscous),)),
+        _Variant(_described(viscous), viscous),
+    ]
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:
@@ -350,7 +400,8 @@ def _candidate(name: str, measured: Measured, estimate: Estimate) -> Candidate:
     """Name, parameters, chi-square and AIC of an estimate by ml."""
     assert estimate.squares is not None
     uncertainty = weight_uncertainty(measured, estimate.dof)
-    # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of the residual.
+    # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of
+    # the residual.
     chi2 = estimate.squares / uncertainty.inflation
     n_parameter = estimate.values.size
     return Candidate(name, n_parameter, chi2, estimate.dof, chi2 + 2 * n_parameter)

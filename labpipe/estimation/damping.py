@@ -35,7 +35,9 @@ class Factor:
     damping_of: Callable[[FloatArray, FloatArray], FloatArray]
 
     def term(self, name: str, matrix: FloatArray, empty: Matrices) -> Term:
-        """The term of the factor times one parameter whose own *matrix* (n_dof, n_dof) [1] is that of `of`."""
+        """The term of the factor times one parameter whose own *matrix* (n_dof, n_dof) [1] is that of
+        `of`.
+        """
         if self.into == "stiffness":
             # The one complex matrix of a model; everything else of Matrices stays real.
             return Term(f"{self.name}*{name}", "N/m", replace(empty, stiffness=1j * matrix))  # type: ignore[arg-type]
@@ -60,7 +62,9 @@ class DampingLaw:
         """
         if sum(_acts(term.matrices.damping) for term in model.terms) < self.fewest:
             needs = "several damping coefficients" if self.fewest > 1 else "a damping coefficient"
-            raise ConfigError(f"{self.name} damping needs a model with {needs}", hint="leave `damping` out", field="damping")
+            raise ConfigError(
+                f"{self.name} damping needs a model with {needs}", hint="leave `damping` out", field="damping"
+            )
         free = replace(model, terms=tuple(term for term in model.terms if not _acts(term.matrices.damping)))
         empty = no_matrices(*model.constant.force.shape)
         products: list[Term] = []
@@ -69,8 +73,13 @@ class DampingLaw:
             acting = [n for n, term in enumerate(free.terms) if _acts(getattr(term.matrices, factor.of))]
             if _acts(getattr(model.constant, factor.of)):
                 acting.append(-1)
-            sources = [("given", model.constant) if n < 0 else (free.names[n], free.terms[n].matrices) for n in acting]
-            products.extend(factor.term(name, getattr(matrices, factor.of), empty) for name, matrices in sources)
+            sources = [
+                ("given", model.constant) if n < 0 else (free.names[n], free.terms[n].matrices)
+                for n in acting
+            ]
+            products.extend(
+                factor.term(name, getattr(matrices, factor.of), empty) for name, matrices in sources
+            )
             owners.append(tuple(acting))
         return FactorModel(self, free, model, replace(free, terms=(*free.terms, *products)), tuple(owners))
 
@@ -108,7 +117,9 @@ class FactorModel:
         return self.free.terms
 
     def expanded_values(self, parameters: FloatArray) -> FloatArray:
-        """The values of `expanded` (..., n_expanded) [N/m, N.s/m, kg], from *parameters* (..., n_parameter)."""
+        """The values of `expanded` (..., n_expanded) [N/m, N.s/m, kg], from *parameters* (...,
+        n_parameter).
+        """
         n_free = len(self.free.terms)
         free, factors = parameters[..., :n_free], parameters[..., n_free:]
         with_one = np.concatenate([free, np.ones((*free.shape[:-1], 1))], axis=-1)
@@ -121,7 +132,9 @@ class FactorModel:
         """
         by_name = dict(zip(self.linear.names, values, strict=True))
         whole = self.linear.whole(values)
-        columns = np.column_stack([factor.damping_of(whole.stiffness, whole.mass).reshape(-1) for factor in self.law.factors])
+        columns = np.column_stack(
+            [factor.damping_of(whole.stiffness, whole.mass).reshape(-1) for factor in self.law.factors]
+        )
         scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
         ratios = np.linalg.lstsq(columns / scale, whole.damping.reshape(-1), rcond=None)[0] / scale
         return np.array([*(by_name[name] for name in self.free.names), *ratios])
@@ -194,4 +207,6 @@ PROPORTIONAL = DampingLaw(
     fewest=3,
     viscous=True,
 )
-HYSTERETIC = DampingLaw("hysteretic", (Factor("eta", "1", "stiffness", "stiffness", _critical),), fewest=1, viscous=False)
+HYSTERETIC = DampingLaw(
+    "hysteretic", (Factor("eta", "1", "stiffness", "stiffness", _critical),), fewest=1, viscous=False
+)

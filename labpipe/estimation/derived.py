@@ -1,4 +1,6 @@
-"""What is derived from estimates: corrections, modes, resonance, directions, reported parameters and a dense curve."""
+"""What is derived from estimates: corrections, modes, resonance, directions, reported parameters and a dense
+curve.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,18 @@ from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.linear_models import PER_MASS
 from labpipe.estimation.model import DynamicModel, Matrices, Setup
 from labpipe.estimation.settings import FitSettings, Support
-from labpipe.estimation.statistics import Estimate, derived, estimated, inflation_factors, widened
+from labpipe.estimation.statistics import (
+    Estimate,
+    condition_number,
+    correlation,
+    derived,
+    estimated,
+    inflation_factors,
+    widened,
+)
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
 from labpipe.records.settings import COEFFICIENT_UNITS
 from labpipe.records.uncertain import Budget, Uncertain
 
@@ -26,7 +37,9 @@ from labpipe.records.uncertain import Budget, Uncertain
 
 @dataclass(frozen=True)
 class Estimated:
-    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units* [SI]."""
+    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units*
+    [SI].
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -43,6 +56,35 @@ class Estimated:
         return float(self.values[self.index(name)])
 
 
+def reported_fit(
+    settings: FitSettings,
+    estimate: Estimate,
+    parameters: tuple[Parameter, ...],
+    band: tuple[float, float],
+    n_line: int,
+    n_prior: int = 0,
+) -> Fit:
+    """*estimate* and *parameters* as the Fit of results, without findings, notes and curve.
+
+    band [Hz]; n_line: frequency lines used; n_prior: equations that are no measurement.
+    """
+    return Fit(
+        name=settings.name,
+        model=settings.model,
+        estimator=settings.estimator,
+        band_hz=band,
+        lines=n_line,
+        equations=estimate.dof + estimate.values.size - n_prior,
+        dof=estimate.dof,
+        gof=estimate.gof,
+        parameters=parameters,
+        condition_number=condition_number(estimate.scaled_design),
+        correlation=correlation(estimate.covariance),
+        converged=estimate.converged,
+        iterations=estimate.iterations,
+    )
+
+
 def is_direct(name: str) -> bool:
     """True for a coefficient in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
     letter, _, place = name.partition("_")
@@ -55,8 +97,8 @@ def is_direct(name: str) -> bool:
 def corrected(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
-    The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to all direct coefficients and to
-    all tests. ConfigError for a share below 1. Equation (est-corrected).
+    The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to
+    all direct coefficients and to all tests. ConfigError for a share below 1. Equation (est-corrected).
     """
     if settings.share < 1:
         raise ConfigError("share must be at least 1")
@@ -66,19 +108,24 @@ def corrected(total: Estimated, settings: FitSettings) -> Estimated:
         direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
         values = values - np.where(direct, amount.value, 0.0)
     divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
-    return Estimated(total.names, total.units, values / divisor, total.covariance / np.outer(divisor, divisor))
+    return Estimated(
+        total.names, total.units, values / divisor, total.covariance / np.outer(divisor, divisor)
+    )
 
 
 def is_corrected(settings: FitSettings) -> bool:
     """True if the reported coefficients differ from the measured totals."""
     support = settings.subtract or Support()
-    return settings.share > 1 or any(amount != Uncertain(0.0) for amount in (support.stiffness, support.damping))
+    return settings.share > 1 or any(
+        amount != Uncertain(0.0) for amount in (support.stiffness, support.damping)
+    )
 
 
 # Modes of an identified model: natural frequencies, damping ratios, mode shapes, participation; many models
 # at once.
 
-# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the largest is random.
+# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the
+# largest is random.
 LEADING = 0.8
 # Name -> (unit, value of every case).
 Quantities = dict[str, tuple[str, FloatArray]]
@@ -88,10 +135,10 @@ Quantities = dict[str, tuple[str, FloatArray]]
 class Modes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
-    frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping (n_case, n_mode)
-    = -Re lambda / |lambda|; shapes (n_case, n_dof, n_mode) real, the first large entry 1; participation (n_case, n_mode, n_input)
-    [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2) without damping. Shapes and participation are those of the undamped
-    system.
+    frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping
+    (n_case, n_mode) = -Re lambda / |lambda|; shapes (n_case, n_dof, n_mode) real, the first large entry 1;
+    participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2) without
+    damping. Shapes and participation are those of the undamped system.
     """
 
     frequency: FloatArray
@@ -103,7 +150,8 @@ class Modes:
 def modes(matrices: Matrices) -> Modes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
-    With a loss factor K is complex and has a meaning for positive frequencies alone: of each pair of eigenvalues the one that decays.
+    With a loss factor K is complex and has a meaning for positive frequencies alone: of each pair of
+    eigenvalues the one that decays.
 
     None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
     """
@@ -116,7 +164,11 @@ def modes(matrices: Matrices) -> Modes | None:
     state = np.block([[np.zeros_like(k), identity], [-by_mass[:, :, :n], -by_mass[:, :, n:]]])
     values = np.linalg.eigvals(state)
     undamped, right = np.linalg.eig(by_mass[:, :, :n].real)
-    if np.any(np.sum(values.imag > 0, axis=1) != n) or np.any(undamped.real <= 0) or np.any(undamped.imag != 0):
+    if (
+        np.any(np.sum(values.imag > 0, axis=1) != n)
+        or np.any(undamped.real <= 0)
+        or np.any(undamped.imag != 0)
+    ):
         return None
     upper = values[values.imag > 0].reshape(n_case, n)
     upper = np.take_along_axis(upper, np.argsort(np.abs(upper), axis=1), axis=1)
@@ -140,8 +192,15 @@ def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple
         quantities[f"f_n_{r + 1}"] = ("Hz", mode_set.frequency[:, r])
         quantities[f"zeta_{r + 1}"] = ("1", mode_set.damping[:, r])
     for r in range(mode_set.frequency.shape[1]):
-        quantities.update({f"shape_{r + 1}_{dof}": ("1", mode_set.shapes[:, row, r]) for row, dof in enumerate(outputs)})
-        quantities.update({f"participation_{r + 1}_{force}": ("1/kg", mode_set.participation[:, r, i]) for i, force in enumerate(inputs)})
+        quantities.update(
+            {f"shape_{r + 1}_{dof}": ("1", mode_set.shapes[:, row, r]) for row, dof in enumerate(outputs)}
+        )
+        quantities.update(
+            {
+                f"participation_{r + 1}_{force}": ("1/kg", mode_set.participation[:, r, i])
+                for i, force in enumerate(inputs)
+            }
+        )
     return quantities
 
 
@@ -156,8 +215,9 @@ STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
 def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
-    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of proportional damping,
-    totals where support or share changed the coefficients, and fixed coefficients. Equation (est-resonance).
+    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of
+    proportional damping, totals where support or share changed the coefficients, and fixed coefficients.
+    Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
@@ -166,15 +226,24 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
     if isinstance(model, FactorModel) and model.law.viscous:
         parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
     if settings.kind.matrix_modes:
-        ports = tuple(port.dof or port.label for port in setup.outputs), tuple(port.label for port in setup.inputs)
-        parameters.extend(_propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof))
+        ports = (
+            tuple(port.dof or port.label for port in setup.outputs),
+            tuple(port.label for port in setup.inputs),
+        )
+        parameters.extend(
+            _propagated_all(total, lambda values: modal_quantities(model.whole(values), *ports), dof)
+        )
     if "b_x" in total.names and "b_y" in total.names:
         parameters.append(_forcing_angle(total, dof))
     if is_corrected(settings):
         for name, unit in zip(total.names, total.units, strict=True):
             if unit in ("N/m", "N.s/m"):
-                parameters.append(derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof))
-    parameters.extend(Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed)
+                parameters.append(
+                    derived(f"{name}_total", unit, total.value(name), total.std_error(name), dof)
+                )
+    parameters.extend(
+        Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
+    )
     return parameters
 
 
@@ -189,16 +258,23 @@ def _damping_coefficients(model: FactorModel, values: FloatArray) -> Quantities:
     return coefficients
 
 
-def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int) -> list[Parameter]:
-    """Functions of the estimates with their standard errors to first order, derivatives by centred differences.
+def _propagated_all(
+    total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int
+) -> list[Parameter]:
+    """Functions of the estimates with their standard errors to first order, derivatives by centred
+    differences.
 
     Values without standard errors where the functions do not exist on both sides of the estimate.
     """
     steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
-    quantities_at_steps = quantities(np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)]))
+    quantities_at_steps = quantities(
+        np.vstack([total.values, total.values + np.diag(steps), total.values - np.diag(steps)])
+    )
     if not quantities_at_steps or np.any(steps == 0):
         centre = quantities(total.values[None])
-        return [Parameter(name, float(value[0]), unit, derived=True) for name, (unit, value) in centre.items()]
+        return [
+            Parameter(name, float(value[0]), unit, derived=True) for name, (unit, value) in centre.items()
+        ]
     n = steps.size
     parameters = []
     for name, (unit, values) in quantities_at_steps.items():
@@ -209,12 +285,15 @@ def _propagated_all(total: Estimated, quantities: Callable[[FloatArray], Quantit
 
 
 def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
-    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 m w_n) of the measured system, of a transfer FRF also its modal constant 1/m [1/kg].
+    """f_n = sqrt(k/m) / 2 pi [Hz] and zeta = c / (2 m w_n) of the measured system, of a transfer FRF also its
+    modal constant 1/m [1/kg].
 
-    k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the same. None of it where k and
-    m have different signs or are eliminated.
+    k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the
+    same. None of it where k and m have different signs or are eliminated.
     """
-    stiffness, damping = (next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc")
+    stiffness, damping = (
+        next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc"
+    )
     if not stiffness:
         return []
     k = total.value(stiffness)
@@ -239,11 +318,19 @@ def _forcing_angle(total: Estimated, dof: int) -> Parameter:
     """atan2(b_y, b_x) [rad]."""
     x, y = total.value("b_x"), total.value("b_y")
     square = x**2 + y**2
-    return derived("forcing_angle", "rad", float(np.arctan2(y, x)), propagated(total, {"b_x": -y / square, "b_y": x / square}), dof)
+    return derived(
+        "forcing_angle",
+        "rad",
+        float(np.arctan2(y, x)),
+        propagated(total, {"b_x": -y / square, "b_y": x / square}),
+        dof,
+    )
 
 
 def propagated(total: Estimated, slopes: dict[str, float]) -> float:
-    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by name. Equation (est-delta)."""
+    """Standard error of a function of the estimates to first order: sqrt(g^T cov g), g its derivatives by
+    name. Equation (est-delta).
+    """
     gradient = np.array([slopes.get(name, 0.0) for name in total.names])
     return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))
 
@@ -263,7 +350,10 @@ def reported_parameters(estimate: Estimate, model: BandModel, setup: Setup) -> t
     """
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
     dof = int(estimate.student_dof.min())
-    parameters = (*_coefficients(estimate, corrected(total, setup.settings), model), *derived_parameters(total, model, setup, dof))
+    parameters = (
+        *_coefficients(estimate, corrected(total, setup.settings), model),
+        *derived_parameters(total, model, setup, dof),
+    )
     return parameters if estimate.converged else without_intervals(parameters)
 
 
@@ -272,38 +362,58 @@ def _coefficients(estimate: Estimate, reported: Estimated, model: BandModel) -> 
     vifs = inflation_factors(estimate.scaled_design)
     coefficients = [
         estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
-        for name, unit, vif, dof in zip(reported.names, reported.units, vifs, estimate.student_dof, strict=True)
+        for name, unit, vif, dof in zip(
+            reported.names, reported.units, vifs, estimate.student_dof, strict=True
+        )
     ]
     # The factors of a damping law come after the terms.
     pairs = zip(coefficients, model.terms, strict=False)
-    return coefficients + [replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases]
+    return coefficients + [
+        replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases
+    ]
 
 
 def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """The values alone."""
-    return tuple(replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None) for parameter in parameters)
-
-
-def widened_parameters(parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*, all in the same order.
-
-    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
-    """
-    factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in zip(plain, wide, strict=True)]
     return tuple(
-        widened(parameter, max(factor, 1.0)) if factor > 0 else parameter for parameter, factor in zip(parameters, factors, strict=True)
+        replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None)
+        for parameter in parameters
     )
 
 
-def with_systematic(parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None) -> tuple[Parameter, ...]:
-    """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the effective degrees of freedom.
+def widened_parameters(
+    parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]
+) -> tuple[Parameter, ...]:
+    """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*,
+    all in the same order.
 
-    An interval that is lopsided by itself is widened on each side by the square sum of that side and the systematic part's.
-    dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
+    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
+    """
+    factors = [
+        (after.std_error or 0.0) / (before.std_error or np.inf)
+        for before, after in zip(plain, wide, strict=True)
+    ]
+    return tuple(
+        widened(parameter, max(factor, 1.0)) if factor > 0 else parameter
+        for parameter, factor in zip(parameters, factors, strict=True)
+    )
+
+
+def with_systematic(
+    parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None
+) -> tuple[Parameter, ...]:
+    """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the
+    effective degrees of freedom.
+
+    An interval that is lopsided by itself is widened on each side by the square sum of that side and the
+    systematic part's. dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation
+    (unc-interval).
     """
     return tuple(
         _expanded(parameter, float(systematic), float(of_parameter))
-        for parameter, systematic, of_parameter in zip(parameters, budget.systematic, budget.dof if dof is None else dof, strict=True)
+        for parameter, systematic, of_parameter in zip(
+            parameters, budget.systematic, budget.dof if dof is None else dof, strict=True
+        )
     )
 
 
@@ -317,7 +427,9 @@ def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     if interval is not None:
         sides = value - interval[0], interval[1] - value
         even = math.isclose(*sides, rel_tol=EVEN)
-        low, high = (reach, reach) if even else (math.hypot(side, reach * systematic / combined) for side in sides)
+        low, high = (
+            (reach, reach) if even else (math.hypot(side, reach * systematic / combined) for side in sides)
+        )
         interval = value - low, value + high
     return replace(
         parameter,
@@ -325,7 +437,9 @@ def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
         systematic=systematic,
         ci95=interval,
         t_ratio=None if parameter.t_ratio is None else value / combined,
-        significant=None if parameter.significant is None or interval is None else not interval[0] <= 0 <= interval[1],
+        significant=None
+        if parameter.significant is None or interval is None
+        else not interval[0] <= 0 <= interval[1],
     )
 
 
@@ -342,10 +456,12 @@ Model = Callable[[FloatArray], ComplexArray]
 
 
 def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model there (n, n_output, n_input).
+    """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model
+    there (n, n_output, n_input).
 
-    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by more than FLATNESS from
-    one to the next, as at a light resonance, the step is halved again, up to MOST frequencies.
+    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by
+    more than FLATNESS from one to the next, as at a light resonance, the step is halved again, up to MOST
+    frequencies.
     """
     frequency = between(lines)
     values = model(frequency)
@@ -374,7 +490,9 @@ def between(lines: FloatArray) -> FloatArray:
 
 
 def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
-    """(n - 1,) largest distance of any element from the straight line across each step, as part of its size there."""
+    """(n - 1,) largest distance of any element from the straight line across each step, as part of its size
+    there.
+    """
     across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
     size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
     return np.asarray((across / size).max(axis=(1, 2)))

@@ -1,4 +1,6 @@
-"""Levenberg-Marquardt for a sum of squares with analytic derivatives, and the triangular factor of tall matrices."""
+"""Levenberg-Marquardt for a sum of squares with analytic derivatives, and the triangular factor of tall
+matrices.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,12 @@ WELL_CONDITIONED = 1e4
 
 
 def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-    """(lengths S of the columns [any unit], R (n, n) [1] of columns S^-1 = Q R, True if R comes from their products).
+    """(lengths S of the columns [any unit], R (n, n) [1] of columns S^-1 = Q R, True if R comes from their
+    products).
 
-    *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost a fraction of Householder's
-    QR and are as accurate while the condition number is far below 1 / sqrt(rounding); QR is used beyond that.
+    *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost
+    a fraction of Householder's QR and are as accurate while the condition number is far below 1 /
+    sqrt(rounding); QR is used beyond that.
     """
     triangle = triangle_of_products(columns.T @ columns)
     if triangle is not None:
@@ -33,7 +37,8 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
 
 
 def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each other; None where R is too inexact.
+    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each
+    other; None where R is too inexact.
 
     Products of zero keep the length 1.
     """
@@ -51,17 +56,21 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
 
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
-# Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and close to the rounding
-# of chi-square (its square).
+# Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and
+# close to the rounding of chi-square (its square).
 GRADIENT_TOLERANCE = 1e-6
-# Distance to the minimum in standard errors (residual per equation) that counts as converged where no step lowers chi-square.
+# Distance to the minimum in standard errors (residual per equation) that counts as converged where no step
+# lowers chi-square.
 NEGLIGIBLE = 1e-3
 # Convergence for noise-free FRFs, as a share of the FRF.
 ROUNDING = 1e-12
 
 
 class SquareSum(Protocol):
-    """A residual (n_equation,) [-] and its Jacobian (n_equation, n_parameter); chi2 is infinite where the model has no response."""
+    """A residual (n_equation,) [-] and its Jacobian (n_equation, n_parameter).
+
+    Chi2 is infinite where the model has no response.
+    """
 
     @property
     def size(self) -> float:
@@ -93,7 +102,9 @@ def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: Flo
 
 @dataclass(frozen=True)
 class Minimum:
-    """End point *values* (n_parameter,) [parameter units] of the descent, True for a minimum, and the number of steps."""
+    """End point *values* (n_parameter,) [parameter units] of the descent, True for a minimum, and the number
+    of steps.
+    """
 
     values: FloatArray
     converged: bool
@@ -104,8 +115,8 @@ class Minimum:
 class Linearisation:
     """What the steps of one iteration need of J = Q R S and r, S the lengths of the columns of J.
 
-    *triangle* R (n_parameter, n_parameter) [-], *projected* Q^T r (n_parameter,) [-], *scale* S (n_parameter,) [1/parameter unit],
-    *chi2* r^T r [-] of *n_equation* residuals.
+    *triangle* R (n_parameter, n_parameter) [-], *projected* Q^T r (n_parameter,) [-], *scale* S
+    (n_parameter,) [1/parameter unit], *chi2* r^T r [-] of *n_equation* residuals.
     """
 
     triangle: FloatArray
@@ -118,7 +129,8 @@ class Linearisation:
 def linearised(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
-    # A parameter that has run off to where nothing depends on it has the length 1: damping keeps the step finite.
+    # A parameter that has run off to where nothing depends on it has the length 1: damping keeps the step
+    # finite.
     scale, triangle, by_products = scaled_triangle(jacobian)
     if by_products:
         projected = np.linalg.solve(triangle.T, (jacobian.T @ residual) / scale)
@@ -138,14 +150,16 @@ def minimise(
 ) -> Minimum:
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
-    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not converged after
-    *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way. Equation (est-levenberg).
+    *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not
+    converged after *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way.
+    Equation (est-levenberg).
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(most_steps):
         linear = linearise(values) if linearise else linearised(problem, values)
-        # Unlike the length of the last step, the gain of a further full step does not become small through large damping.
+        # Unlike the length of the last step, the gain of a further full step does not become small through
+        # large damping.
         gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
         standard_error = size / np.sqrt(linear.n_equation)
         if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * standard_error):
@@ -157,7 +171,9 @@ def minimise(
     return Minimum(values, False, most_steps)
 
 
-def _damped_step(problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float) -> tuple[FloatArray | None, float]:
+def _damped_step(
+    problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float
+) -> tuple[FloatArray | None, float]:
     """A step that lowers chi-square, and the damping for the next one; None when no step lowers it."""
     n = values.size
     right_side = np.concatenate([-linear.projected, np.zeros(n)])

@@ -30,15 +30,20 @@ STANDS_OUT = 1.5
 
 
 def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
-    """Singular values (n_output,) [1] of the FRF in units of its noise, and the number of them above the noise.
+    """Singular values (n_output,) [1] of the FRF in units of its noise, and the number of them above the
+    noise.
 
-    The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular values up to sqrt(n_row) +
-    sqrt(n_column) (Geman 1980). Only the variance of each output is used, not their covariance: a common factor of the outputs is a
-    motion, whatever its noise. Equation (est-motions).
+    The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular
+    values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Only the variance of each output is used, not
+    their covariance: a common factor of the outputs is a motion, whatever its noise. Equation (est-motions).
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None
-    noise = np.sqrt(np.mean(np.einsum("lii->li", measured.covariance).real.reshape(n_line, n_output, n_input), axis=(0, 2)))
+    noise = np.sqrt(
+        np.mean(
+            np.einsum("lii->li", measured.covariance).real.reshape(n_line, n_output, n_input), axis=(0, 2)
+        )
+    )
     rows = (measured.matrix / noise[None, :, None]).transpose(0, 2, 1).reshape(-1, n_output)
     values = np.linalg.svd(rows, compute_uv=False)
     limit = np.sqrt(rows.shape[0]) + np.sqrt(rows.shape[1])
@@ -54,7 +59,10 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
         return ()
     value_list = ", ".join(f"{value:.3g}" for value in values)
     moving = "one independent motion" if count == 1 else f"{count} independent motions"
-    return (f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise {value_list}.",)
+    return (
+        f"The {values.size} responses hold {moving}: singular values of the FRF in units of its noise "
+        f"{value_list}.",
+    )
 
 
 # Fits of an FRF that was measured in a closed loop: what the loop explains is not laid to mass, signs or
@@ -72,9 +80,10 @@ def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:
     others = [finding for finding in fit.findings if finding.code not in OF_ANOTHER_CAUSE]
     biased = Finding(
         "feedback",
-        "the force is fed back from the response, so all values of this fit are biased towards minus the inverse of the controller, by an "
-        "amount that cannot be known, whatever their intervals say. Neither mass nor signs can be judged. Record what is injected, with "
-        "role: reference, and name it: `frf: {reference: ...}`",
+        "the force is fed back from the response, so all values of this fit are biased towards minus the "
+        "inverse of the controller, by an amount that cannot be known, whatever their intervals say. Neither "
+        "mass nor signs can be judged. Record what is injected, with role: reference, and name it: `frf: "
+        "{reference: ...}`",
     )
     return replace(fit, findings=(biased, *others))
 
@@ -99,7 +108,13 @@ def held_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     negative = [p.name for p in parameters if is_stiffness(p) and p.value < 0 and p.significant]
     if not negative:
         return []
-    return [note("closed-loop", f"{', '.join(negative)} is negative: without its controller the rotor would not stay, the loop holds it")]
+    return [
+        note(
+            "closed-loop",
+            f"{', '.join(negative)} is negative: without its controller the rotor would "
+            "not stay, the loop holds it",
+        )
+    ]
 
 
 def is_stiffness(parameter: Parameter) -> bool:
@@ -109,17 +124,19 @@ def is_stiffness(parameter: Parameter) -> bool:
 
 # Diagnostics of a fit: warnings with a code, the cause and a remedy.
 
-# Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980, section 3.2);
-# there more than half of a parameter's variance comes from the weak direction.
+# Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980,
+# section 3.2); there more than half of a parameter's variance comes from the weak direction.
 COLLINEAR_CONDITION = 30.0
 VARIANCE_PROPORTION = 0.5
 # Amplification of an FRF error in the coefficients below which their signs are reliable.
 HARMFUL_GROWTH = 30.0
-# Estimates from products of columns lose the square of the condition number in rounding (1e-16 x 1e4^2 leaves eight digits, 1e6^2 four,
-# and the lost ones differ from processor to processor): larger numbers are written as a power of ten.
+# Estimates from products of columns lose the square of the condition number in rounding (1e-16 x 1e4^2 leaves
+# eight digits, 1e6^2 four, and the lost ones differ from processor to processor): larger numbers are written
+# as a power of ten.
 ROUGH = 1e4
 MISMATCH_P = 0.01
-# Parameters of a transfer FRF's mode that are zero for the simplest structure: that they are says nothing against the model.
+# Parameters of a transfer FRF's mode that are zero for the simplest structure: that they are says nothing
+# against the model.
 OPTIONAL = ("modal_constant_quadrature", "residual_re", "residual_im")
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
@@ -138,30 +155,42 @@ def remedy(group: Sequence[str]) -> str:
         return "measure a second, independent force direction, or fit the model rotor-2dof-direct"
     if "m" in group:
         return "give the mass if it is known, or widen the band to both sides of the resonance"
-    return "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
+    return (
+        "widen the band, measure a second, independent force direction, or fit a model with fewer parameters"
+    )
 
 
 def estimate_findings(
     estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = (), cure: Remedy = remedy
 ) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines. Its residual is judged in `mismatch`."""
+    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines.
+
+    Its residual is judged in `mismatch`.
+    """
     warnings: list[Finding] = []
     if not estimate.converged:
-        message = f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not a result"
+        message = (
+            f"the estimator did not converge in {estimate.iterations} iterations; its numbers are not "
+            "a result"
+        )
         warnings.append(Finding("no-convergence", message))
     warnings.extend(_collinear(estimate, names, units, cure))
     n_equation = estimate.dof + len(names)
     if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
-        message = f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band or measure with finer spacing"
+        message = (
+            f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band "
+            "or measure with finer spacing"
+        )
         warnings.append(Finding("few-lines", message))
     return warnings
 
 
 def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], cure: Remedy) -> list[Finding]:
-    """Parameters that are not separately identifiable, by Belsley's variance proportions of the weak directions.
+    """Parameters that are not separately identifiable, by Belsley's variance proportions of the weak
+    directions.
 
-    Correlated columns alone are harmless: stiffness and mass of a resonance have similar columns but small errors. The warning requires
-    an error of the FRF to be amplified in the parameters.
+    Correlated columns alone are harmless: stiffness and mass of a resonance have similar columns but small
+    errors. The warning requires an error of the FRF to be amplified in the parameters.
     """
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
@@ -172,13 +201,15 @@ def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], c
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
     amplified = (
-        f" A systematic error of 1 % in what was measured can become {_rough(growth)} % in them, which no standard error shows."
+        f" A systematic error of 1 % in what was measured can become {_rough(growth)} % in them, which no "
+        "standard error shows."
         if growth
         else ""
     )
     message = (
-        f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number {_rough(condition)}, limit "
-        f"{COLLINEAR_CONDITION:g}).{amplified} Their values and signs are unreliable, however good the fit. Remedy: {cure(group)}."
+        f"the excitation does not tell these parameters apart: {', '.join(group)} (condition number "
+        f"{_rough(condition)}, limit {COLLINEAR_CONDITION:g}).{amplified} Their values and signs are "
+        f"unreliable, however good the fit. Remedy: {cure(group)}."
     )
     return [Finding("collinear", message)]
 
@@ -188,11 +219,18 @@ def _rough(number: float) -> str:
     return f"{number:.3g}" if number < ROUGH or math.isinf(number) else f"about 1e{math.log10(number):.0f}"
 
 
-def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]) -> float | None:
-    """The largest amplification in the group, relative to the largest coefficient of its unit; None where it is unknown."""
+def _growth(
+    estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]
+) -> float | None:
+    """The largest amplification in the group, relative to the largest coefficient of its unit.
+
+    None where it is unknown.
+    """
     if estimate.amplification is None:
         return None
-    largest = {unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units}
+    largest = {
+        unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units
+    }
     return max(
         float(amplification / largest[unit]) if largest[unit] > 0 else float("inf")
         for name, unit, amplification in zip(names, units, estimate.amplification, strict=True)
@@ -201,7 +239,8 @@ def _growth(estimate: Estimate, names: Sequence[str], units: Sequence[str], grou
 
 
 def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
-    """Parameters with most of their variance in weak directions, as one group; *scaled_design* (n_parameter, n_parameter) [1].
+    """Parameters with most of their variance in weak directions, as one group; *scaled_design* (n_parameter,
+    n_parameter) [1].
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
@@ -210,25 +249,37 @@ def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[li
     parts = (vectors / np.maximum(singular, floor)[:, None]) ** 2
     weak = singular[0] > COLLINEAR_CONDITION * singular
     involved = np.sum(parts[weak], axis=0) > VARIANCE_PROPORTION * np.sum(parts, axis=0)
-    return [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
+    return (
+        [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
+    )
 
 
 def goodness_findings(gof: Goodness) -> list[Finding]:
     """A warning where the fit explains little of the response, or less than its mean does."""
     value = gof.r2_adjusted
     if value < 0:
-        message = f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. Its numbers are not a result"
-        return [Finding("negative-gof", f"{message}; check the band, the ports, the signs of the channels and the model")]
+        message = (
+            f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. "
+            "Its numbers are not a result"
+        )
+        return [
+            Finding(
+                "negative-gof",
+                f"{message}; check the band, the ports, the signs of the channels and the model",
+            )
+        ]
     if value < LOW_GOF:
         message = (
-            f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the rest is noise, or not this model"
+            f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the "
+            "rest is noise, or not this model"
         )
         return [Finding("low-gof", message)]
     return []
 
 
 def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
-    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a covariance alone.
+    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a
+    covariance alone.
 
     *biased*: name of an estimator that is so itself.
     """
@@ -236,51 +287,82 @@ def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return []
     factor = np.sqrt(reduced)
-    cause = f"the model is incomplete, or {biased} is biased; compare with ml" if biased else "the model is incomplete"
+    cause = (
+        f"the model is incomplete, or {biased} is biased; compare with ml"
+        if biased
+        else "the model is incomplete"
+    )
     message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {reduced:.3g}, "
-        f"p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
+        f"freedom {reduced:.3g}, p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} "
+        "at least, or narrow the band."
     )
     return [Finding("model-mismatch", message)]
 
 
-def parameter_findings(parameters: Sequence[Parameter], *, driving: bool = True, held: bool = False) -> list[Finding]:
+def parameter_findings(
+    parameters: Sequence[Parameter], *, driving: bool = True, held: bool = False
+) -> list[Finding]:
     """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support.
 
-    *driving*: False for the response at another point than the force's, whose coefficients have either sign. *held*: by a closed loop, in
-    which negative stiffness floats.
+    *driving*: False for the response at another point than the force's, whose coefficients have either sign.
+    *held*: by a closed loop, in which negative stiffness floats.
     """
     warnings: list[Finding] = []
     weak = [p.name for p in parameters if p.significant is False and not p.derived and p.name not in OPTIONAL]
     if weak:
-        message = f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: true`) is as good"
+        message = (
+            f"{', '.join(weak)} cannot be told from zero at 95 %; a fit without them (`eliminate: "
+            "true`) is as good"
+        )
         warnings.append(Finding("insignificant", message))
     judged = [p for p in parameters if driving and is_direct(p.name) and not (held and is_stiffness(p))]
-    negative = [p.name for p in (*judged, *(p for p in parameters if p.name == "eta")) if p.value < 0 and p.significant]
+    negative = [
+        p.name
+        for p in (*judged, *(p for p in parameters if p.name == "eta"))
+        if p.value < 0 and p.significant
+    ]
     if negative:
-        warnings.append(Finding("unphysical", f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"))
+        warnings.append(
+            Finding(
+                "unphysical",
+                f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band",
+            )
+        )
     return [*warnings, *(held_findings(parameters) if held else ()), *_modal_findings(parameters)]
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on damping ratios impossible for a passive oscillator, and on models without oscillating modes."""
+    """Warnings on damping ratios impossible for a passive oscillator, and on models without oscillating
+    modes.
+    """
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
     over = [
-        Finding("unphysical", f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning")
+        Finding(
+            "unphysical",
+            f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning",
+        )
         for p in ratios
         if p.value > 1
     ]
-    unstable = [p.name for p in ratios if p.value < 0 and p.std_error is not None and p.value < -2 * p.std_error]
+    unstable = [
+        p.name for p in ratios if p.value < 0 and p.std_error is not None and p.value < -2 * p.std_error
+    ]
     if unstable:
-        over.append(Finding("unphysical", f"{', '.join(unstable)} is negative: the identified system is unstable"))
+        over.append(
+            Finding("unphysical", f"{', '.join(unstable)} is negative: the identified system is unstable")
+        )
     return over
 
 
-def quality_findings(response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray) -> list[Finding]:
-    """A warning where much of a response on the fit's *lines*, a mask (n_frequency,), is noise, by its power over all of them.
+def quality_findings(
+    response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray
+) -> list[Finding]:
+    """A warning where much of a response on the fit's *lines*, a mask (n_frequency,), is noise, by its power
+    over all of them.
 
-    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an antiresonance, do no harm. None where
-    it is motion that has not died away.
+    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an
+    antiresonance, do no harm. None where it is motion that has not died away.
     """
     if is_unsettled(response.findings):
         return []
@@ -293,16 +375,26 @@ def quality_findings(response: FrequencyResponse, rows: list[int], columns: list
         variance = response.variance[lines][:, rows][:, :, columns]
         if np.sum(variance) * LOW_SNR**2 <= np.sum(power):
             return []
-        return [_low_coherence(f"the FRF is less than {LOW_SNR:g} times its standard deviation, in power over the band")]
+        return [
+            _low_coherence(
+                f"the FRF is less than {LOW_SNR:g} times its standard deviation, in power over the band"
+            )
+        ]
     else:
         return []
     if share <= 1 - LOW_COHERENCE:
         return []
-    return [_low_coherence(f"{100 * share:.0f} % of a response's power in the band is not explained by the forces (coherence)")]
+    return [
+        _low_coherence(
+            f"{100 * share:.0f} % of a response's power in the band is not explained by the "
+            "forces (coherence)"
+        )
+    ]
 
 
 def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
-    """Largest share of a response's power that is noise; power due to the forces and *coherence* (n_line, n_output[, n_input]).
+    """Largest share of a response's power that is noise; power due to the forces and *coherence* (n_line,
+    n_output[, n_input]).
 
     Forces count as equally strong at all lines: explained / coherence is the whole power.
     """
@@ -313,17 +405,21 @@ def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
 
 
 def _low_coherence(what: str) -> Finding:
-    return Finding("low-coherence", f"{what}; raise the force, average longer, or leave these lines out with `exclude`")
+    return Finding(
+        "low-coherence", f"{what}; raise the force, average longer, or leave these lines out with `exclude`"
+    )
 
 
 def covariance_findings(response: FrequencyResponse) -> list[Finding]:
-    """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one that follows the curve."""
+    """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one
+    that follows the curve.
+    """
     if response.stored_covariance is not None:
         return []
     message = (
-        "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be checked: a high G.o.F alone "
-        "does not show that the model is right, only the structure of the residual does. Give the variance of the FRF, or measure several "
-        "averages"
+        "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be "
+        "checked: a high G.o.F alone does not show that the model is right, only the structure of the "
+        "residual does. Give the variance of the FRF, or measure several averages"
     )
     return [Finding("no-covariance", message)]
 
@@ -333,7 +429,8 @@ def judged_findings(judged: bool) -> list[Finding]:
     if judged:
         return []
     message = (
-        "whether the residual is noise could not be judged: the noise is not known, and for the structure of the residual the lines are "
+        "whether the residual is noise could not be judged: the noise is not known, and for the structure "
+        "of the residual the lines are "
         "too few, or the output error has no minimum here. The intervals hold only if the model is right"
     )
     return [Finding("not-judged", message)]
@@ -344,17 +441,23 @@ def judged_findings(judged: bool) -> list[Finding]:
 
 
 def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], setup: Setup) -> list[Finding]:
-    """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative damping, resonance beside it.
+    """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative
+    damping, resonance beside it.
 
-    They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and damping. Without an estimated
-    mass the band may well lie beside the resonance, and coefficients stand for themselves. What a closed loop holds need have no resonance.
+    They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and
+    damping. Without an estimated mass the band may well lie beside the resonance, and coefficients stand for
+    themselves. What a closed loop holds need have no resonance.
     """
     if not setup.settings.kind.one_mode or setup.settings.mass != ESTIMATE:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)
     said = [*_negative(by_name, driving=not transfer_of(setup)), *beside]
-    return [Finding("unphysical", f"{'; '.join(said)}; its numbers are not those of a mode of the structure")] if said else []
+    return (
+        [Finding("unphysical", f"{'; '.join(said)}; its numbers are not those of a mode of the structure")]
+        if said
+        else []
+    )
 
 
 def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
@@ -362,8 +465,8 @@ def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
     mass, zeta = by_name.get("m"), by_name.get("zeta")
     if driving and mass is not None and mass.value < 0:
         said.append(
-            f"m = {mass.value:.3g} kg is negative, which no driving point has: check the signs of the channels, whether force and response "
-            "are at one point (`dof`), and the band"
+            f"m = {mass.value:.3g} kg is negative, which no driving point has: check the signs of the "
+            "channels, whether force and response are at one point (`dof`), and the band"
         )
     if zeta is not None and zeta.value < 0:
         said.append(f"zeta = {zeta.value:.3g} is negative: the fitted mode would grow by itself")
@@ -375,33 +478,43 @@ def _beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[st
     if f_n is None:
         k, m = by_name.get("k"), by_name.get("m")
         if k is not None and m is not None and k.value * m.value <= 0:
-            return [f"k = {k.value:.3g} N/m and m = {m.value:.3g} kg have different signs: there is no resonance"]
+            return [
+                f"k = {k.value:.3g} N/m and m = {m.value:.3g} kg have different signs: there is no resonance"
+            ]
         return []
     if band[0] <= f_n.value <= band[1]:
         return []
-    return [f"f_n = {f_n.value:.4g} Hz lies outside the band {band[0]:g}-{band[1]:g} Hz: the lines show no resonance"]
+    return [
+        f"f_n = {f_n.value:.4g} Hz lies outside the band {band[0]:g}-{band[1]:g} Hz: the lines show no "
+        "resonance"
+    ]
 
 
 # leakage: blocks of random data too short for the damping that a fit found, and the length that would do.
 
-# Lines in the half-power width of a mode below which its damping is biased by more than its standard error; below which the expected
-# leakage, though part of the model (ml of an H1), decides on it.
+# Lines in the half-power width of a mode below which its damping is biased by more than its standard error;
+# below which the expected leakage, though part of the model (ml of an H1), decides on it.
 ENOUGH_LINES, FEWEST_LINES = 10.0, 1.5
-# Lines in the half-power width times degree of local polynomials below which their bias counts against the standard error: 16 lines for
-# degree 2 and 8 for degree 4 leave 95 % of the intervals right, half as many 88 % and 70 %.
+# Lines in the half-power width times degree of local polynomials below which their bias counts against the
+# standard error: 16 lines for degree 2 and 8 for degree 4 leave 95 % of the intervals right, half as many 88
+# % and 70 %.
 LINES_BY_DEGREE = 30.0
-# Bias of the damping by one line in the half-power width, and its fall with their number n: 14 % at 1, 4 % at 2, 0.5 % at 8 (Hann).
+# Bias of the damping by one line in the half-power width, and its fall with their number n: 14 % at 1, 4 % at
+# 2, 0.5 % at 8 (Hann).
 BIAS, FALL = 14.0, 1.6
 
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
-    """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode in the band is small.
+    """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode
+    in the band is small.
 
-    *whole*: K, C and M of the fitted model. Nothing for data that are not random, or a model without modes in the band.
+    *whole*: K, C and M of the fitted model. Nothing for data that are not random, or a model without modes in
+    the band.
     """
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)
-    # In a closed loop the force rings as the response does: what leaks are the poles of the loop, not those of the fitted model.
+    # In a closed loop the force rings as the response does: what leaks are the poles of the loop, not those
+    # of the fitted model.
     if blocks is None or narrowest is None or is_joint(blocks):
         return []
     frequency, width = narrowest
@@ -410,18 +523,30 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     if lines >= enough:
         return []
     needed = f"blocks of at least {_rounded_up(enough / width):g} s"
-    which = f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of blocks of {blocks.length:.3g} s"
+    which = (
+        f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
+        f"blocks of {blocks.length:.3g} s"
+    )
     if blocks.degree:
         return [
             Finding(
                 "leakage",
-                f"{which}: local polynomials of degree {blocks.degree} do not follow its peak; use {needed}, or a higher `degree`",
+                f"{which}: local polynomials of degree {blocks.degree} do not follow its peak; use "
+                f"{needed}, or a higher `degree`",
             )
         ]
     if modelled:
-        return [Finding("leakage", f"{which}: its damping comes from the window's leakage more than from the measurement; use {needed}")]
+        return [
+            Finding(
+                "leakage",
+                f"{which}: its damping comes from the window's leakage more than from "
+                f"the measurement; use {needed}",
+            )
+        ]
     bias = f"its damping comes out up to {BIAS * lines**-FALL:.1g} % too large, which no standard error shows"
-    other = "" if measured.leakage is None else ", or the estimator ml, which takes the leakage into the model"
+    other = (
+        "" if measured.leakage is None else (", or the estimator ml, which takes the leakage into the model")
+    )
     return [Finding("leakage", f"{which}: {bias}; use {needed}{other}")]
 
 

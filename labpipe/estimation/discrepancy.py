@@ -86,7 +86,9 @@ def course(base: Fitted, kind: str, length: float) -> Course:
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
     matrix = size[:, None] * _matern(curve.frequency, length) * size
-    values, vectors = linalg.eigh(matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False)
+    values, vectors = linalg.eigh(
+        matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
+    )
     turned = np.conj(b / np.maximum(np.abs(b), np.finfo(float).tiny)) / curve.std
     return Course(kind, length, np.maximum(values, 0.0), vectors.T * turned)
 
@@ -113,8 +115,8 @@ def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, leng
 @dataclass(frozen=True)
 class Evidence:
     """What the data say of a member with a course at all amplitudes (n_amplitude,): ln of the restricted
-    marginal likelihood [1], mean (n_amplitude, n_kept) and covariance (n_amplitude, n_kept, n_kept) of what the
-    model keeps; *theta* (n,) [1]: where it ended.
+    marginal likelihood [1], mean (n_amplitude, n_kept) and covariance (n_amplitude, n_kept, n_kept) of what
+    the model keeps; *theta* (n,) [1]: where it ended.
     """
 
     log: FloatArray
@@ -123,7 +125,14 @@ class Evidence:
     theta: FloatArray
 
 
-def evidence(fit: Fitted, of: Course, amplitudes: FloatArray, rows: FloatArray, steps: int, begin: FloatArray | None = None) -> Evidence:
+def evidence(
+    fit: Fitted,
+    of: Course,
+    amplitudes: FloatArray,
+    rows: FloatArray,
+    steps: int,
+    begin: FloatArray | None = None,
+) -> Evidence:
     """Linear-Gaussian evidence around the fit, or *begin* (n,), linearised again up to *steps* times where it
     is greatest.
 
@@ -145,7 +154,9 @@ def evidence(fit: Fitted, of: Course, amplitudes: FloatArray, rows: FloatArray, 
         j = j / scale
         products = (j.conj()[:, :, None] * j[:, None, :]).real.reshape(r.size, -1)
         away = start - theta
-        f = 2 * (damped @ products).reshape(-1, scale.size, scale.size) + prior * np.outer(1 / scale, 1 / scale)
+        f = 2 * (damped @ products).reshape(-1, scale.size, scale.size) + prior * np.outer(
+            1 / scale, 1 / scale
+        )
         g = 2 * (damped @ (j.conj() * r[:, None]).real) + (prior @ away) / scale
         try:
             inverse = np.linalg.inv(f)
@@ -153,7 +164,13 @@ def evidence(fit: Fitted, of: Course, amplitudes: FloatArray, rows: FloatArray, 
             raise FitError("a component of the discrepancy has no solution") from None
         move = np.einsum("apq,aq->ap", inverse, g)
         sign, log_det = np.linalg.slogdet(f)
-        log = -volume - damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away + 0.5 * np.sum(g * move, axis=1) - 0.5 * log_det
+        log = (
+            -volume
+            - damped @ np.abs(r) ** 2
+            - 0.5 * away @ prior @ away
+            + 0.5 * np.sum(g * move, axis=1)
+            - 0.5 * log_det
+        )
         log = np.where(sign > 0, log - np.sum(np.log(scale)), -np.inf)
         covariance = inverse[:, kept][:, :, kept] / np.outer(scale[kept], scale[kept])
         result = Evidence(log, theta[kept] + move[:, kept] / scale[kept], covariance, theta)
@@ -223,7 +240,10 @@ class Mixture:
         """
         centre, low, high = self.interval(row)
         by_noise = NORMAL * float(np.sqrt(row @ self.noise @ row))
-        below, above = (float(np.sqrt(d**2 + (CALIBRATION**2 - 1) * max(d**2 - by_noise**2, 0.0))) for d in (centre - low, high - centre))
+        below, above = (
+            float(np.sqrt(d**2 + (CALIBRATION**2 - 1) * max(d**2 - by_noise**2, 0.0)))
+            for d in (centre - low, high - centre)
+        )
         return centre, centre - below, centre + above
 
     @property
@@ -249,7 +269,14 @@ def mixture(base: Fitted) -> Mixture:
     b = half_width(model, base.theta)
     if model.curve.frequency.size < FEWEST_LINES or model.curve.width < FEWEST_WIDTHS * b:
         raise FitError("the band is too narrow to tell a model error from the resonance")
-    courses = [larger_noise(base), *(course(base, kind, float(length)) for kind, lengths in lengths_of(base).items() for length in lengths)]
+    courses = [
+        larger_noise(base),
+        *(
+            course(base, kind, float(length))
+            for kind, lengths in lengths_of(base).items()
+            for length in lengths
+        ),
+    ]
     counts = {WHITE: 1} | {kind: len(lengths) for kind, lengths in lengths_of(base).items()}
     amplitude_prior = np.where(AMPLITUDES == 0, np.log(SOUND), np.log((1 - SOUND) / (AMPLITUDES.size - 1)))
     fits = {base.model.member: base} | {fit.model.member: fit for fit in extensions(base)}
@@ -260,7 +287,9 @@ def mixture(base: Fitted) -> Mixture:
         rows = model.prior_rows(base.theta, fit.theta.size)
         for of in courses:
             prior = np.log(ladder[member]) + fit.occam - np.log(3 * counts[of.kind])
-            parts = _components(member, of.kind, fit, of, AMPLITUDES, rows, prior + amplitude_prior, LINEARISATIONS, base)
+            parts = _components(
+                member, of.kind, fit, of, AMPLITUDES, rows, prior + amplitude_prior, LINEARISATIONS, base
+            )
             found.extend(parts)
             sources.extend([(fit, of)] * len(parts))
     if not found:
@@ -275,7 +304,9 @@ def mixture(base: Fitted) -> Mixture:
     weights = weights[keep] / np.sum(weights[keep])
     second = float(np.exp(fits[SECOND].theta[model.n_interest])) if SECOND in fits else None
     moving = [law for law in MOVED if law in fits]
-    by_law = {law: sum(float(w) for c, w in zip(kept, weights, strict=True) if c.member == law) for law in moving}
+    by_law = {
+        law: sum(float(w) for c, w in zip(kept, weights, strict=True) if c.member == law) for law in moving
+    }
     likely = max(by_law, key=lambda law: by_law[law], default="")
     motion = float(np.exp(fits[likely].theta[model.n_interest])) if likely else None
     return Mixture(kept, weights, base.covariance, base, second, motion)
@@ -305,15 +336,32 @@ def _components(
         return []
     n = base.model.n_interest
     away = np.abs((told.mean[:, :n] - base.theta[:n]) @ rows[:, :n].T)
-    usable = np.isfinite(told.log) & np.all(away <= FARTHEST, axis=1) & np.all(np.einsum("aii->ai", told.covariance) > 0, axis=1)
+    usable = (
+        np.isfinite(told.log)
+        & np.all(away <= FARTHEST, axis=1)
+        & np.all(np.einsum("aii->ai", told.covariance) > 0, axis=1)
+    )
     return [
-        Component(member, kind, float(amplitudes[i]), float(told.log[i] + priors[i]), told.mean[i], told.covariance[i], told.theta)
+        Component(
+            member,
+            kind,
+            float(amplitudes[i]),
+            float(told.log[i] + priors[i]),
+            told.mean[i],
+            told.covariance[i],
+            told.theta,
+        )
         for i in np.flatnonzero(usable)
     ]
 
 
 def _second_courses(
-    base: Fitted, fit: Fitted, first: Course, best: Component, amplitude_prior: float, ladder: Mapping[str, float]
+    base: Fitted,
+    fit: Fitted,
+    first: Course,
+    best: Component,
+    amplitude_prior: float,
+    ladder: Mapping[str, float],
 ) -> list[Component]:
     """A second course beside the best one, which is frozen."""
     b, w = half_width(base.model, base.theta), base.model.curve.width
@@ -331,5 +379,7 @@ def _second_courses(
         of = course_beside(base, first, best.amplitude, kind, float(length))
         priors = np.full(AMPLITUDES.size - 1, prior)
         name = f"+{first.kind}{kind}"
-        found.extend(_components(fit.model.member, name, fit, of, AMPLITUDES[1:], rows, priors, 2, base, begin))
+        found.extend(
+            _components(fit.model.member, name, fit, of, AMPLITUDES[1:], rows, priors, 2, base, begin)
+        )
     return found

@@ -2,7 +2,8 @@
 
 Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was given.
 
-JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is not enough.
+JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is
+not enough.
 """
 
 from __future__ import annotations
@@ -32,29 +33,50 @@ Refit = Callable[[Measured], tuple[Parameter, ...]]
 
 
 def bootstrapped(
-    parameters: tuple[Parameter, ...], measured: Measured, fitted: ComplexArray, refit: Refit, repeats: int, name: str
+    parameters: tuple[Parameter, ...],
+    measured: Measured,
+    fitted: ComplexArray,
+    refit: Refit,
+    repeats: int,
+    name: str,
 ) -> tuple[tuple[Parameter, ...], str]:
     """Parameters with standard errors and 95 % intervals from the scatter of *repeats* refits, and a note.
 
-    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is reproducible. FitError for an
-    unknown noise, too few repeats, or failed refits.
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
+    reproducible. FitError for an unknown noise, too few repeats, or failed refits.
     """
     if repeats < FEWEST_REPEATS:
-        raise FitError(f"bootstrap: {repeats} repeats give no 95 % interval", hint=f"at least {FEWEST_REPEATS}, 200 is usual")
+        raise FitError(
+            f"bootstrap: {repeats} repeats give no 95 % interval",
+            hint=f"at least {FEWEST_REPEATS}, 200 is usual",
+        )
     if not has_noise(measured):
-        raise FitError("bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out")
+        raise FitError(
+            "bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out"
+        )
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refits = [values for _ in range(repeats) if (values := _refitted(refit, redrawn(measured, fitted, rng)))]
     if len(refits) < (1 - MOST_FAILED) * repeats:
-        raise FitError(f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band")
-    note = f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's covariance (bootstrap)."
-    scatter = {parameter.name: [values[parameter.name] for values in refits if parameter.name in values] for parameter in parameters}
+        raise FitError(
+            f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band"
+        )
+    note = (
+        f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's "
+        "covariance (bootstrap)."
+    )
+    scatter = {
+        parameter.name: [values[parameter.name] for values in refits if parameter.name in values]
+        for parameter in parameters
+    }
     scattered = [_with_scatter(parameter, scatter[parameter.name]) for parameter in parameters]
     return tuple(scattered), note
 
 
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation (est-bootstrap)."""
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance.
+
+    Equation (est-bootstrap).
+    """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)
@@ -62,7 +84,9 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
         noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n)[:, :, None])[:, :, 0]
         return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
     # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
-    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
+    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(
+        measured.shared_noise * np.maximum(values, 0.0) / 2
+    )
     noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 
@@ -82,20 +106,25 @@ def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
     error = float(np.std(values, ddof=1))
     t_ratio = None if parameter.t_ratio is None else parameter.value / error
     significant = None if parameter.significant is None else bool(low > 0 or high < 0)
-    return replace(parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant)
+    return replace(
+        parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant
+    )
 
 
 # Propagation of distributions: a fit repeated on drawn noise with drawn errors of every number that was
 # given.
 
 FEWEST_DRAWS = 200
-# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance leaves of so many draws.
+# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance
+# leaves of so many draws.
 ENOUGH = 0.05
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to be said of it."""
+    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to
+    be said of it.
+    """
 
     parameters: tuple[Parameter, ...]
     budget: Budget
@@ -103,15 +132,29 @@ class Drawn:
     note: str
 
 
-def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitted: ComplexArray, refit: BudgetRefit, draws: int) -> Drawn:
-    """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error of its distribution.
+def propagated(
+    case: Case,
+    parameters: Sequence[Parameter],
+    budget: Budget,
+    fitted: ComplexArray,
+    refit: BudgetRefit,
+    draws: int,
+) -> Drawn:
+    """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error
+    of its distribution.
 
-    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits. Equation (unc-first-order).
+    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
+    Equation (unc-first-order).
     """
     if draws < FEWEST_DRAWS:
-        raise FitError(f"monte_carlo: {draws} draws give no reliable interval", hint=f"at least {FEWEST_DRAWS}, 2000 is usual")
+        raise FitError(
+            f"monte_carlo: {draws} draws give no reliable interval",
+            hint=f"at least {FEWEST_DRAWS}, 2000 is usual",
+        )
     if not has_noise(case.measured):
-        raise FitError("monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out")
+        raise FitError(
+            "monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out"
+        )
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     values = [drawn for _ in range(draws) if (drawn := _drawn(case, fitted, refit, rng)) is not None]
     if len(values) < (1 - MOST_FAILED) * draws:
@@ -120,11 +163,21 @@ def propagated(case: Case, parameters: Sequence[Parameter], budget: Budget, fitt
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
     findings = _findings(complete, len(values))
-    note = f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty (Monte Carlo, JCGM 101:2008)."
-    return Drawn(tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)), complete, findings, note)
+    note = (
+        f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
+        "(Monte Carlo, JCGM 101:2008)."
+    )
+    return Drawn(
+        tuple(_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True)),
+        complete,
+        findings,
+        note,
+    )
 
 
-def _drawn(case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator) -> FloatArray | None:
+def _drawn(
+    case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator
+) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
     for uncertainty, change in sources_of(case.setup, case.measured):
@@ -138,7 +191,8 @@ def _drawn(case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
-    """An error [unit of the uncertainty] by its distribution: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t, or normal.
+    """An error [unit of the uncertainty] by its distribution: limits at sqrt(3) or sqrt(6) standard
+    uncertainties, Student's t, or normal.
 
     Equation (unc-draw).
     """
@@ -159,16 +213,20 @@ def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
 
 
 def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
-    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of a scatter)."""
+    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of
+    a scatter).
+    """
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
-    ratio = np.divide(budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0)
+    ratio = np.divide(
+        budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0
+    )
     far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
     if not np.any(far):
         return ()
     named = ", ".join(f"{budget.names[n]} ({ratio[n]:.2f})" for n in np.flatnonzero(far))
     message = (
-        f"first order is not enough: the scatter of the draws over the combined standard uncertainty is not 1 for {named}; the intervals "
-        "are those of the draws"
+        "first order is not enough: the scatter of the draws over the combined standard uncertainty is not "
+        f"1 for {named}; the intervals are those of the draws"
     )
     return (Finding("first-order", message),)

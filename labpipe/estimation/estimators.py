@@ -1,4 +1,5 @@
-"""Estimators of models linear in their parameters, as entries of the table: each with its properties, which code asks for by name.
+"""Estimators of models linear in their parameters, as entries of the table: each with its properties, which
+code asks for by name.
 
 Every estimator is looked at when a pipeline is read, so what fits is imported by the first fit.
 """
@@ -23,13 +24,15 @@ Step = Callable[["BandModel", "Measured"], FloatArray]
 
 @dataclass(frozen=True)
 class Estimator:
-    """fit: from a measured FRF, a model and the key `weight` to an Estimate; and what is true of the estimator.
+    """fit: from a measured FRF, a model and the key `weight` to an Estimate; and what is true of the
+    estimator.
 
-    refuses: keys of a fit that it has no use for. linear: it needs a model linear in its parameters; else one with `receptance` and
-    `jacobian` will do. one_frf: it needs a model of one FRF. likelihood: its estimate is the minimum of the output error, weighted by
-    the noise. models_leakage: it compares random data with what leakage makes of the model. unbiased: a right model leaves nothing but
-    noise. phase: it uses the phase. step: one more step from the estimate of a case, on which the budget rests; None: that of ml where the
-    estimate is that of ml, else the fit is repeated.
+    refuses: keys of a fit that it has no use for. linear: it needs a model linear in its parameters; else one
+    with `receptance` and `jacobian` will do. one_frf: it needs a model of one FRF. likelihood: its estimate
+    is the minimum of the output error, weighted by the noise. models_leakage: it compares random data with
+    what leakage makes of the model. unbiased: a right model leaves nothing but noise. phase: it uses the
+    phase. step: one more step from the estimate of a case, on which the budget rests; None: that of ml where
+    the estimate is that of ml, else the fit is repeated.
 
     The defaults are those of an output error of its own weights.
     """
@@ -87,8 +90,24 @@ def _likelihood_step(case: Case) -> Step:
     return likelihood_step(case)
 
 
-LS = Estimator(_least_squares, refuses=("damping",), linear=True, models_leakage=False, unbiased=False, step=_least_squares_step)
-IV = Estimator(_instrumental, refuses=("damping",), linear=True, models_leakage=False, unbiased=False, step=_instrumental_step)
+LS = Estimator(
+    _least_squares,
+    refuses=("damping",),
+    linear=True,
+    models_leakage=False,
+    unbiased=False,
+    step=_least_squares_step,
+)
+IV = Estimator(
+    _instrumental,
+    refuses=("damping",),
+    linear=True,
+    models_leakage=False,
+    unbiased=False,
+    step=_instrumental_step,
+)
 ML = Estimator(_maximum_likelihood, likelihood=True, step=_likelihood_step)
 # Without a phase, and of few equations: the fit is repeated.
-AMPLITUDE = Estimator(_amplitudes, refuses=("damping",), linear=True, one_frf=True, models_leakage=False, phase=False)
+AMPLITUDE = Estimator(
+    _amplitudes, refuses=("damping",), linear=True, one_frf=True, models_leakage=False, phase=False
+)

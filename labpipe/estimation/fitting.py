@@ -10,7 +10,15 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
-from labpipe.estimation.budget import Case, budget_of, mass_uncertainty, most_likely, sources_of, with_contributions, with_given_mass
+from labpipe.estimation.budget import (
+    Case,
+    budget_of,
+    mass_uncertainty,
+    most_likely,
+    sources_of,
+    with_contributions,
+    with_given_mass,
+)
 from labpipe.estimation.causes import EXPLAINED, drift_findings, mass_findings, stated_findings
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.estimation.damping import damped
@@ -18,6 +26,7 @@ from labpipe.estimation.derived import (
     BandModel,
     drawn_densely,
     is_corrected,
+    reported_fit,
     reported_parameters,
     widened_parameters,
     with_systematic,
@@ -48,7 +57,7 @@ from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import with_interval_parts
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
-from labpipe.estimation.statistics import Estimate, Stated, condition_number, correlation, student_limit
+from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
@@ -64,12 +73,15 @@ from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 Band = tuple[float, float]
 
 
-def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+def identify(
+    measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True
+) -> tuple[Fit, ...]:
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
-    *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held against a free one; without it the
-    intervals are those of the estimator alone, which a study counts, at a fraction of the time.
-    Raises ConfigError where settings and measurement do not fit together, FitError where the data cannot support the fit.
+    *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held
+    against a free one; without it the intervals are those of the estimator alone, which a study counts, at a
+    fraction of the time. Raises ConfigError where settings and measurement do not fit together, FitError
+    where the data cannot support the fit.
     """
     check_kind(settings, _kind_of(measured))
     if isinstance(measured, FrequencyResponse):
@@ -79,7 +91,9 @@ def identify(measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings
     else:
         fits = settings.kind.fit(measured, settings)
     if isinstance(measured, FrequencyResponse):
-        fits = tuple(with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits)
+        fits = tuple(
+            with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits
+        )
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
@@ -91,10 +105,16 @@ def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
     return DECAYS if isinstance(measured, FreeDecays) else SPECTRA
 
 
-def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: bool = True) -> tuple[Fit, ...]:
+def fit_linear(
+    response: FrequencyResponse, settings: FitSettings, *, judging: bool = True
+) -> tuple[Fit, ...]:
     """Fits of a model linear in its parameters: one per band or chosen peak; *judging* as for `identify`."""
     if settings.peaks:
-        return tuple(fit for dof, bands in settings.peaks for fit in _diagonal_term(response, settings, dof, bands, judging))
+        return tuple(
+            fit
+            for dof, bands in settings.peaks
+            for fit in _diagonal_term(response, settings, dof, bands, judging)
+        )
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
@@ -106,7 +126,9 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: b
         try:
             fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
-            raise FitError(f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint) from None
+            raise FitError(
+                f"band {band[0]:g}-{band[1]:g} Hz: {error.what}", where=error.where, hint=error.hint
+            ) from None
         drift = drift_findings(measured, fit.model, fit.values, len(bands))
         quality = (*quality_findings(response, rows, columns, lines), *covariance_findings(response), *drift)
         curve = _curve(view, measured, fit)
@@ -116,10 +138,14 @@ def fit_linear(response: FrequencyResponse, settings: FitSettings, *, judging: b
     return tuple(fits)
 
 
-def _diagonal_term(response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool) -> list[Fit]:
+def _diagonal_term(
+    response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
+) -> list[Fit]:
     """The fits of H of *dof* to the force along it, one per band; errors name the term."""
     try:
-        fits = identify(response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)), judging=judging)
+        fits = identify(
+            response, replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,)), judging=judging
+        )
     except LabpipeError as error:
         error.what = f"term {dof}: {error.what}"
         raise
@@ -137,7 +163,10 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
 
 
 def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
-    """Every band with its lines; sliding bands hold the lines from their lower edge up to, not including, the upper one."""
+    """Every band with its lines.
+
+    Sliding bands hold the lines from their lower edge up to, not including, the upper one.
+    """
     frequency = response.frequency
     if settings.bands:
         return [(band, lines_in(frequency, band)) for band in settings.bands]
@@ -150,7 +179,9 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
 
 @dataclass(frozen=True)
 class _BandFit:
-    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
+    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output,
+    n_input).
+    """
 
     fit: Fit
     fitted: ComplexArray
@@ -159,10 +190,21 @@ class _BandFit:
 
 
 def _model(setup: Setup) -> BandModel:
-    """The settings' model; a transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations."""
+    """The settings' model.
+
+    A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations.
+    """
     settings = setup.settings
-    plain = settings.damping == VISCOUS and not (settings.fixed or settings.tied or settings.eliminate or is_corrected(settings))
-    if settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain and transfer_of(setup):
+    plain = settings.damping == VISCOUS and not (
+        settings.fixed or settings.tied or settings.eliminate or is_corrected(settings)
+    )
+    if (
+        settings.kind.one_frf
+        and settings.mass == ESTIMATE
+        and not settings.estimates.linear
+        and plain
+        and transfer_of(setup)
+    ):
         return TransferMode()
     return damped(settings.kind.model(setup), settings)
 
@@ -181,7 +223,9 @@ def _estimated(measured: Measured, model: BandModel, settings: FitSettings) -> E
     return settings.estimates.fit(measured, model, settings.weight)
 
 
-def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool) -> _BandFit:
+def _fit_band(
+    setup: Setup, model: BandModel, measured: Measured, band: Band, n_band: int, judging: bool
+) -> _BandFit:
     settings = setup.settings
     estimate = _estimated(measured, model, settings)
     dropped: list[str] = []
@@ -198,7 +242,9 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
-        parameters, note = bootstrapped(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
+        parameters, note = bootstrapped(
+            parameters, measured, fitted, refit, settings.bootstrap, settings.name
+        )
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
@@ -207,22 +253,14 @@ def _fit_band(setup: Setup, model: BandModel, measured: Measured, band: Band, n_
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     ml_estimate = estimate if of_model else None
-    compared_models, left_out = candidates(measured, setup, ml_estimate) if settings.compare or settings.damping != VISCOUS else ((), ())
+    compared_models, left_out = (
+        candidates(measured, setup, ml_estimate)
+        if settings.compare or settings.damping != VISCOUS
+        else ((), ())
+    )
     notes = (*notes, *comparison_notes(left_out))
-    fit = Fit(
-        name=settings.name,
-        model=settings.model,
-        estimator=settings.estimator,
-        band_hz=band,
-        lines=measured.omega.size,
-        equations=estimate.dof + len(model.names),
-        dof=estimate.dof,
-        gof=estimate.gof,
-        parameters=parameters,
-        condition_number=condition_number(estimate.scaled_design),
-        correlation=correlation(estimate.covariance),
-        converged=estimate.converged,
-        iterations=estimate.iterations,
+    fit = replace(
+        reported_fit(settings, estimate, parameters, band, measured.omega.size),
         findings=(
             *estimate_findings(estimate, model.names, measured.omega.size, model.units),
             *judgement.findings,
@@ -252,14 +290,22 @@ class _Budgeted:
     notes: tuple[str, ...] = ()
 
 
-def _with_budget(case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]) -> _Budgeted:
-    """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by draws.
+def _with_budget(
+    case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]
+) -> _Budgeted:
+    """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by
+    draws.
 
-    *factors* [1] by source: how much larger than stated its uncertainty counts. ConfigError for draws where no number has an uncertainty.
+    *factors* [1] by source: how much larger than stated its uncertainty counts. ConfigError for draws where
+    no number has an uncertainty.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
         hint = "bootstrap: 1000 draws the noise alone; or state an uncertainty, as mass: 0.92 kg +- 1 %"
-        raise ConfigError("'monte_carlo' has nothing to draw: no given number has an uncertainty", hint=hint, field="monte_carlo")
+        raise ConfigError(
+            "'monte_carlo' has nothing to draw: no given number has an uncertainty",
+            hint=hint,
+            field="monte_carlo",
+        )
     budget = budget_of(case, parameters)
     if budget is None:
         return _Budgeted(parameters)
@@ -294,7 +340,10 @@ def _with_honest_intervals(
         return without_intervals(parameters)
     if judgement.covariance is None:
         return parameters
-    pair = [reported_parameters(replace(estimate, covariance=c), model, setup) for c in (estimate.covariance, judgement.covariance)]
+    pair = [
+        reported_parameters(replace(estimate, covariance=c), model, setup)
+        for c in (estimate.covariance, judgement.covariance)
+    ]
     return widened_parameters(parameters, *pair)
 
 
@@ -302,8 +351,8 @@ def _with_honest_intervals(
 class _Judged:
     """An estimate whose chi-square allows for stated numbers, and the judgement of its residual.
 
-    *stated*: what these change of the residual, None without any; findings: those that the data contradict; factors [1] by source: how
-    much larger their uncertainty counts.
+    *stated*: what these change of the residual, None without any; findings: those that the data contradict;
+    factors [1] by source: how much larger their uncertainty counts.
     """
 
     estimate: Estimate
@@ -327,12 +376,16 @@ def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
     except FitError:
         uncertainties = ()
     if not uncertainties:
-        return _Judged(estimate, judge(case.measured, case.model, estimate, settings, n_band, leaking=leaking))
+        return _Judged(
+            estimate, judge(case.measured, case.model, estimate, settings, n_band, leaking=leaking)
+        )
     findings: tuple[Finding, ...] = ()
     factors: dict[str, float] = {}
     if not unknown:
         model = expected(likely.measured, likely.model) if settings.estimates.models_leakage else likely.model
-        problem: OutputError[ReceptanceModel] = OutputError(likely.measured, model, fit_weights(case.measured))
+        problem: OutputError[ReceptanceModel] = OutputError(
+            likely.measured, model, fit_weights(case.measured)
+        )
         assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         findings, factors = _contradicted(case, uncertainties, assessed)
         if findings:
@@ -341,24 +394,41 @@ def _judged(case: Case, n_band: int, *, leaking: bool) -> _Judged:
             stated = Stated(by[:, None] * stated.changes, stated.at / by)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         gof = replace(estimate.gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
-        estimate, likely = replace(estimate, gof=gof), replace(likely, estimate=replace(likely.estimate, gof=gof))
-    judgement = judge(likely.measured, likely.model, likely.estimate, settings, n_band, leaking=leaking, stated=stated)
+        estimate, likely = (
+            replace(estimate, gof=gof),
+            replace(likely, estimate=replace(likely.estimate, gof=gof)),
+        )
+    judgement = judge(
+        likely.measured, likely.model, likely.estimate, settings, n_band, leaking=leaking, stated=stated
+    )
     return _Judged(estimate, judgement, stated, findings, factors)
 
 
-def _contradicted(case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed) -> tuple[tuple[Finding, ...], dict[str, float]]:
+def _contradicted(
+    case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed
+) -> tuple[tuple[Finding, ...], dict[str, float]]:
     """Findings on stated numbers that the data contradict, and by what their uncertainty grows.
 
-    Where chi-square then is that of noise, or most of its excess is gone: else something other than a stated number is wrong. Not in
-    sliding bands: stiffness that changes with frequency looks like another mass within a band.
+    Where chi-square then is that of noise, or most of its excess is gone: else something other than a stated
+    number is wrong. Not in sliding bands: stiffness that changes with frequency looks like another mass
+    within a band.
     """
-    settings, before, after, pulls = case.setup.settings, case.estimate.gof.chi2_reduced, assessed.reduced, assessed.pulls
+    settings, before, after, pulls = (
+        case.setup.settings,
+        case.estimate.gof.chi2_reduced,
+        assessed.reduced,
+        assessed.pulls,
+    )
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
-    if settings.sliding is not None or (assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)):
+    if settings.sliding is not None or (
+        assessed.p_value < MISMATCH_P and after - 1 > (1 - EXPLAINED) * (before - 1)
+    ):
         return (), {}
     mass = mass_uncertainty(settings)
     values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]
-    factors = dict(zip((uncertainty.source for uncertainty in uncertainties), map(float, pulls.factors), strict=True))
+    factors = dict(
+        zip((uncertainty.source for uncertainty in uncertainties), map(float, pulls.factors), strict=True)
+    )
     return tuple(stated_findings(uncertainties, pulls, values)), factors
 
 
@@ -368,11 +438,18 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
     The latter for models linear in their parameters and responses of reliable phase to a force.
     """
     model, setup = case.model, case.setup
-    if not isinstance(model, DynamicModel) or setup.settings.kind.of_base or mass_uncertainty(setup.settings) is not None:
+    if (
+        not isinstance(model, DynamicModel)
+        or setup.settings.kind.of_base
+        or mass_uncertainty(setup.settings) is not None
+    ):
         return list(judged.findings)
     if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
-    return [*judged.findings, *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated)]
+    return [
+        *judged.findings,
+        *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated),
+    ]
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
@@ -386,17 +463,23 @@ def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Paramete
 def _eliminated(
     measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
 ) -> tuple[DynamicModel, Estimate, list[str]]:
-    """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are significant."""
+    """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are
+    significant.
+    """
     notes: list[str] = []
     while sum(term.droppable for term in model.terms) > 1:
         std_errors = np.sqrt(np.diag(estimate.covariance))
-        droppable = [number for number, term in enumerate(model.terms) if term.droppable and std_errors[number] > 0]
+        droppable = [
+            number for number, term in enumerate(model.terms) if term.droppable and std_errors[number] > 0
+        ]
         t_ratios = {number: float(abs(estimate.values[number]) / std_errors[number]) for number in droppable}
         weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
         if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
             break
         name = model.terms[weakest].name
-        notes.append(f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero")
+        notes.append(
+            f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero"
+        )
         model = model.without(name)
         estimate = _estimated(measured, model, settings)
     return model, estimate, notes

@@ -27,10 +27,11 @@ COLUMNS_AT_ONCE = 64
 
 @dataclass(frozen=True)
 class SharedNoise:
-    """Noise of the chosen lines, whitened element by element: e(k, a) = sum_j gains(k, j, a) z(k + j - m, a), cov(z_(k+d), z_k) = r_d.
+    """Noise of the chosen lines, whitened element by element: e(k, a) = sum_j gains(k, j, a) z(k + j - m, a),
+    cov(z_(k+d), z_k) = r_d.
 
-    numbers (n_line,): numbers of the chosen lines; correlation r_1, r_2, ... (n_distance,) [1]; gains (n_line, 2 m + 1, n_element) [1],
-    or None where every line has the noise of its own number alone.
+    numbers (n_line,): numbers of the chosen lines; correlation r_1, r_2, ... (n_distance,) [1]; gains
+    (n_line, 2 m + 1, n_element) [1], or None where every line has the noise of its own number alone.
     """
 
     numbers: IntArray
@@ -38,14 +39,18 @@ class SharedNoise:
     gains: ComplexArray | None = None
 
     def times(self, columns: ComplexArray) -> ComplexArray:
-        """R X: the correlation matrix (n_line n_element)^2 [1] times *columns* (n_line, n_element, n_column) [any unit]."""
+        """R X: the correlation matrix (n_line n_element)^2 [1] times *columns* (n_line, n_element, n_column)
+        [any unit].
+        """
         places = self._places
         spread = np.zeros((self._n_place, *columns.shape[1:]), np.complex128)
         for neighbour, gain in enumerate(self._factors):
             # Line numbers do not repeat, so that one neighbour of all lines can be added at once.
             spread[places + neighbour] += gain.conj()[:, :, None] * columns
         spread = self._by_distance(spread)
-        return np.asarray(sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors)))
+        return np.asarray(
+            sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors))
+        )
 
     def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
         """Circular normal noise of this correlation, (n_line, n_element) [1]."""
@@ -57,7 +62,10 @@ class SharedNoise:
         power = np.maximum(fft.fft(kernel).real, 0.0)
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
         shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
-        drawn = sum(gain[:, :, None] * shared[self._places + neighbour] for neighbour, gain in enumerate(self._factors))
+        drawn = sum(
+            gain[:, :, None] * shared[self._places + neighbour]
+            for neighbour, gain in enumerate(self._factors)
+        )
         return np.asarray(drawn)
 
     @property
@@ -81,11 +89,17 @@ class SharedNoise:
     @cached_property
     def _factors(self) -> ComplexArray:
         """Gains by neighbour, (n_neighbour, n_line, n_element or 1)."""
-        return np.ones((1, self.numbers.size, 1), np.complex128) if self.gains is None else self.gains.swapaxes(0, 1)
+        return (
+            np.ones((1, self.numbers.size, 1), np.complex128)
+            if self.gains is None
+            else self.gains.swapaxes(0, 1)
+        )
 
     @cached_property
     def _places(self) -> IntArray:
-        """Where the first neighbour of every line stands among all lines from the first to the last one, (n_line,)."""
+        """Where the first neighbour of every line stands among all lines from the first to the last one,
+        (n_line,).
+        """
         return self.numbers - self.numbers[0]
 
     @property
@@ -93,11 +107,15 @@ class SharedNoise:
         return int(self._places[-1]) + self._factors.shape[0]
 
     def _by_distance(self, columns: ComplexArray) -> ComplexArray:
-        """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular convolution."""
+        """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular
+        convolution.
+        """
         n = columns.shape[0]
         kernel = self._kernel(n)
         shape = (-1,) + (1,) * (columns.ndim - 1)
-        product: ComplexArray = fft.ifft(fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0), axis=0)[:n]
+        product: ComplexArray = fft.ifft(
+            fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0), axis=0
+        )[:n]
         return product
 
     def _kernel(self, n: int) -> ComplexArray:
@@ -111,7 +129,9 @@ class SharedNoise:
 
 @dataclass(frozen=True)
 class LinePairs:
-    """Noise e of the lines *first* and *second* (n_pair,): E[e_k e_l^H] and E[e_k e_l^T], (n_pair, n_element, n_element) [1]."""
+    """Noise e of the lines *first* and *second* (n_pair,): E[e_k e_l^H] and E[e_k e_l^T], (n_pair, n_element,
+    n_element) [1].
+    """
 
     first: IntArray
     second: IntArray
@@ -127,11 +147,15 @@ class LineBlocks:
     pairs: tuple[LinePairs, ...]
 
     def times(self, columns: ComplexArray) -> ComplexArray:
-        """R X + T X*: the covariance of real and imaginary parts times *columns* (n_line, n_element, n_column) [any unit]."""
+        """R X + T X*: the covariance of real and imaginary parts times *columns* (n_line, n_element,
+        n_column) [any unit].
+        """
         product = np.zeros_like(columns)
         for distance, pair in enumerate(self.pairs):
             # A line occurs once among the first ones, and once among the second ones of its distance.
-            product[pair.first] += pair.correlation @ columns[pair.second] + pair.turned @ columns[pair.second].conj()
+            product[pair.first] += (
+                pair.correlation @ columns[pair.second] + pair.turned @ columns[pair.second].conj()
+            )
             if distance:
                 product[pair.second] += pair.correlation.conj().swapaxes(1, 2) @ columns[pair.first]
                 product[pair.second] += pair.turned.swapaxes(1, 2) @ columns[pair.first].conj()
@@ -145,16 +169,20 @@ class LineBlocks:
     @property
     def power(self) -> float:
         """tr(R^2) + tr(T T*), averaged over the elements [1]."""
-        squares = [float(np.sum(np.abs(pair.correlation) ** 2) + np.sum(np.abs(pair.turned) ** 2)) for pair in self.pairs]
+        squares = [
+            float(np.sum(np.abs(pair.correlation) ** 2) + np.sum(np.abs(pair.turned) ** 2))
+            for pair in self.pairs
+        ]
         return (squares[0] + 2 * sum(squares[1:])) / self.pairs[0].correlation.shape[1]
 
 
 @dataclass(frozen=True)
 class SharedResidual:
-    """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its residual.
+    """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its
+    residual.
 
-    covariance (n_parameter, n_parameter) [parameter units]; mean and dof [1]: the sum of squares of the residual is like
-    chi-square of *dof* degrees of freedom, scaled to *mean*.
+    covariance (n_parameter, n_parameter) [parameter units]; mean and dof [1]: the sum of squares of the
+    residual is like chi-square of *dof* degrees of freedom, scaled to *mean*.
     """
 
     covariance: FloatArray
@@ -162,12 +190,15 @@ class SharedResidual:
     dof: float
 
 
-def shared_residual(noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inverse: FloatArray) -> SharedResidual:
-    """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2 / tr(P R P R).
+def shared_residual(
+    noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inverse: FloatArray
+) -> SharedResidual:
+    """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2
+    / tr(P R P R).
 
-    *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part [1 per parameter unit];
-    *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a sum of squares of correlated normal values
-    (Satterthwaite 1946). Equation (est-shared-residual).
+    *jacobian* (n_line, n_element, n_parameter) complex, whitened to unit variance of real and imaginary part
+    [1 per parameter unit]; *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a
+    sum of squares of correlated normal values (Satterthwaite 1946). Equation (est-shared-residual).
     """
     columns = jacobian.reshape(-1, jacobian.shape[2])
     product = noise.times(jacobian).reshape(columns.shape)
@@ -175,7 +206,11 @@ def shared_residual(noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inv
     square = (product.conj().T @ product).real
     mean = 2 * noise.trace * jacobian.shape[1] - float(np.sum(inverse * middle))
     half = inverse @ middle
-    spread = 2 * noise.power * jacobian.shape[1] - 2 * float(np.sum(inverse * square)) + float(np.trace(half @ half))
+    spread = (
+        2 * noise.power * jacobian.shape[1]
+        - 2 * float(np.sum(inverse * square))
+        + float(np.trace(half @ half))
+    )
     return SharedResidual(half @ inverse, mean, mean**2 / spread)
 
 
@@ -192,8 +227,9 @@ SMALLEST_NOISE = 1e-6
 class Leakage:
     """Leakage of the chosen lines.
 
-    kernel of the window; numbers (n_line,) [1]: frequency times length of a block; correlation c_d (n_distance,) [1] of noise between
-    lines, see windows.line_correlation; derivatives: of the measured form against the receptance.
+    kernel of the window; numbers (n_line,) [1]: frequency times length of a block; correlation c_d
+    (n_distance,) [1] of noise between lines, see windows.line_correlation; derivatives: of the measured form
+    against the receptance.
     """
 
     kernel: LeakageKernel
@@ -203,16 +239,22 @@ class Leakage:
 
     @cached_property
     def grid(self) -> tuple[FloatArray, IntArray]:
-        """(omega (n_every,) [rad/s] of all points, place of every line's points among them (n_line, n_point))."""
+        """(omega (n_every,) [rad/s] of all points, place of every line's points among them (n_line,
+        n_point)).
+        """
         points = self.numbers[:, None] * POINTS + self.kernel.offsets.astype(np.intp)
         every, place = np.unique(points, return_inverse=True)
         return 2 * np.pi * every / (POINTS * self.kernel.blocks.length), place.reshape(points.shape)
 
     @cached_property
     def _factors(self) -> FloatArray:
-        """(v / w)^n of every line's points, (n_line, n_point) [1]: the measured form is averaged, not the receptance."""
+        """(v / w)^n of every line's points, (n_line, n_point) [1]: the measured form is averaged, not the
+        receptance.
+        """
         omega, place = self.grid
-        return (omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)) ** self.derivatives
+        return (
+            omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)
+        ) ** self.derivatives
 
     def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
         """The lines (n_pair,) that have a line *distance* further on, and those (n_pair,)."""
@@ -227,13 +269,19 @@ class Leakage:
         return values
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
-        """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof, n_input) [unit of values]."""
+        """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof,
+        n_input) [unit of values].
+        """
         # Cases last, as the derivatives of a model lie in memory: one pass over all of them.
-        every = np.ascontiguousarray(np.moveaxis(values.reshape(-1, *values.shape[-3:]), 0, -1), np.complex128)
+        every = np.ascontiguousarray(
+            np.moveaxis(values.reshape(-1, *values.shape[-3:]), 0, -1), np.complex128
+        )
         # Real weights on pairs of real and imaginary part.
         means = (self._weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
         cases_last = means.reshape(self.numbers.size, *every.shape[1:])
-        return np.moveaxis(cases_last, -1, 0).reshape(*values.shape[:-3], self.numbers.size, *values.shape[-2:])
+        return np.moveaxis(cases_last, -1, 0).reshape(
+            *values.shape[:-3], self.numbers.size, *values.shape[-2:]
+        )
 
     @cached_property
     def _weights(self) -> Any:
@@ -243,7 +291,9 @@ class Leakage:
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()
-        return sparse.csr_array((weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size))
+        return sparse.csr_array(
+            (weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size)
+        )
 
 
 @dataclass(frozen=True)
@@ -270,7 +320,10 @@ class SmearedModel:
         return self.model.from_linear(values)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002 (the lines are the leakage's)
-        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation (frf-smeared)."""
+        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input).
+
+        Equation (frf-smeared).
+        """
         return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
@@ -288,11 +341,13 @@ def expected(measured: Measured, model: Any) -> Any:
 
 
 def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatArray) -> LineBlocks | None:
-    """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what their residual's power gives.
+    """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what
+    their residual's power gives.
 
-    The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block loses at its end the next
-    one has too much, so that the mean over overlapping blocks scatters less than its residual tells; from line to line it is correlated
-    otherwise than noise. None without leakage or noise.
+    The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block
+    loses at its end the next one has too much, so that the mean over overlapping blocks scatters less than
+    its residual tells; from line to line it is correlated otherwise than noise. None without leakage or
+    noise.
     """
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
@@ -309,13 +364,19 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
         first, second = leakage.pairs(distance)
         covariance, turned = _scatter(leakage, deviation, power, distance)
         shared = float(([1.0, *leakage.correlation, 0.0])[distance])
-        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (of_noise[first] @ hermitian(of_noise[second]))
-        pairs.append(LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2)))
+        correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (
+            of_noise[first] @ hermitian(of_noise[second])
+        )
+        pairs.append(
+            LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2))
+        )
     return LineBlocks(measured.omega.size, tuple(pairs))
 
 
 def _force_power(measured: Measured) -> FloatArray:
-    """Power of every force relative to the first, (n_input,) [1]: noise of H is as large as that of the outputs over the force."""
+    """Power of every force relative to the first, (n_input,) [1]: noise of H is as large as that of the
+    outputs over the force.
+    """
     assert measured.covariance is not None
     _, n_output, n_input = measured.matrix.shape
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
@@ -324,22 +385,30 @@ def _force_power(measured: Measured) -> FloatArray:
 
 
 def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_line, n, n) [m^2/N^2] of H from the leakage in a single block's residual, as if blocks were independent."""
+    """Covariance (n_line, n, n) [m^2/N^2] of H from the leakage in a single block's residual, as if blocks
+    were independent.
+    """
     weighted = deviation * (leakage.kernel.weights[:, None, None] * power)
     return _by_force(_rows(weighted) @ hermitian(_rows(deviation)), power)
 
 
 def _rows(deviation: ComplexArray) -> ComplexArray:
-    """Values (n_line, n_point, n_output, n_input) as rows of an output's numbers, (n_line, n_output, n_point n_input) [their unit]."""
+    """Values (n_line, n_point, n_output, n_input) as rows of an output's numbers, (n_line, n_output, n_point
+    n_input) [their unit].
+    """
     n_line, n_point, n_output, n_input = deviation.shape
     return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
 
 
-def _scatter(leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int) -> tuple[ComplexArray, ComplexArray]:
-    """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d in H1 of lines *distance* apart.
+def _scatter(
+    leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d in H1 of lines *distance*
+    apart.
 
-    Of circular normal values, over blocks t apart: sum_t (1 - |t| / K) E_t conj(P_t) / K with E_t of the residuals, P_t of the forces, and
-    sum_t (1 - |t| / K) Q_t(k, l) Q_-t(l, k) / K with Q_t between the residual of one line and block and the force of the other.
+    Of circular normal values, over blocks t apart: sum_t (1 - |t| / K) E_t conj(P_t) / K with E_t of the
+    residuals, P_t of the forces, and sum_t (1 - |t| / K) Q_t(k, l) Q_-t(l, k) / K with Q_t between the
+    residual of one line and block and the force of the other.
     """
     kernel = leakage.kernel
     first, second = leakage.pairs(distance)
@@ -361,27 +430,35 @@ def _scatter(leakage: Leakage, deviation: ComplexArray, power: FloatArray, dista
 
 
 def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_pair, n, n) of vec(H) from that of the outputs (n_pair, n_output, n_output): each force for itself, over its power."""
+    """Covariance (n_pair, n, n) of vec(H) from that of the outputs (n_pair, n_output, n_output): each force
+    for itself, over its power.
+    """
     n_pair, n_output, _ = products.shape
     n = n_output * power.size
     return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)
 
 
 def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:
-    """The noise (n_line, n, n) in the measured covariance beside the leakage: the mean over neighbours, weighted by the sum of both."""
+    """The noise (n_line, n, n) in the measured covariance beside the leakage: the mean over neighbours,
+    weighted by the sum of both.
+    """
     every = np.ones(covariance.shape[0], bool)
     beside = covariance - apparent
     noise = neighbourhood_mean(covariance, every, HALF_WIDTH)
     for _ in range(ROUNDS):
         size = np.sqrt(np.einsum("lii->li", noise + apparent).real)
         weight = 1 / (size[:, :, None] * size[:, None, :]) ** 2
-        noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(weight, every, HALF_WIDTH)
+        noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(
+            weight, every, HALF_WIDTH
+        )
         noise = _positive(noise, covariance + apparent)
     return noise
 
 
 def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
-    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole* (n_line, n, n)."""
+    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole* (n_line, n,
+    n).
+    """
     size = np.sqrt(np.einsum("lii->li", whole).real)
     outer = size[:, :, None] * size[:, None, :]
     values, vectors = np.linalg.eigh(without_rounding(noise / outer))

@@ -1,4 +1,6 @@
-"""Fits of one rig at several levels of excitation, held against each other: what depends on the level is not linear."""
+"""Fits of one rig at several levels of excitation, held against each other: what depends on the level is not
+linear.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +34,11 @@ class _Test:
 
 
 def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions]) -> list[Fit]:
-    """The fits of one name, that of the highest level with a finding where it differs from that of the lowest by more than noise.
+    """The fits of one name, that of the highest level with a finding where it differs from that of the lowest
+    by more than noise.
 
-    *conditions* of every test by its name. Tests are compared whose conditions are the same but for the level, bands and terms alike.
-    Equation (est-levels).
+    *conditions* of every test by its name. Tests are compared whose conditions are the same but for the
+    level, bands and terms alike. Equation (est-levels).
     """
     groups: dict[tuple[object, ...], list[_Test]] = {}
     for fit in fits:
@@ -43,7 +46,9 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         levels = [name for name in LEVELS if name in stated]
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
-            groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(_test(fit, stated[levels[0]]))
+            groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(
+                _test(fit, stated[levels[0]])
+            )
     new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
@@ -66,24 +71,31 @@ def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
 
 
 def _difference(low: _Test, high: _Test) -> str:
-    """What changed, or nothing where noise explains it: by one factor of all stiffness, of all damping, or coefficient by coefficient."""
+    """What changed, or nothing where noise explains it: by one factor of all stiffness, of all damping, or
+    coefficient by coefficient.
+    """
     before, after = _estimated(low.fit), _estimated(high.fit)
     if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
         return ""
     change = np.array([late.value - early.value for early, late in zip(before, after, strict=True)])
     information = np.linalg.pinv(_covariance(low.fit, before) + _covariance(high.fit, after), hermitian=True)
     together = chi2_tail(float(change @ information @ change), change.size)
-    shapes = {kind: np.array([p.value if p.unit == unit else 0.0 for p in before]) for unit, kind in KINDS.items()}
+    shapes = {
+        kind: np.array([p.value if p.unit == unit else 0.0 for p in before]) for unit, kind in KINDS.items()
+    }
     amounts = {kind: _amount(change, information, shape) for kind, shape in shapes.items() if np.any(shape)}
     p_values = {kind: chi2_tail((amount / error) ** 2, 1) for kind, (amount, error) in amounts.items()}
     p_value = min(1.0, min([together, *p_values.values()]) * (1 + len(p_values)))
     if p_value >= AMPLITUDE_P:
         return ""
-    said = " and ".join(f"{kind} by {change_text(100 * amount, 100 * error, '%')}" for kind, (amount, error) in amounts.items())
+    said = " and ".join(
+        f"{kind} by {change_text(100 * amount, 100 * error, '%')}"
+        for kind, (amount, error) in amounts.items()
+    )
     return (
-        f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {said or 'the parameters'} changed on the whole "
-        f"(p = {p_value:.2g}): the rig is not linear, and the coefficients hold for their level only. Measure at the level of use, or "
-        "lower it until nothing changes"
+        f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {said or 'the parameters'} "
+        f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "
+        "their level only. Measure at the level of use, or lower it until nothing changes"
     )
 
 
@@ -94,12 +106,20 @@ def _estimated(fit: Fit) -> list[Parameter]:
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
-    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise; given numbers are the same at both levels."""
+    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise.
+
+    Given numbers are the same at both levels.
+    """
     errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:
             of_given = np.diag(detail.given(errors.size))
-            errors = np.sqrt(np.maximum(errors**2 - of_given, np.array([parameter.std_error or 0.0 for parameter in parameters]) ** 2))
+            errors = np.sqrt(
+                np.maximum(
+                    errors**2 - of_given,
+                    np.array([parameter.std_error or 0.0 for parameter in parameters]) ** 2,
+                )
+            )
     return np.asarray(fit.correlation * np.outer(errors, errors))
 
 

@@ -1,9 +1,11 @@
-"""ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise, and its start values.
+"""ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise, and
+its start values.
 
 ml: output error weighted with the full FRF covariance, maximum likelihood for circular Gaussian noise.
 
-Minimises sum over lines of e^H C^-1 e, e = vec(H_measured - H(p)), C the measured covariance, by Levenberg-Marquardt with the
-analytic Jacobian. For a known C this is the maximum-likelihood estimate and reaches the Cramer-Rao bound.
+Minimises sum over lines of e^H C^-1 e, e = vec(H_measured - H(p)), C the measured covariance, by
+Levenberg-Marquardt with the analytic Jacobian. For a known C this is the maximum-likelihood estimate and
+reaches the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -23,7 +25,14 @@ from labpipe.estimation.output_error import NormalEquations, OutputError, has_li
 from labpipe.estimation.regression import equation_solution, inverse_of, regression, solve_scaled
 from labpipe.estimation.statistics import Estimate, Pulls, Stated, determination, pulls_of
 from labpipe.estimation.transfer_mode import TransferMode, transfer_start
-from labpipe.estimation.weights import WeightUncertainty, complex_rows, fit_weights, fitted_uncertainty, has_noise, weight_uncertainty
+from labpipe.estimation.weights import (
+    WeightUncertainty,
+    complex_rows,
+    fit_weights,
+    fitted_uncertainty,
+    has_noise,
+    weight_uncertainty,
+)
 from labpipe.records.identification import Goodness
 
 # Start values of an output-error fit: estimates without start values of their own, the best one first.
@@ -45,8 +54,9 @@ class Start:
 def starts(problem: OutputError[ResponseModel]) -> list[Start]:
     """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
 
-    Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate (Sanathanan and Koerner 1963)
-    makes it nearly an output error and needs no good start. It ends after two successive passes with hardly lower chi-square.
+    Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate
+    (Sanathanan and Koerner 1963) makes it nearly an output error and needs no good start. It ends after two
+    successive passes with hardly lower chi-square.
     """
     model = problem.model
     values = _least_squares(problem)
@@ -58,7 +68,9 @@ def starts(problem: OutputError[ResponseModel]) -> list[Start]:
         except (FitError, np.linalg.LinAlgError):
             break
         lowest = min(start.chi2 for start in attempts)
-        attempts.append(_start(problem, f"reweighted least squares (pass {number})", model.from_linear(values)))
+        attempts.append(
+            _start(problem, f"reweighted least squares (pass {number})", model.from_linear(values))
+        )
         idle = 0 if attempts[-1].chi2 < WORTHWHILE * lowest else idle + 1
         if idle == 2:
             break
@@ -74,7 +86,11 @@ def _least_squares(problem: OutputError[ResponseModel]) -> FloatArray:
     """Least squares of the equation of motion, all lines alike."""
     linear = problem.model.linear
     values = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    return equation_solution(regression(problem.measured, linear, "none"), linear)[0] if values is None else values
+    return (
+        equation_solution(regression(problem.measured, linear, "none"), linear)[0]
+        if values is None
+        else values
+    )
 
 
 def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
@@ -85,21 +101,36 @@ def _reweighted(problem: OutputError[ResponseModel], last: FloatArray) -> FloatA
         if values is not None:
             return values
     terms = linear.filtered(last, linear.equation_terms(measured.matrix, measured.omega), measured.omega)
-    right_side = linear.filtered(last, linear.equation_constant(measured.matrix, measured.omega)[None], measured.omega)[0]
+    right_side = linear.filtered(
+        last, linear.equation_constant(measured.matrix, measured.omega)[None], measured.omega
+    )[0]
     return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
 
 
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
-    """The same from products line by line, without weights and Z_last^-1 where there is no *last*; None where they are too inexact."""
+    """The same from products line by line, without weights and Z_last^-1 where there is no *last*.
+
+    None where they are too inexact.
+    """
     measured, linear = problem.measured, problem.model.linear
-    weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128) if last is None else problem.weights
+    weights = (
+        np.ones((measured.omega.size, measured.matrix[0].size), np.complex128)
+        if last is None
+        else problem.weights
+    )
 
     def equations_at(values: FloatArray, products: bool) -> NormalEquations:
         def lines_of(lines: slice) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
             omega, response = measured.omega[lines], measured.matrix[lines]
-            none = np.broadcast_to(np.eye(response.shape[1], dtype=np.complex128), (omega.size, *(response.shape[1:2] * 2)))
+            none = np.broadcast_to(
+                np.eye(response.shape[1], dtype=np.complex128), (omega.size, *(response.shape[1:2] * 2))
+            )
             inverse = none if last is None else compliance(linear, last, omega)
-            return inverse, response, inverse @ (linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response)
+            return (
+                inverse,
+                response,
+                inverse @ (linear.whole(values).force - linear.dynamic_stiffness(values, omega) @ response),
+            )
 
         return normal_equations(linear, measured.omega, weights, lines_of, products)
 
@@ -121,7 +152,8 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
 # p-value of a minimum below which, as without convergence, further starts are tried.
 SUSPECT_P = 1e-3
 UNWEIGHTED_NOTE = (
-    "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal weight, the standard "
+    "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal "
+    "weight, the standard "
     "errors come from the residual, and the chi-square test of the model is not possible."
 )
 
@@ -135,42 +167,61 @@ def maximum_likelihood(
 ) -> Estimate:
     """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
 
-    Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all lines have equal weight and
-    the residual gives the standard errors. *most_steps* bounds the descent from each start. FitError for fewer equations than parameters,
-    or for a covariance that cannot be inverted. Equation (est-ml).
+    Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all
+    lines have equal weight and the residual gives the standard errors. *most_steps* bounds the descent from
+    each start. FitError for fewer equations than parameters, or for a covariance that cannot be inverted.
+    Equation (est-ml).
     """
     if isinstance(model, TransferMode):
-        return maximum_likelihood_from(measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase")
+        return maximum_likelihood_from(
+            measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase"
+        )
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
     if dof <= 0:
-        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
+        raise FitError(
+            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
+            hint="widen the band",
+        )
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
     best, start = _best_minimum(
-        problem, lambda chi2: weighted and uncertainty.p_value(chi2 / dof / uncertainty.excess, dof) < SUSPECT_P, most_steps
+        problem,
+        lambda chi2: weighted and uncertainty.p_value(chi2 / dof / uncertainty.excess, dof) < SUSPECT_P,
+        most_steps,
     )
     return _estimate(measured, model, problem, best, start.name)
 
 
 def maximum_likelihood_from(measured: Measured, model: FittedModel, start: FloatArray, name: str) -> Estimate:
-    """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is near; *name* of the start."""
+    """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is
+    near; *name* of the start.
+    """
     n_parameter = len(model.names)
     if measured.n_equation <= n_parameter:
-        raise FitError(f"{measured.n_equation} real equations cannot determine {n_parameter} parameters", hint="widen the band")
-    problem: OutputError[ReceptanceModel] = OutputError(measured, expected(measured, model), fit_weights(measured))
+        raise FitError(
+            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
+            hint="widen the band",
+        )
+    problem: OutputError[ReceptanceModel] = OutputError(
+        measured, expected(measured, model), fit_weights(measured)
+    )
     return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
 
 
-def _estimate(measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str) -> Estimate:
+def _estimate(
+    measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
+) -> Estimate:
     """The estimate at a minimum of *problem*, with its uncertainty."""
     n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
     values, converged, iterations = best.values, best.converged, best.steps
     linear = problem.linearised(values)
     assessed = assess(measured, model, problem, values, linear)
     amplification = problem.size * np.sqrt(np.diag(assessed.inverse))
-    r2, adjusted = determination(measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter)
+    r2, adjusted = determination(
+        measured.matrix, measured.matrix - problem.model.receptance(values, measured.omega), n_parameter
+    )
     notes: tuple[str, ...] = (f"ml: started from {start}.",)
     if not has_noise(measured):
         notes = (*notes, UNWEIGHTED_NOTE)
@@ -192,10 +243,12 @@ def _estimate(measured: Measured, model: FittedModel, problem: OutputError[Recep
 
 @dataclass(frozen=True)
 class Assessed:
-    """What noise leaves of a minimum: the estimates' covariance (n, n) [parameter units], and chi-square where the noise is known.
+    """What noise leaves of a minimum: the estimates' covariance (n, n) [parameter units], and chi-square
+    where the noise is known.
 
-    *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its *p_value*, None for an
-    unknown noise, whose size the residual gives. *pulls* of stated numbers, whose most likely values chi-square allows for.
+    *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its
+    *p_value*, None for an unknown noise, whose size the residual gives. *pulls* of stated numbers, whose most
+    likely values chi-square allows for.
     """
 
     covariance: FloatArray
@@ -213,43 +266,61 @@ def assess(
     linear: Linearisation | None = None,
     stated: Stated | None = None,
 ) -> Assessed:
-    """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data, its parameters first among
-    them.
+    """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data,
+    its parameters first among them.
 
-    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated covariance and for noise that lines
-    share as in `weights`. *stated*: numbers that chi-square allows for, of a known noise. Equation (est-unweighted).
+    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated
+    covariance and for noise that lines share as in `weights`. *stated*: numbers that chi-square allows for,
+    of a known noise. Equation (est-unweighted).
     """
     linear = linear or problem.linearised(values)
     inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
     if not has_noise(measured):
         if measured.line_noise is None:
             return Assessed(squares / dof * (measured.shared_noise * inverse), inverse)
-        shared = shared_residual(measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse)
+        shared = shared_residual(
+            measured.line_noise, complex_rows(problem.jacobian(values), measured.omega.size), inverse
+        )
         return Assessed(squares / shared.mean * shared.covariance, inverse)
-    noise, uncertainty = measured.noise or leaking_noise(measured, model, values[: len(model.names)]), weight_uncertainty(measured, dof)
+    noise, uncertainty = (
+        measured.noise or leaking_noise(measured, model, values[: len(model.names)]),
+        weight_uncertainty(measured, dof),
+    )
     covariance = uncertainty.inflation * inverse
     if noise is not None:
-        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, problem.jacobian(values), inverse)
+        covariance, uncertainty = fitted_uncertainty(
+            measured, noise, uncertainty, problem.jacobian(values), inverse
+        )
     pulls = None
     if stated is not None:
         jacobian, residual = problem.jacobian(values), problem.residual(values)
-        # An estimate other than ml is no minimum: what the parameters would still take away says nothing of stated numbers.
+        # An estimate other than ml is no minimum: what the parameters would still take away says nothing of
+        # stated numbers.
         residual = residual - jacobian @ (inverse @ (jacobian.T @ residual))
-        pulls = pulls_of(residual, stated, jacobian, inverse, float(np.max(np.diag(covariance) / np.diag(inverse))))
+        pulls = pulls_of(
+            residual, stated, jacobian, inverse, float(np.max(np.diag(covariance) / np.diag(inverse)))
+        )
         squares -= pulls.explained
     reduced = squares / dof / uncertainty.excess
     return Assessed(covariance, inverse, reduced, uncertainty.p_value(reduced, dof), pulls)
 
 
 def _interval_dof(measured: Measured, n_parameter: int, dof: int) -> IntArray | None:
-    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what they tell; else None."""
+    """Degrees of freedom (n_parameter,) of the intervals where few hits tell the noise, and lines share what
+    they tell; else None.
+    """
     if measured.noise is None or not np.isfinite(measured.noise_dof):
         return None
     return np.full(n_parameter, min(dof, int(2 * measured.noise_dof)))
 
 
-def _best_minimum(problem: OutputError[ResponseModel], uncertain: Callable[[float], bool], most_steps: int) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts; further starts only where the last minimum's chi-square is *uncertain*."""
+def _best_minimum(
+    problem: OutputError[ResponseModel], uncertain: Callable[[float], bool], most_steps: int
+) -> tuple[Minimum, Start]:
+    """The lowest minimum of the starts.
+
+    Further starts only where the last minimum's chi-square is *uncertain*.
+    """
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)

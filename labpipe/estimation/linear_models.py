@@ -1,10 +1,12 @@
 """Models linear in their parameters: one mass, a rotor on two axes, many degrees of freedom, a moving base.
 
-base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the base.
+base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the
+base.
 
-m x'' = -k (x - b) - c (x' - b'). Absolute T = X / B = (k + j w c) / (k + j w c - w^2 m), relative T_r = (X - B) / B = T - 1
-= w^2 m / (k + j w c - w^2 m) (Thomson and Dahleh, Theory of Vibration with Applications, sec. 3.5; den Hartog, sec. 2.11). So
-(T - 1) / w^2 = m / (k + j w c - w^2 m) [s^2] is the receptance of a mass under the force m, linear in k and c, in either case.
+m x'' = -k (x - b) - c (x' - b'). Absolute T = X / B = (k + j w c) / (k + j w c - w^2 m), relative T_r = (X -
+B) / B = T - 1 = w^2 m / (k + j w c - w^2 m) (Thomson and Dahleh, Theory of Vibration with Applications, sec.
+3.5; den Hartog, sec. 2.11). So (T - 1) / w^2 = m / (k + j w c - w^2 m) [s^2] is the receptance of a mass
+under the force m, linear in k and c, in either case.
 """
 
 from __future__ import annotations
@@ -59,10 +61,11 @@ def sdof(setup: Setup) -> DynamicModel:
 def rotor_2dof(setup: Setup) -> DynamicModel:
     """Eight coefficients of a rotor in its bearings, x and y coupled (Lim et al. 2009, eq. 16-20).
 
-    One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several forces of known
-    direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are estimated. The responses whose dof or
-    label is x and y are x and y in whatever order they come; of other names, the first is x and the second y, and the directions
-    of the forces are taken from the responses' own. ConfigError where ports, mass or directions do not fit the model.
+    One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several
+    forces of known direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are
+    estimated. The responses whose dof or label is x and y are x and y in whatever order they come; of other
+    names, the first is x and the second y, and the directions of the forces are taken from the responses'
+    own. ConfigError where ports, mass or directions do not fit the model.
     """
     _need_ports(setup, "rotor-2dof", 2)
     axes = _axes(setup.outputs)
@@ -94,12 +97,17 @@ def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: one spring and damper per axis, under the force's component (Lim et al. 2009, eq. 21-22).
+    """Direct coefficients only: one spring and damper per axis, under the force's component (Lim et al. 2009,
+    eq. 21-22).
 
-    F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along a response.
+    F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along
+    a response.
     """
     if len(setup.outputs) not in (1, 2):
-        raise ConfigError(f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}", hint="name them with `output`")
+        raise ConfigError(
+            f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}",
+            hint="name them with `output`",
+        )
     mass = _mass_or_error(setup)
     angles = [angle_of(port) for port in setup.inputs]
     if None in angles:
@@ -110,7 +118,10 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     shape = (len(axes), len(setup.inputs))
     for row, axis in enumerate(axes):
         if np.max(np.abs(force[row])) < SMALLEST_SHARE:
-            raise ConfigError(f"no force acts in direction {'xy'[axis]}", hint="choose the other `output`, or excite this direction")
+            raise ConfigError(
+                f"no force acts in direction {'xy'[axis]}",
+                hint="choose the other `output`, or excite this direction",
+            )
     terms = [
         entry_term(f"{letter}_{'xy'[axis] * 2}", kind, [(row, row)], shape)
         for row, axis in enumerate(axes)
@@ -122,32 +133,54 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
 def _mass_or_error(setup: Setup) -> float:
     mass = _scalar_mass(setup.settings.mass)
     if mass is None:
-        raise ConfigError(f"{setup.settings.model} needs the known mass", hint="for example mass: 0.92 kg, here or in the rig file")
+        raise ConfigError(
+            f"{setup.settings.model} needs the known mass",
+            hint="for example mass: 0.92 kg, here or in the rig file",
+        )
     return mass
 
 
 def _axes(outputs: tuple[Port, ...]) -> list[int]:
-    """0 for x, 1 for y of every response: by its dof or label; of two responses with other names the first is x."""
-    named = [next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None) for port in outputs]
+    """0 for x, 1 for y of every response: by its dof or label.
+
+    Of two responses with other names the first is x.
+    """
+    named = [
+        next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None)
+        for port in outputs
+    ]
     if len(outputs) == 2 and None in named:
         other = [axis for axis in named if axis is not None]
         named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
     axes = [axis for axis in named if axis is not None]
     if len(axes) < len(outputs):
-        raise ConfigError(f"response '{labels(outputs)}' is neither x nor y", hint="give its dof in the rig file")
+        raise ConfigError(
+            f"response '{labels(outputs)}' is neither x nor y", hint="give its dof in the rig file"
+        )
     if len(set(axes)) < len(axes):
-        raise ConfigError(f"the responses {labels(outputs)} have one direction", hint="one along x and one along y are needed")
+        raise ConfigError(
+            f"the responses {labels(outputs)} have one direction",
+            hint="one along x and one along y are needed",
+        )
     return axes
 
 
 def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> FloatArray:
-    """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to zero is zero.
+    """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to
+    zero is zero.
 
-    Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own directions.
+    Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own
+    directions.
     """
-    response_angles = [port.angle if port.angle is not None else axis * np.pi / 2 for port, axis in zip(outputs, axes, strict=True)]
+    response_angles = [
+        port.angle if port.angle is not None else axis * np.pi / 2
+        for port, axis in zip(outputs, axes, strict=True)
+    ]
     if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
-        raise ConfigError(f"the responses {labels(outputs)} are not perpendicular", hint="the model needs two directions at 90 deg")
+        raise ConfigError(
+            f"the responses {labels(outputs)} are not perpendicular",
+            hint="the model needs two directions at 90 deg",
+        )
     force = np.cos(np.subtract.outer(response_angles, angles))
     return np.where(np.abs(force) < 1e-15, 0.0, force)
 
@@ -158,7 +191,16 @@ def _need_ports(setup: Setup, model: str, n_output: int) -> None:
         raise ConfigError(f"{model} takes {n_output} response(s), found {labels(setup.outputs)}", hint=hint)
 
 
-SDOF = linear_kind(sdof, "peaks", "damping", one_frf=True, one_mode=True, own_damping=True, one_direction=True, frees_mass=True)
+SDOF = linear_kind(
+    sdof,
+    "peaks",
+    "damping",
+    one_frf=True,
+    one_mode=True,
+    own_damping=True,
+    one_direction=True,
+    frees_mass=True,
+)
 ROTOR_2DOF = linear_kind(rotor_2dof, "tied", "damping", simpler="rotor-2dof-direct")
 ROTOR_2DOF_DIRECT = linear_kind(rotor_2dof_direct, "tied", one_direction=True, richer="rotor-2dof")
 
@@ -171,17 +213,24 @@ MASS_SCALE = "mass_scale"
 def mdof(setup: Setup) -> DynamicModel:
     """Stiffness k_i_j, damping c_i_j and, if unknown, mass m_i_j between the dofs i, j of the outputs.
 
-    One force is sufficient: every row of the equation of motion has its own coefficients (Knaapen 1997, ch. 4). *symmetric* settings
-    give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with `scale_mass`, known up to a factor.
-    ConfigError for a force on a dof without output, or a mass of the wrong size.
+    One force is sufficient: every row of the equation of motion has its own coefficients (Knaapen 1997, ch.
+    4). *symmetric* settings give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with
+    `scale_mass`, known up to a factor. ConfigError for a force on a dof without output, or a mass of the
+    wrong size.
     """
     settings = setup.settings
     dofs = [port.dof or port.label for port in setup.outputs]
     if len(set(dofs)) < len(dofs):
-        raise ConfigError(f"two of the responses {labels(setup.outputs)} have one dof", hint="choose with `output`")
+        raise ConfigError(
+            f"two of the responses {labels(setup.outputs)} have one dof", hint="choose with `output`"
+        )
     force = _forces(setup, dofs)
     kinds = {"k": "stiffness", "c": "damping"}
-    terms = [term for letter, kind in kinds.items() for term in _entries(letter, kind, dofs, setup.shape, settings.symmetric)]
+    terms = [
+        term
+        for letter, kind in kinds.items()
+        for term in _entries(letter, kind, dofs, setup.shape, settings.symmetric)
+    ]
     mass = _fixed_mass(settings.mass, len(dofs))
     if mass is None:
         terms.extend(_mass_entries(setup, dofs))
@@ -192,11 +241,20 @@ def mdof(setup: Setup) -> DynamicModel:
     return DynamicModel("mdof", tuple(terms), fixed_matrices(mass, force))
 
 
-def _entries(letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True) -> list[Term]:
+def _entries(
+    letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True
+) -> list[Term]:
     """One parameter per entry of a matrix; of a symmetric one, those on and above the diagonal."""
     places = [(r, c) for r in range(len(dofs)) for c in range(r if symmetric else 0, len(dofs))]
     return [
-        entry_term(f"{letter}_{dofs[r]}_{dofs[c]}", kind, [(r, c), (c, r)] if symmetric else [(r, c)], shape, droppable) for r, c in places
+        entry_term(
+            f"{letter}_{dofs[r]}_{dofs[c]}",
+            kind,
+            [(r, c), (c, r)] if symmetric else [(r, c)],
+            shape,
+            droppable,
+        )
+        for r, c in places
     ]
 
 
@@ -234,7 +292,9 @@ def _rectangular(mass: Mass) -> bool:
     if not isinstance(mass, tuple):
         return True
     rows = [row if isinstance(row, tuple) else (row,) for row in mass]
-    return len({len(row) for row in rows}) == 1 and all(isinstance(entry, (int, float)) for row in rows for entry in row)
+    return len({len(row) for row in rows}) == 1 and all(
+        isinstance(entry, (int, float)) for row in rows for entry in row
+    )
 
 
 def _forces(setup: Setup, dofs: list[str]) -> FloatArray:
@@ -249,12 +309,16 @@ def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     output_angles = [angle_of(output) for output in setup.outputs]
     if angle is None or None in output_angles:
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
-        raise ConfigError(f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint)
+        raise ConfigError(
+            f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint
+        )
     shares = np.cos(angle - np.array(output_angles, dtype=float))
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
 
 
-MDOF = linear_kind(mdof, "tied", "damping", "symmetric", "lumped_mass", "scale_mass", matrix_modes=True, frees_mass=True)
+MDOF = linear_kind(
+    mdof, "tied", "damping", "symmetric", "lumped_mass", "scale_mass", matrix_modes=True, frees_mass=True
+)
 
 # base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the
 # base.
@@ -265,38 +329,62 @@ PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s
 
 
 def form_view(form: str, settings: FitSettings) -> FormView:
-    """The view of a model on a response of that *form*; ConfigError for a base without its motion, and for a transmissibility elsewhere."""
+    """The view of a model on a response of that *form*.
+
+    ConfigError for a base without its motion, and for a transmissibility elsewhere.
+    """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
-        what = f"model {BASE} needs the motion of the base as input, this FRF is of a force" if form in DERIVATIVES else _no_motion(form)
+        what = (
+            f"model {BASE} needs the motion of the base as input, this FRF is of a force"
+            if form in DERIVATIVES
+            else _no_motion(form)
+        )
         raise ConfigError(
-            what, hint="in the rig file: role: input for the acceleration (velocity, displacement) of the base; or model: sdof"
+            what,
+            hint="in the rig file: role: input for the acceleration (velocity, displacement) of the "
+            "base; or model: sdof",
         )
     if not settings.kind.of_base and form == TRANSMISSIBILITY:
-        raise ConfigError(f"model {settings.model} needs a force as input, this FRF is of the motion of a base", hint=f"model: {BASE}")
+        raise ConfigError(
+            f"model {settings.model} needs a force as input, this FRF is of the motion of a base",
+            hint=f"model: {BASE}",
+        )
     if form == TRANSMISSIBILITY:
         return FormView(form, 0.0 if settings.relative else 1.0)
     return FormView(form)
 
 
 def _no_motion(form: str) -> str:
-    return f"model {BASE} needs the motion of the base as input, and a motion as output; this FRF is of the form '{form}'"
+    return (
+        f"model {BASE} needs the motion of the base as input, and a motion as output; this FRF is of the "
+        f"form '{form}'"
+    )
 
 
 def base_excited(setup: Setup) -> DynamicModel:
-    """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows no more.
+    """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows
+    no more.
 
     ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
-        what = f"{BASE} takes one response and one base, found {labels(setup.outputs)} and {labels(setup.inputs)}"
+        what = (
+            f"{BASE} takes one response and one base, found {labels(setup.outputs)} and "
+            f"{labels(setup.inputs)}"
+        )
         raise ConfigError(what, hint="name them with `output` and `input`")
     given = setup.settings.mass
     if given != ESTIMATE and not (isinstance(given, float | int) and given > 0):
-        raise ConfigError(f"{BASE} takes one positive mass", hint="for example mass: 0.92 kg; without it f_n and zeta are identified")
+        raise ConfigError(
+            f"{BASE} takes one positive mass",
+            hint="for example mass: 0.92 kg; without it f_n and zeta are identified",
+        )
     shape = (1, 1)
     terms = (entry_term("k", "stiffness", [(0, 0)], shape), entry_term("c", "damping", [(0, 0)], shape))
     if isinstance(given, float | int):
-        return DynamicModel(BASE, terms, fixed_matrices(np.array([[float(given)]]), float(given) * np.ones(shape)))
+        return DynamicModel(
+            BASE, terms, fixed_matrices(np.array([[float(given)]]), float(given) * np.ones(shape))
+        )
     return DynamicModel(BASE, tuple(map(_per_mass, terms)), fixed_matrices(np.ones(shape), np.ones(shape)))
 
 

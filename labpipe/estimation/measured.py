@@ -9,7 +9,14 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.leakage import Leakage, SharedNoise
-from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, HeldCovariance, Port, StoredCovariance
+from labpipe.records.response import (
+    BlockCovariance,
+    Blocks,
+    FrequencyResponse,
+    HeldCovariance,
+    Port,
+    StoredCovariance,
+)
 from labpipe.records.uncertain import MatrixError
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
@@ -20,15 +27,23 @@ from labpipe.spectra.windows import has_kernel, kernel_of
 class Measured:
     """Receptance of the chosen ports on the chosen lines, with its noise.
 
-    omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of vec row-major, or None;
-    noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common one (smoothed noise).
+    omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of
+      vec row-major, or None;
+    noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common
+      one (smoothed noise).
     change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
-    shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the lines, c the correlation
-    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on that of their powers. Where
-    c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels between lines it is 1 at least,
-    since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines
-    that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a gain's error acts on both; None for
-    0. *blocks* of random data and their *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
+    shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the
+      lines, c the correlation
+    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on
+      that of their powers. Where
+    c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels
+      between lines it is 1 at least,
+    since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent
+      lines; *noise*: that of lines
+    that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a
+      gain's error acts on both; None for
+    0. *blocks* of random data and their *leakage* where it is known (H1), or None. *errors*: of sums of
+      channels, as receptance.
     """
 
     omega: FloatArray
@@ -56,7 +71,10 @@ class Measured:
 
     @property
     def variance(self) -> FloatArray | None:
-        """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None; does not make the covariance whole."""
+        """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None.
+
+        Does not make the covariance whole.
+        """
         covariance = self.stored_covariance
         if covariance is None:
             return None
@@ -74,7 +92,9 @@ class Measured:
         return 2 * self.matrix.size
 
 
-def select_ports(response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> tuple[list[int], list[int]]:
+def select_ports(
+    response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]
+) -> tuple[list[int], list[int]]:
     """Rows and columns by label, channel or dof (all without names); ConfigError for unknown names."""
     return chosen_ports(response.outputs, outputs, "response"), chosen_ports(response.inputs, inputs, "force")
 
@@ -88,34 +108,53 @@ def chosen_ports(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> 
         matches = exact or [number for number, port in enumerate(ports) if port.answers_to(name)]
         if not matches:
             labels = [port.label for port in ports]
-            raise ConfigError(f"no {what} '{name}' in the FRF, only {', '.join(labels)}", hint=nearest(name, labels))
+            raise ConfigError(
+                f"no {what} '{name}' in the FRF, only {', '.join(labels)}", hint=nearest(name, labels)
+            )
         chosen.extend(number for number in matches if number not in chosen)
     return chosen
 
 
 def measured_part(
-    response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray, view: FormView | None = None
+    response: FrequencyResponse,
+    rows: list[int],
+    columns: list[int],
+    lines: BoolArray,
+    view: FormView | None = None,
 ) -> Measured:
-    """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines; *view* of the response's form, its own by default.
+    """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines; *view* of the response's
+    form, its own by default.
 
     FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:
-        raise FitError("no frequency line lies in the band", hint=f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz")
+        raise FitError(
+            "no frequency line lies in the band",
+            hint=f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz",
+        )
     view = view or FormView(response.form)
     factor = view.factor(frequency)
     if np.any(factor == 0):
-        raise FitError(f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz")
+        raise FitError(
+            f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz"
+        )
     matrix = (response.matrix[lines][:, rows][:, :, columns] - view.offset) / factor[:, None, None]
     _check_moving(matrix, [response.outputs[row].label for row in rows])
-    covariance = _chosen_covariance(response, [row * len(response.inputs) + column for row in rows for column in columns], lines, factor)
+    covariance = _chosen_covariance(
+        response, [row * len(response.inputs) + column for row in rows for column in columns], lines, factor
+    )
     dof = response.covariance_dof
     # A single line has averages - 1 degrees of freedom; any beyond these come from its neighbours.
-    noise_lines = max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
+    noise_lines = (
+        max(dof / (response.averages - 1), 1.0) if np.isfinite(dof) and response.averages > 1 else 1.0
+    )
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    numbers, correlation = _line_numbers(response.frequency, lines), np.array(response.line_correlation, np.complex128)
+    numbers, correlation = (
+        _line_numbers(response.frequency, lines),
+        np.array(response.line_correlation, np.complex128),
+    )
     real = response.line_gains is None and not np.any(correlation.imag)
     gains = None if response.line_gains is None else _chosen_gains(response.line_gains[lines], rows, columns)
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
@@ -134,21 +173,31 @@ def measured_part(
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
         offset=view.offset / np.real(factor) if view.offset else None,
-        change=None if response.change is None else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
+        change=None
+        if response.change is None
+        else response.change[lines][:, rows][:, :, columns] / factor[:, None, None],
         errors=tuple(
-            replace(error, change=error.change[lines][:, rows][:, :, columns] / factor[:, None, None]) for error in response.errors
+            replace(error, change=error.change[lines][:, rows][:, :, columns] / factor[:, None, None])
+            for error in response.errors
         ),
     )
 
 
-def _chosen_covariance(response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray) -> StoredCovariance:
-    """The covariance of the elements *index* on the chosen lines over |factor|^2; in blocks where that of the response is."""
+def _chosen_covariance(
+    response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray
+) -> StoredCovariance:
+    """The covariance of the elements *index* on the chosen lines over |factor|^2.
+
+    In blocks where that of the response is.
+    """
     held = response.stored_covariance
     if isinstance(held, BlockCovariance):
         return held.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
     if response.covariance is None:
         return None
-    covariance: ComplexArray = response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
+    covariance: ComplexArray = (
+        response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
+    )
     return covariance
 
 
@@ -177,15 +226,23 @@ def _line_numbers(frequency: FloatArray, lines: BoolArray) -> IntArray:
 
 
 def _shared(numbers: IntArray, correlation: FloatArray) -> float:
-    """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line; distant lines are uncorrelated."""
+    """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line.
+
+    Distant lines are uncorrelated.
+    """
     chosen = np.zeros(numbers[-1] - numbers[0] + 1)
     chosen[numbers - numbers[0]] = 1.0
-    pairs = [np.dot(chosen[distance:], chosen[:-distance]) for distance in range(1, min(correlation.size + 1, chosen.size))]
+    pairs = [
+        np.dot(chosen[distance:], chosen[:-distance])
+        for distance in range(1, min(correlation.size + 1, chosen.size))
+    ]
     return 1.0 + 2 * float(np.dot(pairs, correlation[: len(pairs)])) / numbers.size
 
 
 def _chosen_gains(gains: ComplexArray, rows: list[int], columns: list[int]) -> ComplexArray:
-    """Gains (n_line, n_neighbour, n_output, n_input) of the chosen ports, (n_line, n_neighbour, n_element)."""
+    """Gains (n_line, n_neighbour, n_output, n_input) of the chosen ports, (n_line, n_neighbour,
+    n_element).
+    """
     return gains[:, :, rows][:, :, :, columns].reshape(*gains.shape[:2], -1)
 
 
@@ -193,4 +250,7 @@ def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
     """FitError for an output that is zero at every line."""
     still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
     if still:
-        raise FitError(f"the FRF of {', '.join(still)} is zero at every line of the band", hint="is the sensor connected?")
+        raise FitError(
+            f"the FRF of {', '.join(still)} is zero at every line of the band",
+            hint="is the sensor connected?",
+        )

@@ -2,9 +2,10 @@
 
 A residual that is not noise, and the intervals that hold in spite of it.
 
-The residual is judged at the minimum of the output error, whatever the estimator: by chi-square where the noise is known, else by its
-structure. Where it is not noise, the residual terms of modes outside the band are added and the fit is judged again. What explains the
-residual is what the intervals then allow for; where nothing does, there are none.
+The residual is judged at the minimum of the output error, whatever the estimator: by chi-square where the
+noise is known, else by its structure. Where it is not noise, the residual terms of modes outside the band are
+added and the fit is judged again. What explains the residual is what the intervals then allow for; where
+nothing does, there are none.
 """
 
 from __future__ import annotations
@@ -36,11 +37,12 @@ from labpipe.records.finding import Finding
 
 @dataclass(frozen=True)
 class OutsideModes:
-    """H(w) = model + sum_n C_n T_n(x): T_n the Chebyshev polynomials of the frequency mapped on -1 ... 1, C_n complex, one per FRF.
+    """H(w) = model + sum_n C_n T_n(x): T_n the Chebyshev polynomials of the frequency mapped on -1 ... 1, C_n
+    complex, one per FRF.
 
-    Parameters: the *n_own* ones of *model*, then Re C, then Im C, each (n_term, n_element), in units of *size* (n_element,) [m/N].
-    *curves* (n_line, n_term) [1] on the lines of the fit. C is complex since modes outside the band need not be real (Ewins 2000, 4.6).
-    Equation (est-outside).
+    Parameters: the *n_own* ones of *model*, then Re C, then Im C, each (n_term, n_element), in units of
+    *size* (n_element,) [m/N]. *curves* (n_line, n_term) [1] on the lines of the fit. C is complex since modes
+    outside the band need not be real (Ewins 2000, 4.6). Equation (est-outside).
     """
 
     model: ReceptanceModel
@@ -52,7 +54,9 @@ class OutsideModes:
         """H [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input); *omega* (n_line,) [rad/s]."""
         receptance = self.model.receptance(parameters[: self.n_own], omega)
         amounts = parameters[self.n_own :].reshape(2, self.curves.shape[1], -1)
-        return receptance + (self.curves @ ((amounts[0] + 1j * amounts[1]) * self.size)).reshape(receptance.shape)
+        return receptance + (self.curves @ ((amounts[0] + 1j * amounts[1]) * self.size)).reshape(
+            receptance.shape
+        )
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
@@ -72,7 +76,9 @@ class OutsideModes:
         return np.concatenate([real, 1j * real], axis=2)
 
     def start(self, values: FloatArray) -> FloatArray:
-        """Start values (n_parameter,) [parameter units]: those of the model (n_own,) without residual terms."""
+        """Start values (n_parameter,) [parameter units]: those of the model (n_own,) without residual
+        terms.
+        """
         return np.concatenate([values, np.zeros(2 * self.curves.shape[1] * self.size.size)])
 
 
@@ -86,14 +92,17 @@ def with_outside_modes(model: ReceptanceModel, measured: Measured, n_own: int, n
 
 # A residual that is not noise, and the intervals that hold in spite of it.
 
-# Complex residual terms per FRF that are tried one after the other: constant and slope, then polynomials of higher degree.
+# Complex residual terms per FRF that are tried one after the other: constant and slope, then polynomials of
+# higher degree.
 TERMS = (2, 4, 6, 8)
 MOST_STEPS = 40
 # Draws of noise where a p-value only has to be above MISMATCH_P.
 FEW_DRAWS = 299
-# Terms that make an estimate this much less certain are not told apart from the model: their fit says nothing about it.
+# Terms that make an estimate this much less certain are not told apart from the model: their fit says nothing
+# about it.
 LEAST_CERTAIN = 4.0
-# Real numbers in the largest Jacobian for which terms are added: of a matrix of many FRFs they would take longer than all the rest.
+# Real numbers in the largest Jacobian for which terms are added: of a matrix of many FRFs they would take
+# longer than all the rest.
 MOST_VALUES = 300_000
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
@@ -103,8 +112,9 @@ BIASED = 4.0
 class Judgement:
     """Findings on a residual, and what its intervals become.
 
-    *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise hold. *refused*: no interval
-    holds. *judged*: whether anything could tell that the residual is noise. *model_error*: what stands in values and intervals.
+    *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
+    hold. *refused*: no interval holds. *judged*: whether anything could tell that the residual is noise.
+    *model_error*: what stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -116,7 +126,9 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and structure (of unknown noise)."""
+    """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and
+    structure (of unknown noise).
+    """
 
     problem: OutputError[ReceptanceModel]
     values: FloatArray
@@ -129,8 +141,8 @@ class _Minimum:
 class _Judge:
     """Judges minima of the output error of one measurement.
 
-    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short; *stated*: numbers that the
-    judgement allows for; *factor*: the excess over the measured noise, or None.
+    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short;
+    *stated*: numbers that the judgement allows for; *factor*: the excess over the measured noise, or None.
     """
 
     measured: Measured
@@ -143,14 +155,17 @@ class _Judge:
     factor: float | None
 
     def finding(self, said: str, remedy: str) -> tuple[Finding, ...]:
-        """The finding in words: leakage of short blocks looks like a wrong model, and a narrower band would not help."""
+        """The finding in words: leakage of short blocks looks like a wrong model, and a narrower band would
+        not help.
+        """
         if self.leaking:
             said = f"leakage of the short blocks, or a wrong model: {said}"
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
         return (Finding("model-mismatch", f"{said}. {remedy}"),)
 
     def minimum(self, model: ReceptanceModel, start: FloatArray, n_smooth: int = 0) -> _Minimum | None:
-        """The minimum from *start* (n_parameter,) [parameter units] of a model with *n_smooth* residual terms.
+        """The minimum from *start* (n_parameter,) [parameter units] of a model with *n_smooth* residual
+        terms.
 
         None where there is none, or it cannot be judged.
         """
@@ -173,12 +188,15 @@ class _Judge:
         p_value = structure.p_value if n_smooth else min(1.0, structure.p_value * self.n_band)
         return _Minimum(problem, minimum.values, assessed, p_value, structure)
 
-    def structure(self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null) -> Structure | None:
+    def structure(
+        self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null
+    ) -> Structure | None:
         """The structure of the residual at *values* (n_parameter,) [parameter units] against noise."""
         size = np.abs(self.measured.matrix).reshape(self.measured.omega.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
-            # What stated numbers change is no structure of a wrong model, of whatever size: the noise that would limit it is not known.
+            # What stated numbers change is no structure of a wrong model, of whatever size: the noise that
+            # would limit it is not known.
             jacobian = orthonormal(np.column_stack([jacobian, self.stated.changes.T]))
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)
@@ -187,7 +205,9 @@ class _Judge:
         """True where noise that grows with the response explains the residual of unknown noise."""
         if own.structure is None:
             return False
-        structure = self.structure(own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS))
+        structure = self.structure(
+            own.problem, own.values, Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS)
+        )
         return structure is not None and structure.p_value >= MISMATCH_P
 
     @cached_property
@@ -215,15 +235,18 @@ def judge(
 ) -> Judgement:
     """Whether the residual of *estimate* is noise, and the intervals that hold if it is not.
 
-    p-values are for the best of *n_band* bands (Bonferroni); *leaking*: a finding says that blocks are short; *stated*: numbers
-    that it allows for. Without convergence, or of amplitudes alone, nothing is judged but a measured excess over the noise.
+    p-values are for the best of *n_band* bands (Bonferroni); *leaking*: a finding says that blocks are short;
+    *stated*: numbers that it allows for. Without convergence, or of amplitudes alone, nothing is judged but a
+    measured excess over the noise.
     """
     judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated, excess(estimate))
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
     if judged.exact(expected(measured, model), estimate.values):
         return Judgement()
-    minimum = None if not settings.estimates.phase else judged.minimum(expected(measured, model), estimate.values)
+    minimum = (
+        None if not settings.estimates.phase else judged.minimum(expected(measured, model), estimate.values)
+    )
     if minimum is None:
         return Judgement(judged=False) if judged.factor is None else _by_factor(judged, judged.factor)
     if minimum.p_value >= MISMATCH_P:
@@ -234,9 +257,16 @@ def judge(
 
 
 def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None. Equation (est-excess)."""
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
+
+    Equation (est-excess).
+    """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    return float(np.sqrt(reduced)) if reduced is not None and p_value is not None and p_value < MISMATCH_P else None
+    return (
+        float(np.sqrt(reduced))
+        if reduced is not None and p_value is not None and p_value < MISMATCH_P
+        else None
+    )
 
 
 def _biased(judged: _Judge, own: _Minimum) -> Judgement:
@@ -249,8 +279,9 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
         return Judgement()
     worst, covariance = int(np.argmax(ratios)), _apart(estimate.covariance, away)
     said = (
-        f"{estimator} is biased by the noise of the FRF: {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors from what the "
-        f"same model gives by ml, whose residual is noise. {_grown(estimate, covariance)} since they include the distance"
+        f"{estimator} is biased by the noise of the FRF: {judged.model.names[worst]} is {ratios[worst]:.2g} "
+        "standard errors from what the same model gives by ml, whose residual is noise. "
+        f"{_grown(estimate, covariance)} since they include the distance"
     )
     return Judgement(judged.finding(said, "Use the estimator ml"), covariance)
 
@@ -258,15 +289,20 @@ def _biased(judged: _Judge, own: _Minimum) -> Judgement:
 def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
-    scatter = line_scatter(own.problem.jacobian(own.values), own.problem.residual(own.values), measured.omega.size, alone=True)
+    scatter = line_scatter(
+        own.problem.jacobian(own.values), own.problem.residual(own.values), measured.omega.size, alone=True
+    )
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
     covariance = _apart(_not_below(covariance, estimate.covariance), own.values - estimate.values)
     said = (
-        f"{_said(own)}; noise that grows with the response explains it, as from gains that scatter from line to line. "
-        f"{_grown(estimate, covariance)} since they come from the scatter of every line by itself"
+        f"{_said(own)}; noise that grows with the response explains it, as from gains that scatter from line "
+        f"to line. {_grown(estimate, covariance)} since they come from the scatter of every line by itself"
     )
-    return Judgement(judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"), covariance)
+    return Judgement(
+        judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"),
+        covariance,
+    )
 
 
 def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
@@ -276,8 +312,8 @@ def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
     said = (
-        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves unexplained, and are up to "
-        f"{factor:.3g} times as wide as noise alone makes them"
+        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
+        f"unexplained, and are up to {factor:.3g} times as wide as noise alone makes them"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
 
@@ -288,17 +324,27 @@ def _explained(judged: _Judge, own: _Minimum) -> Judgement | None:
     for n_term in TERMS:
         other = _with_terms(judged, own, n_term)
         if other is not None and other.p_value >= MISMATCH_P:
-            covariance = _apart(_not_below(other.assessed.covariance[:n, :n], estimate.covariance), other.values[:n] - estimate.values)
+            covariance = _apart(
+                _not_below(other.assessed.covariance[:n, :n], estimate.covariance),
+                other.values[:n] - estimate.values,
+            )
             said = (
-                f"{_said(own)}. A smooth residual term, as modes beside the band leave it, explains it. {_grown(estimate, covariance)} "
+                f"{_said(own)}. A smooth residual term, as modes beside the band leave it, explains it. "
+                f"{_grown(estimate, covariance)} "
                 "since they include how far the values are from those with this term"
             )
-            return Judgement(judged.finding(said, "Use the model modal, which has such terms, or narrow the band"), covariance)
+            return Judgement(
+                judged.finding(said, "Use the model modal, which has such terms, or narrow the band"),
+                covariance,
+            )
     return None
 
 
 def _with_terms(judged: _Judge, own: _Minimum, n_term: int) -> _Minimum | None:
-    """The fit with residual terms; None where the lines are too few for it, or do not tell the terms from the model."""
+    """The fit with residual terms.
+
+    None where the lines are too few for it, or do not tell the terms from the model.
+    """
     n, measured = own.values.size, judged.measured
     n_parameter = n + 2 * n_term * measured.matrix[0].size
     if measured.n_equation < 2 * n_parameter or measured.n_equation * n_parameter > MOST_VALUES:
@@ -312,29 +358,42 @@ def _with_terms(judged: _Judge, own: _Minimum, n_term: int) -> _Minimum | None:
 
 
 def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
-    """Nothing explains the residual: a measured excess is counted as noise; without a measure of noise there is no interval."""
+    """Nothing explains the residual: a measured excess is counted as noise.
+
+    Without a measure of noise there is no interval.
+    """
     if own.structure is None:
         assert own.assessed.reduced is not None
-        return _by_factor(judged, judged.factor or float(np.sqrt(own.assessed.reduced)), own.values - judged.estimate.values)
+        return _by_factor(
+            judged, judged.factor or float(np.sqrt(own.assessed.reduced)), own.values - judged.estimate.values
+        )
     said = (
-        f"{_said(own)}, and smooth residual terms do not explain it: a mode is missing within the band, or gain or stiffness changed "
-        "during the measurement. No interval is given, since none would hold"
+        f"{_said(own)}, and smooth residual terms do not explain it: a mode is missing within the band, or "
+        "gain or stiffness changed during the measurement. No interval is given, since none would hold"
     )
     return Judgement(judged.finding(said, "Use a model with more modes, or narrow the band"), refused=True)
 
 
 def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:
-    """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml beside it."""
+    """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml
+    beside it.
+    """
     estimate, estimator = judged.estimate, judged.settings.estimator
     covariance = factor**2 * estimate.covariance
     if away is not None:
         covariance = _apart(covariance, away)
-    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as well.
-    cause = "the model is incomplete" if judged.settings.estimates.unbiased else f"the model is incomplete, or {estimator} is biased"
+    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
+    # well.
+    cause = (
+        "the model is incomplete"
+        if judged.settings.estimates.unbiased
+        else (f"the model is incomplete, or {estimator} is biased")
+    )
     said = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
-        f"{estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): {cause}. {_grown(estimate, covariance)} since the excess counts "
-        "as noise; a mode missing within the band can be worse than that"
+        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
+        f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): {cause}. "
+        f"{_grown(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
+        "can be worse than that"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), covariance)
 
@@ -344,14 +403,19 @@ def _said(own: _Minimum) -> str:
     if own.structure is None:
         assert own.assessed.reduced is not None
         return (
-            f"the residual is {np.sqrt(own.assessed.reduced):.3g} times what the measured noise explains (chi-square per degree of freedom "
-            f"{own.assessed.reduced:.3g}, p = {own.p_value:.2g})"
+            f"the residual is {np.sqrt(own.assessed.reduced):.3g} times what the measured noise explains "
+            f"(chi-square per degree of freedom {own.assessed.reduced:.3g}, p = {own.p_value:.2g})"
         )
-    return f"the residual is not noise: {own.structure.said} (p = {own.p_value:.2g} for noise under the same fit)"
+    return (
+        f"the residual is not noise: {own.structure.said} (p = {own.p_value:.2g} for noise under the "
+        "same fit)"
+    )
 
 
 def _apart(covariance: FloatArray, away: FloatArray) -> FloatArray:
-    """The covariance (n, n) with the distance (n,) between two fits counted as one standard error, wholly correlated."""
+    """The covariance (n, n) with the distance (n,) between two fits counted as one standard error, wholly
+    correlated.
+    """
     return covariance + np.outer(away, away)
 
 

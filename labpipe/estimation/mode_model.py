@@ -1,4 +1,6 @@
-"""A mode on the lines of one FRF as an ordinary fit, and its named extensions: a second mode in the band, a resonance that moves."""
+"""A mode on the lines of one FRF as an ordinary fit, and its named extensions: a second mode in the band, a
+resonance that moves.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,9 @@ class ModeModel:
         """Places in theta of what is stated: the parameters of interest, then of a pole Re and Im of its
         amplitude and the first term.
         """
-        linear = [] if self.coefficients else range(self.n_shape, self.n_shape + 2 + 2 * min(self.residual, 1))
+        linear = (
+            [] if self.coefficients else range(self.n_shape, self.n_shape + 2 + 2 * min(self.residual, 1))
+        )
         return [*range(self.n_interest), *linear]
 
     @property
@@ -122,7 +126,9 @@ class ModeModel:
         (n_shape,) [1].
         """
         rows = np.zeros((3 if self.n_interest == 3 else 2, n))
-        rows[:2, : self.n_interest] = self.to_resonance / np.array([[self.frequency_and_damping(q)[1]], [PRIOR_DAMPING]])
+        rows[:2, : self.n_interest] = self.to_resonance / np.array(
+            [[self.frequency_and_damping(q)[1]], [PRIOR_DAMPING]]
+        )
         if self.n_interest == 3:
             rows[2, [0, 2]] = 0.5 / PRIOR_LEVEL
         return rows
@@ -144,12 +150,19 @@ class ModeModel:
                 slopes[:, self.n_interest] += weight * by_motion
         return value, slopes
 
-    def _pole_at(self, q: FloatArray, s: ComplexArray, x: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def _pole_at(
+        self, q: FloatArray, s: ComplexArray, x: float
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """1 / (s - lambda) moved by *x*, its derivatives by ln f_n and ln zeta, and by ln x."""
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         if self.member == "L":
             root = np.sqrt(max(1 - zeta**2, 1e-12))
-            pole, by_zeta, by_x, size = w * (-zeta + 1j * (root + x)), -w * zeta * (1 + 1j * zeta / root), 1j * w * x, 1.0
+            pole, by_zeta, by_x, size = (
+                w * (-zeta + 1j * (root + x)),
+                -w * zeta * (1 + 1j * zeta / root),
+                1j * w * x,
+                1.0,
+            )
         else:
             root = np.sqrt(max((1 + x) ** 2 - zeta**2, 1e-12))
             pole, by_zeta, size = w * (-zeta + 1j * root), -w * zeta * (1 + 1j * zeta / root), 1 / (1 + x)
@@ -159,7 +172,9 @@ class ModeModel:
         by_motion = square * by_x - (0.0 if self.member == "L" else x * size) * value
         return value, np.column_stack([square * pole, square * by_zeta]), by_motion
 
-    def _coefficients_at(self, q: FloatArray, s: ComplexArray, x: float) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    def _coefficients_at(
+        self, q: FloatArray, s: ComplexArray, x: float
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """1 / (k + c s + m s^2) moved by *x*, its derivatives by ln k, ln c (and ln m), and by ln x."""
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
@@ -184,8 +199,8 @@ class ModeModel:
         return value, slopes, other.conj(), other_slopes.conj()
 
     def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper pole alone
-        (n_line,).
+        """h (n_line,) [any unit], its derivatives (n_line, n) by *theta* (n,), and the resonance of the upper
+        pole alone (n_line,).
         """
         q, amplitudes = theta[: self.n_shape], theta[self.n_shape :: 2] + 1j * theta[self.n_shape + 1 :: 2]
         terms = np.stack([self.terms, 1j * self.terms], axis=-1).reshape(self.curve.frequency.size, -1)
@@ -209,7 +224,9 @@ class ModeModel:
         n_amplitude = self.residual + (not self.coefficients) + (self.member == SECOND)
         theta = np.concatenate([q, np.zeros(2 * n_amplitude)])
         value, jacobian, _ = self.at(theta)
-        rows, side = (_real(part, self.curve.std) for part in (jacobian[:, self.n_shape :], self.curve.values - value))
+        rows, side = (
+            _real(part, self.curve.std) for part in (jacobian[:, self.n_shape :], self.curve.values - value)
+        )
         return np.concatenate([q, np.linalg.lstsq(rows, side, rcond=None)[0]]) if n_amplitude else theta
 
     def fitted(self, theta: FloatArray) -> Fitted:
@@ -226,7 +243,9 @@ class ModeModel:
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             try:
-                found = optimize.least_squares(residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60)
+                found = optimize.least_squares(
+                    residual, theta, jac=jacobian, x_scale="jac", method="lm", max_nfev=60
+                )
             except (ValueError, np.linalg.LinAlgError) as error:
                 raise FitError(f"the fit has no minimum ({error})") from None
         if not np.all(np.isfinite(found.x)):
@@ -311,7 +330,10 @@ def _second_mode(base: Fitted) -> Fitted | None:
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
     value, jacobian, _ = base.model.at(base.theta)
-    rows, side = _real(jacobian, base.model.curve.std), _real(base.model.curve.values - value, base.model.curve.std)
+    rows, side = (
+        _real(jacobian, base.model.curve.std),
+        _real(base.model.curve.values - value, base.model.curve.std),
+    )
     basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
     places = np.linspace(frequency[0], frequency[-1], PLACES)
     gains = []
@@ -335,12 +357,25 @@ def _second_mode(base: Fitted) -> Fitted | None:
     f_2, zeta_2 = np.exp(best.theta[n : n + 2])
     moved = abs(np.log(model.frequency_and_damping(best.theta)[0] / f_n))
     damping = model.frequency_and_damping(best.theta)[1]
-    if not frequency[0] <= f_2 <= frequency[-1] or not 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING or moved >= 2 * zeta:
+    if (
+        not frequency[0] <= f_2 <= frequency[-1]
+        or not 1 / LIKE_DAMPING < zeta_2 / damping < LIKE_DAMPING
+        or moved >= 2 * zeta
+    ):
         return None
-    own = 1 / (2 * np.sqrt(_k_and_m(model, best.theta))) if model.coefficients else abs(complex(*best.theta[n + 2 : n + 4]))
+    own = (
+        1 / (2 * np.sqrt(_k_and_m(model, best.theta)))
+        if model.coefficients
+        else abs(complex(*best.theta[n + 2 : n + 4]))
+    )
     t2 = (0.3 * own) ** 2 / 2
     size = abs(complex(*best.theta[-2:])) ** 2
-    occam = 2 * np.log(2 * np.pi) - np.log(base.model.curve.width / f_2) - np.log(2 * np.log(4)) - np.log(2 * np.pi * t2)
+    occam = (
+        2 * np.log(2 * np.pi)
+        - np.log(base.model.curve.width / f_2)
+        - np.log(2 * np.log(4))
+        - np.log(2 * np.pi * t2)
+    )
     return replace(best, occam=float(occam - min(size / (2 * t2), 20.0)))
 
 

@@ -1,4 +1,6 @@
-"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces, constraints."""
+"""A model linear in its parameters: dynamic stiffness Z(w) = Z_0(w) + sum_j p_j Z_j(w), forces,
+constraints.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ CACHED_ELEMENTS = 1 << 16
 class Matrices:
     """Contribution of one parameter (or of all constants) to the equation of motion.
 
-    stiffness K [N/m] (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof, n_input) [1].
+    stiffness K [N/m] (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force
+    B (n_dof, n_input) [1].
     """
 
     stiffness: FloatArray
@@ -56,7 +59,8 @@ def no_matrices(n_dof: int, n_input: int) -> Matrices:
 class Term:
     """One parameter of a model and its matrices.
 
-    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its value.
+    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its
+    value.
     """
 
     name: str
@@ -105,7 +109,8 @@ class ActingTerms:
     """The terms that have a matrix of one kind: their *place* among all, their *matrices* as columns
     (n_element, n_acting) [unit of the kind].
 
-    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order, factor 1.
+    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order,
+    factor 1.
     """
 
     place: IntArray | slice
@@ -115,7 +120,10 @@ class ActingTerms:
 
     @classmethod
     def of(cls, rows: FloatArray) -> ActingTerms | None:
-        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind]; None where all are zero."""
+        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind].
+
+        None where all are zero.
+        """
         there = np.flatnonzero(np.any(rows != 0, axis=1))
         if there.size == 0:
             return None
@@ -123,21 +131,37 @@ class ActingTerms:
         are_neighbours = there[-1] - there[0] == there.size - 1
         place = slice(int(there[0]), int(there[-1]) + 1) if are_neighbours else there
         matrices = rows[there].T.astype(np.complex128)
-        single = np.argmax(rows[there] != 0, axis=1) if np.all(np.count_nonzero(rows[there], axis=1) == 1) else None
-        return cls(place, matrices, single, matrices.shape[0] == matrices.shape[1] and np.array_equal(matrices, np.eye(there.size)))
+        single = (
+            np.argmax(rows[there] != 0, axis=1)
+            if np.all(np.count_nonzero(rows[there], axis=1) == 1)
+            else None
+        )
+        return cls(
+            place,
+            matrices,
+            single,
+            matrices.shape[0] == matrices.shape[1] and np.array_equal(matrices, np.eye(there.size)),
+        )
 
     def combined(self, elements: ComplexArray) -> ComplexArray:
-        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit]; picked where every term has only one element."""
+        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit].
+
+        Picked where every term has only one element.
+        """
         if self.plain:
             return elements
         if self.single is not None:
-            return np.asarray(elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)])
+            return np.asarray(
+                elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)]
+            )
         return np.asarray(elements @ self.matrices)
 
 
 @dataclass(frozen=True)
 class DynamicModel:
-    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *constant*: known part of the matrices, *terms*: parameters to estimate."""
+    """Z(w) H(w) = B with Z = K + j w C - w^2 M; *constant*: known part of the matrices, *terms*: parameters
+    to estimate.
+    """
 
     name: str
     terms: tuple[Term, ...]
@@ -176,7 +200,12 @@ class DynamicModel:
         for term in joined[1:]:
             matrices = matrices.plus(term.matrices)
         common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
-        return replace(self, terms=tuple(common if term is joined[0] else term for term in self.terms if term not in joined[1:]))
+        return replace(
+            self,
+            terms=tuple(
+                common if term is joined[0] else term for term in self.terms if term not in joined[1:]
+            ),
+        )
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""
@@ -184,22 +213,31 @@ class DynamicModel:
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
-        return Matrices(square[..., 0, :, :], square[..., 1, :, :].real, square[..., 2, :, :].real, force.real)
+        return Matrices(
+            square[..., 0, :, :], square[..., 1, :, :].real, square[..., 2, :, :].real, force.real
+        )
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation (est-stiffness)."""
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s].
+
+        Equation (est-stiffness).
+        """
         return _dynamic_stiffness(self.whole(parameters), omega)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular. Equation (est-receptance)."""
+        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular.
+
+        Equation (est-receptance).
+        """
         whole = self.whole(parameters)
         return _solved(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]; parameters last in memory.
+        """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
+        parameters last in memory.
 
-        Every element e_a e_b^T of a Z_j gives the outer product of column a of Z^-1 and row b of H, which all terms share.
-        Equation (est-jacobian).
+        Every element e_a e_b^T of a Z_j gives the outer product of column a of Z^-1 and row b of H, which all
+        terms share. Equation (est-jacobian).
         """
         whole = self.whole(parameters)
         n_line, (n_dof, n_input), n_parameter = omega.size, whole.force.shape, len(self.terms)
@@ -215,7 +253,9 @@ class DynamicModel:
         n_line, n_dof, n_input = slopes.shape[:3]
         inverse = _inverse(_dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
-        outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(n_line, n_dof, n_input, n_dof**2)
+        outer = (inverse[:, :, None, :, None] * by_input[:, None, :, None, :]).reshape(
+            n_line, n_dof, n_input, n_dof**2
+        )
         for kind, factor in _line_factors(omega).items():
             acting = self.acting[kind]
             if acting is not None:
@@ -236,7 +276,9 @@ class DynamicModel:
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
-        """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input) [1 per parameter unit]."""
+        """Z_j H - B_j: the regressors of the equation of motion, (n_parameter, n_line, n_dof, n_input) [1 per
+        parameter unit].
+        """
         n_line, n_dof, n_input = h.shape
         # Lines in the last axis but one: every product below is one contiguous matrix product.
         terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
@@ -255,18 +297,27 @@ class DynamicModel:
 
     def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
         """B_0 - Z_0 H [1]: the right side of the equation of motion, (n_line, n_dof, n_input)."""
-        return np.asarray(self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128)
+        return np.asarray(
+            self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128
+        )
 
     @cached_property
     def _joined(self) -> FloatArray:
-        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product gives their sum."""
-        parts = [(m.stiffness, m.damping, m.mass, m.force) for m in (*(term.matrices for term in self.terms), self.constant)]
+        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product
+        gives their sum.
+        """
+        parts = [
+            (m.stiffness, m.damping, m.mass, m.force)
+            for m in (*(term.matrices for term in self.terms), self.constant)
+        ]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
 
     @cached_property
     def acting(self) -> dict[str, ActingTerms | None]:
         """Of each kind of matrix, the terms that have one; None where no term has."""
-        return {kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()}
+        return {
+            kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()
+        }
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
@@ -274,12 +325,17 @@ class DynamicModel:
         stacks = {}
         for kind in ("stiffness", "damping", "mass", "force"):
             matrices = [getattr(term.matrices, kind) for term in self.terms]
-            stacks[kind] = np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
+            stacks[kind] = (
+                np.stack(matrices) if matrices else np.zeros((0, *getattr(self.constant, kind).shape))
+            )
         return stacks
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s]; FitError where Z is singular."""
+    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s].
+
+    FitError where Z is singular.
+    """
     return _inverse(model.dynamic_stiffness(parameters, omega))
 
 
@@ -290,7 +346,9 @@ def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
 
 def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     w = omega[:, None, None]
-    return np.asarray(matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128)
+    return np.asarray(
+        matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128
+    )
 
 
 def _solved(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
@@ -310,7 +368,9 @@ def _inverse(z: ComplexArray) -> ComplexArray:
 
 
 def _singular() -> FitError:
-    return FitError("the dynamic stiffness of the model is singular at a line", hint="check the band and the mass")
+    return FitError(
+        "the dynamic stiffness of the model is singular at a line", hint="check the band and the mass"
+    )
 
 
 # What a model needs to know of the measurement, and the pieces that models are made of.
@@ -320,7 +380,9 @@ UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
 
 @dataclass(frozen=True)
 class Setup:
-    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's settings."""
+    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's
+    settings.
+    """
 
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
@@ -333,7 +395,9 @@ class Setup:
         return len(self.outputs), len(self.inputs)
 
 
-def entry_term(name: str, kind: str, places: list[tuple[int, int]], shape: tuple[int, int], droppable: bool = True) -> Term:
+def entry_term(
+    name: str, kind: str, places: list[tuple[int, int]], shape: tuple[int, int], droppable: bool = True
+) -> Term:
     """A parameter that enters the same in all *places* of one matrix; *shape* is (n_dof, n_input)."""
     empty = no_matrices(*shape)
     matrix = getattr(empty, kind).copy()
@@ -368,7 +432,9 @@ def constrained(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     for group in settings.tied:
         model = _tied(model, group)
     if not model.terms:
-        raise ConfigError("every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`")
+        raise ConfigError(
+            "every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`"
+        )
     return model
 
 
@@ -377,7 +443,10 @@ def _tied(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
         _check_names(model, name, "tied")
     units = {term.unit for term in model.terms if term.name in group}
     if len(set(group)) < 2 or len(units) > 1:
-        raise ConfigError(f"tied: {', '.join(group)} cannot have one value", hint="name two or more coefficients of one unit")
+        raise ConfigError(
+            f"tied: {', '.join(group)} cannot have one value",
+            hint="name two or more coefficients of one unit",
+        )
     return model.tied(group)
 
 

@@ -1,4 +1,6 @@
-"""What a fit of one FRF states where its residual is not noise: values and intervals that include the model error."""
+"""What a fit of one FRF states where its residual is not noise: values and intervals that include the model
+error.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,19 @@ from labpipe.estimation.transfer_mode import TransferMode
 from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 
-# Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths on either side.
+# Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths
+# on either side.
 MOST_LINES, REACH = 400, 8.0
 # Lines in a half-power width that averaging leaves.
 LINES_IN_WIDTH = 8
 FEWEST_NEAR = 60
 # What a type of discrepancy, or a member of the ladder, is in words.
-WORDS = {"a": "other modes", "m": "gain curve", "z": "stiffness law or drift", "n": "noise larger than measured"}
+WORDS = {
+    "a": "other modes",
+    "m": "gain curve",
+    "z": "stiffness law or drift",
+    "n": "noise larger than measured",
+}
 SECOND_MODE, MOVED_FREQUENCY, NOISE = "second mode", "moved frequency", "noise"
 APART = "not the same from point to point: what moves loads the structure"
 # Share from which a cause is named beside the first one.
@@ -35,7 +43,10 @@ NAMED = 0.25
 
 @dataclass(frozen=True)
 class StatedRow:
-    """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset; *log*: of its logarithm."""
+    """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset.
+
+    *log*: of its logarithm.
+    """
 
     row: FloatArray
     offset: float = 0.0
@@ -46,7 +57,8 @@ class StatedRow:
 class ModelError:
     """The mixture of a fit, and its parameters by name as rows of it.
 
-    apart: mean and ends of the logarithm of parameters that differ from point to point, which count where they are the longer.
+    apart: mean and ends of the logarithm of parameters that differ from point to point, which count where
+    they are the longer.
     """
 
     mixture: Mixture
@@ -62,7 +74,9 @@ class ModelError:
             shares[cause] = shares.get(cause, 0.0) + share
         ordered = dict(sorted(shares.items(), key=lambda pair: -pair[1]))
         second = self.mixture.second if SECOND_MODE in shares else None
-        return Discrepancy({name: round(share, 6) for name, share in ordered.items() if share >= 1e-6}, second)
+        return Discrepancy(
+            {name: round(share, 6) for name, share in ordered.items() if share >= 1e-6}, second
+        )
 
     @property
     def reason(self) -> str:
@@ -90,16 +104,22 @@ class ModelError:
         return float((high - low) / (2 * NORMAL * np.sqrt(row @ self.mixture.noise @ row)))
 
     def stated(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-        """The parameters with values and intervals of the mixture; those that it does not tell keep their value, without an interval.
+        """The parameters with values and intervals of the mixture; those that it does not tell keep their
+        value, without an interval.
 
-        The value is the mixture's mean: an interval around another value would not hold it. std_error stays that of noise.
+        The value is the mixture's mean: an interval around another value would not hold it. std_error stays
+        that of noise.
         """
         return tuple(self._stated(parameter) for parameter in parameters)
 
     def _stated(self, parameter: Parameter) -> Parameter:
         row = self.rows.get(parameter.name)
         if row is None:
-            return replace(parameter, ci95=None, significant=None, t_ratio=None) if parameter.std_error else parameter
+            return (
+                replace(parameter, ci95=None, significant=None, t_ratio=None)
+                if parameter.std_error
+                else parameter
+            )
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None and apart[2] - apart[1] > high - low:
@@ -138,12 +158,15 @@ def _cause(share: str) -> str:
     return WORDS[share.lstrip("+")[0]]
 
 
-def model_error(measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings) -> ModelError | None:
-    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None where it is of another kind.
+def model_error(
+    measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings
+) -> ModelError | None:
+    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None
+    where it is of another kind.
 
-    The noise is the measured one; where it is not known, that of neighbouring lines of the residual: the scatter of its second
-    differences. None too where the band is too narrow for its width, and for random data whose
-    leakage the fit models.
+    The noise is the measured one; where it is not known, that of neighbouring lines of the residual: the
+    scatter of its second differences. None too where the band is too narrow for its width, and for random
+    data whose leakage the fit models.
     """
     if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
         return None
@@ -170,7 +193,9 @@ def model_error(measured: Measured, model: FittedModel, values: FloatArray, sett
 
 @dataclass(frozen=True)
 class _Built:
-    """A mode without its curve, the shape parameters (n_shape,) to start from, what its parameters are, and the *force* that h is over."""
+    """A mode without its curve, the shape parameters (n_shape,) to start from, what its parameters are, and
+    the *force* that h is over.
+    """
 
     mode: ModeModel
     start: FloatArray
@@ -183,13 +208,18 @@ _NO_CURVE = Curve(np.arange(2.0), np.zeros(2, np.complex128), np.ones(2))
 
 
 def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
-    """The mode that a model is, None where it is another: several coefficients, a law of damping, signs without a resonance."""
+    """The mode that a model is, None where it is another: several coefficients, a law of damping, signs
+    without a resonance.
+    """
     by_name = dict(zip(model.names, map(float, values), strict=True))
     if isinstance(model, TransferMode):
         return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
         return None
-    names = {letter: next((name for name in (letter, PER_MASS[letter][0]) if name in by_name), "") for letter in "kc"}
+    names = {
+        letter: next((name for name in (letter, PER_MASS[letter][0]) if name in by_name), "")
+        for letter in "kc"
+    }
     free = "m" in by_name
     if set(by_name) != {*names.values(), *(["m"] if free else [])} or "" in names.values():
         return None
@@ -206,7 +236,10 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
     rows = {names["k"]: StatedRow(unit[0]), names["c"]: StatedRow(unit[1])}
     if free:
         rows |= {"m": StatedRow(unit[2]), "modal_constant": StatedRow(-unit[2])}
-    rows |= {name: StatedRow(row, offset) for name, row, offset in zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)}
+    rows |= {
+        name: StatedRow(row, offset)
+        for name, row, offset in zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)
+    }
     return _Built(mode, np.log(numbers), rows, sign * float(constant.force[0, 0]))
 
 
@@ -217,12 +250,16 @@ def _transfer(by_name: dict[str, float]) -> _Built:
     rows = {"f_n": StatedRow(unit[0]), "zeta": StatedRow(unit[1])}
     rows["modal_constant"] = StatedRow(-2 * w_d * unit[3], log=False)
     rows["modal_constant_quadrature"] = StatedRow(2 * w_d * unit[2], log=False)
-    rows |= {name: StatedRow(unit[number], log=False) for number, name in ((4, "residual_re"), (5, "residual_im"))}
+    rows |= {
+        name: StatedRow(unit[number], log=False) for number, name in ((4, "residual_re"), (5, "residual_im"))
+    }
     return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
 
 
 def _thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
-    """At most about MOST_LINES lines: those around the resonance, then means of neighbours as far as these leave its peak as it is."""
+    """At most about MOST_LINES lines: those around the resonance, then means of neighbours as far as these
+    leave its peak as it is.
+    """
     if curve.frequency.size <= MOST_LINES:
         return curve
     f_n, zeta = mode.frequency_and_damping(start)

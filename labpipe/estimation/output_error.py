@@ -1,11 +1,14 @@
-"""Weighted output error of a model: residual, its Jacobian, and normal equations from small matrices line by line.
+"""Weighted output error of a model: residual, its Jacobian, and normal equations from small matrices line by
+line.
 
-Normal equations of an output error from products of small matrices line by line, without the derivatives themselves.
+Normal equations of an output error from products of small matrices line by line, without the derivatives
+themselves.
 
-An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b of the response. The sum over
-the lines of products of two such derivatives is therefore one product of (columns by columns) and (rows by rows), for FRFs with independent
-noise, and for those whose covariance is one matrix over the responses times one over the forces, as that of H1 is. The derivatives of all
-parameters on all lines, n^2 times as many numbers, are never made.
+An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b
+of the response. The sum over the lines of products of two such derivatives is therefore one product of
+(columns by columns) and (rows by rows), for FRFs with independent noise, and for those whose covariance is
+one matrix over the responses times one over the forces, as that of H1 is. The derivatives of all parameters
+on all lines, n^2 times as many numbers, are never made.
 """
 
 from __future__ import annotations
@@ -23,7 +26,15 @@ from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.descent import Linearisation, linearised, sum_of_squares, triangle_of_products
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ReceptanceModel, compliance
-from labpipe.estimation.weights import ProductWeights, Weights, is_short, short_weights, weights_at, whitened, whitened_columns
+from labpipe.estimation.weights import (
+    ProductWeights,
+    Weights,
+    is_short,
+    short_weights,
+    weights_at,
+    whitened,
+    whitened_columns,
+)
 
 # Normal equations of an output error from products of small matrices line by line, without the derivatives
 # themselves.
@@ -31,13 +42,16 @@ from labpipe.estimation.weights import ProductWeights, Weights, is_short, short_
 # By what a matrix of each kind stands in Z(w): factor and power of w.
 FACTORS = {"stiffness": (1.0, 0), "damping": (1j, 1), "mass": (-1.0, 2)}
 
-# From some lines to Z^-1 (n_line, n_dof, n_dof), the response (n_line, n_dof, n_input) and the residual, same shape.
+# From some lines to Z^-1 (n_line, n_dof, n_dof), the response (n_line, n_dof, n_input) and the residual, same
+# shape.
 LinesOf = Callable[[slice], tuple[ComplexArray, ComplexArray, ComplexArray]]
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T J as *products* (n, n) and J^T r as *projected* (n,) [1 per parameter unit each], r^T r as *square* [1]."""
+    """J^T J as *products* (n, n) and J^T r as *projected* (n,) [1 per parameter unit each], r^T r as *square*
+    [1].
+    """
 
     products: FloatArray
     projected: FloatArray
@@ -45,14 +59,17 @@ class NormalEquations:
 
 
 def has_line_products(model: object, weights: Weights) -> bool:
-    """Whether a model and *weights* have them: linear in K, C, M alone, noise by less than a whole matrix (n_line, n, n) [N/m]."""
+    """Whether a model and *weights* have them: linear in K, C, M alone, noise by less than a whole matrix
+    (n_line, n, n) [N/m].
+    """
     return isinstance(model, DynamicModel) and is_short(weights) and model.acting["force"] is None
 
 
 def normal_equations(
     model: DynamicModel, omega: FloatArray, weights: Weights, lines_of: LinesOf, with_products: bool = True
 ) -> NormalEquations:
-    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights*, diagonals (n_line, n) [N/m] or factors.
+    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights*, diagonals
+    (n_line, n) [N/m] or factors.
 
     *omega* (n_line,) [rad/s]; *with_products*: else J^T J stays zero. Equation (est-line-products).
     """
@@ -60,7 +77,9 @@ def normal_equations(
     kinds = [kind for kind in FACTORS if model.acting[kind] is not None]
     exponents = np.array([FACTORS[kind][1] for kind in kinds])
     powers = sorted({int(first + second) for first, second in combinations_with_replacement(exponents, 2)})
-    sums: dict[int, ComplexArray] = {power: np.zeros((n_dof * (n_dof + 1) // 2, n_dof**2), np.complex128) for power in powers}
+    sums: dict[int, ComplexArray] = {
+        power: np.zeros((n_dof * (n_dof + 1) // 2, n_dof**2), np.complex128) for power in powers
+    }
     sides = np.zeros((len(kinds), n_dof**2), np.complex128)
     square = 0.0
     n_chunk = max(16, CACHED_ELEMENTS // n_dof**3)
@@ -69,7 +88,11 @@ def normal_equations(
         inverse, response, residual = lines_of(lines)
         if isinstance(weights, ProductWeights):
             here = weights.at(lines)
-            inverse, response, residual = here.outputs @ inverse, response @ here.inputs.swapaxes(1, 2), here.whitened(residual)
+            inverse, response, residual = (
+                here.outputs @ inverse,
+                response @ here.inputs.swapaxes(1, 2),
+                here.whitened(residual),
+            )
             power = np.full(residual.shape, 2.0)
         else:
             power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
@@ -86,9 +109,15 @@ def normal_equations(
 
 
 def _add_products(
-    inverse: ComplexArray, response: ComplexArray, power: FloatArray, omega: FloatArray, sums: dict[int, ComplexArray]
+    inverse: ComplexArray,
+    response: ComplexArray,
+    power: FloatArray,
+    omega: FloatArray,
+    sums: dict[int, ComplexArray],
 ) -> None:
-    """Add sum_li w^p conj(G_ia) G_ic sum_j power_ij conj(H_bj) H_dj, in the order (a <= c, bd), for the powers p of *sums*."""
+    """Add sum_li w^p conj(G_ia) G_ic sum_j power_ij conj(H_bj) H_dj, in the order (a <= c, bd), for the
+    powers p of *sums*.
+    """
     n_line, n_dof = inverse.shape[:2]
     first, second = _upper(n_dof)
     columns = (inverse[:, :, first].conj() * inverse[:, :, second]).reshape(-1, first.size)
@@ -100,8 +129,12 @@ def _add_products(
         total += columns.T @ scaled.reshape(-1, n_dof**2)
 
 
-def _add_separable_products(inverse: ComplexArray, response: ComplexArray, omega: FloatArray, sums: dict[int, ComplexArray]) -> None:
-    """Add 2 sum_l w^p (sum_i conj(G_ia) G_ic) (sum_j conj(H_bj) H_dj), both whitened, in the order (a <= c, bd), for powers p as above."""
+def _add_separable_products(
+    inverse: ComplexArray, response: ComplexArray, omega: FloatArray, sums: dict[int, ComplexArray]
+) -> None:
+    """Add 2 sum_l w^p (sum_i conj(G_ia) G_ic) (sum_j conj(H_bj) H_dj), both whitened, in the order (a <= c,
+    bd), for powers p as above.
+    """
     n_line, n_dof = inverse.shape[0], inverse.shape[2]
     first, second = _upper(n_dof)
     columns = 2 * (inverse.conj().swapaxes(1, 2) @ inverse)[:, first, second].T
@@ -141,7 +174,8 @@ def _upper(n_dof: int) -> tuple[IntArray, IntArray]:
 
 
 def _whole(totals: ComplexArray, n_dof: int) -> ComplexArray:
-    """Sums (n_sum, n_pair, n_dof^2) in the order (a <= c, bd) as matrices (ab, cd), (n_sum, n_dof^2, n_dof^2).
+    """Sums (n_sum, n_pair, n_dof^2) in the order (a <= c, bd) as matrices (ab, cd), (n_sum, n_dof^2,
+    n_dof^2).
 
     Those of (c, a) are the conjugates, b and d exchanged.
     """
@@ -169,7 +203,9 @@ Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
 
 @dataclass(frozen=True)
 class OutputError(Generic[Model]):
-    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m], its diagonals (n_line, n), or its factors."""
+    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m], its diagonals (n_line, n), or
+    its factors.
+    """
 
     measured: Measured
     model: Model
@@ -194,7 +230,10 @@ class OutputError(Generic[Model]):
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite where the model has no finite response."""
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,).
+
+        Infinite where the model has no finite response.
+        """
         measured, n_chunk = self.measured, max(16, CACHED_ELEMENTS // self.measured.matrix[0].size)
         if not (isinstance(self.model, DynamicModel) and is_short(self.weights)):
             return sum_of_squares(self.residual, parameters)
@@ -204,7 +243,10 @@ class OutputError(Generic[Model]):
 
     def _residual_of(self, lines: slice, parameters: FloatArray) -> FloatArray:
         measured = self.measured
-        return whitened(weights_at(self.weights, lines), measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines]))
+        return whitened(
+            weights_at(self.weights, lines),
+            measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines]),
+        )
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
@@ -212,7 +254,9 @@ class OutputError(Generic[Model]):
         return np.negative(columns, out=columns)
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
-        """The linearisation at *parameters* (n_parameter,) [parameter units], from products of small matrices where these tell it."""
+        """The linearisation at *parameters* (n_parameter,) [parameter units], from products of small matrices
+        where these tell it.
+        """
         linear = self._linear_at(parameters)
         if linear is not None and has_line_products(linear[0], self.weights):
             model, values, slopes = linear
@@ -225,10 +269,16 @@ class OutputError(Generic[Model]):
         return linearised(self, parameters)
 
     def _linear_at(self, parameters: FloatArray) -> tuple[DynamicModel, FloatArray, FloatArray] | None:
-        """A model linear in its parameters, their values (n,) and derivatives by *parameters* (n, n_parameter) [their units]; or None."""
+        """A model linear in its parameters, their values (n,) and derivatives by *parameters* (n,
+        n_parameter) [their units]; or None.
+        """
         if isinstance(self.model, FactorModel):
             return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
-        return (self.model, parameters, np.eye(parameters.size)) if isinstance(self.model, DynamicModel) else None
+        return (
+            (self.model, parameters, np.eye(parameters.size))
+            if isinstance(self.model, DynamicModel)
+            else None
+        )
 
     def _normal_equations(self, model: DynamicModel, parameters: FloatArray) -> NormalEquations:
         measured, force = self.measured, model.whole(parameters).force

@@ -15,7 +15,14 @@ from labpipe.errors import FitError
 from labpipe.estimation.descent import Linearisation, scaled_triangle
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
-from labpipe.estimation.statistics import Estimate, condition_number, determination, inflation_factors, stacked, stacked_terms
+from labpipe.estimation.statistics import (
+    Estimate,
+    condition_number,
+    determination,
+    inflation_factors,
+    stacked,
+    stacked_terms,
+)
 from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
 from labpipe.records.identification import Goodness
 
@@ -23,16 +30,18 @@ from labpipe.records.identification import Goodness
 # parts stacked.
 
 BIAS_NOTE = (
-    "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise of the measured FRF "
-    "(the FRF is among the regressors). The estimator ml has no such bias."
+    "ls: the standard errors come from the equation's residual; they do not include the bias caused by noise "
+    "of the measured FRF (the FRF is among the regressors). The estimator ml has no such bias."
 )
 
 
 def least_squares(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
-    """Equation-error estimate; rows of the equation of motion without common parameters are separate regressions.
+    """Equation-error estimate; rows of the equation of motion without common parameters are separate
+    regressions.
 
-    Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al. 2009, eq. 14-15, 25,
-    with n - k for the printed n - 3). FitError for fewer equations than parameters. Equation (est-ls).
+    Standard error = sqrt(residual variance * diag((W^T W)^-1)) with n - k real degrees of freedom (Lim et al.
+    2009, eq. 14-15, 25, with n - k for the printed n - 3). FitError for fewer equations than parameters.
+    Equation (est-ls).
     """
     equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
@@ -55,7 +64,8 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
 
 
 def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of freedom (n_parameter,).
+    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of
+    freedom (n_parameter,).
 
     Degrees of freedom are those of the regression of each parameter. Raises FitError as solve_scaled does.
     """
@@ -64,14 +74,17 @@ def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatA
     parameter_dof = np.zeros(n_parameter, int)
     for rows, columns in _separate_regressions(model):
         side = equation.right_side[:, rows]
-        values[columns], covariance[np.ix_(columns, columns)] = _solve(equation.terms[columns][:, :, rows], side)
+        values[columns], covariance[np.ix_(columns, columns)] = _solve(
+            equation.terms[columns][:, :, rows], side
+        )
         parameter_dof[columns] = 2 * side.size - len(columns)
     return values, covariance, parameter_dof
 
 
 @dataclass(frozen=True)
 class Regression:
-    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *right_side* (n_line, n_dof, n_input) [1].
+    """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *right_side*
+    (n_line, n_dof, n_input) [1].
 
     line_weights (n_line,) [1].
     """
@@ -89,7 +102,10 @@ class Regression:
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
     """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
     if measured.n_equation <= len(model.terms):
-        raise FitError(f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters", hint="widen the band")
+        raise FitError(
+            f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters",
+            hint="widen the band",
+        )
     weights = line_weights(measured, weight)
     terms = model.equation_terms(measured.matrix, measured.omega)
     right_side = model.equation_constant(measured.matrix, measured.omega)
@@ -99,25 +115,35 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
 
 
 def line_weights(measured: Measured, weight: str) -> FloatArray:
-    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s / |H| in the equation of motion.
+    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s /
+    |H| in the equation of motion.
 
     FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)
     if not has_noise(measured):
-        raise FitError("the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out")
+        raise FitError(
+            "the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out"
+        )
     assert measured.covariance is not None
     size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
-        raise FitError("a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out")
+        raise FitError(
+            "a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out"
+        )
     weights: FloatArray = size / noise
     return weights / float(np.max(weights))
 
 
-def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArray, dof: int) -> tuple[float | None, float | None]:
-    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,); None for an unknown noise."""
+def output_chi_square(
+    measured: Measured, model: DynamicModel, values: FloatArray, dof: int
+) -> tuple[float | None, float | None]:
+    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,).
+
+    None for an unknown noise.
+    """
     if not has_noise(measured):
         return None, None
     try:
@@ -129,8 +155,11 @@ def output_chi_square(measured: Measured, model: DynamicModel, values: FloatArra
     return (reduced, uncertainty.p_value(reduced, dof)) if np.isfinite(reduced) else (None, None)
 
 
-def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's, whichever is worse.
+def _plain_design(
+    measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's,
+    whichever is worse.
 
     Noise in the measured FRF makes collinear columns appear different; the model's FRF has none.
     """
@@ -141,8 +170,11 @@ def _plain_design(measured: Measured, model: DynamicModel, values: FloatArray, n
     return max(candidates, key=lambda design: condition_number(design[0]))
 
 
-def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification (n_parameter,) [parameter units].
+def equation_design(
+    terms: ComplexArray, model: DynamicModel, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification
+    (n_parameter,) [parameter units].
 
     An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
     """
@@ -152,15 +184,17 @@ def equation_design(terms: ComplexArray, model: DynamicModel, values: FloatArray
 
 
 def triangle_of(columns: FloatArray) -> FloatArray:
-    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to length 1."""
+    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to
+    length 1.
+    """
     return scaled_triangle(columns)[1]
 
 
 def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least-squares solution (n_parameter,) [parameter units] and (W^T W)^-1 (n_parameter, n_parameter).
 
-    *columns* (n_equation, n_parameter), *right_side* (n_equation,). Columns are scaled to length 1, so that units have no influence.
-    FitError for linearly dependent columns.
+    *columns* (n_equation, n_parameter), *right_side* (n_equation,). Columns are scaled to length 1, so that
+    units have no influence. FitError for linearly dependent columns.
     """
     n = columns.shape[1]
     scale, triangle, by_products = scaled_triangle(columns)
@@ -175,11 +209,16 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
 
 
 def inverse_of(linear: Linearisation) -> FloatArray:
-    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation; FitError for linearly dependent columns."""
+    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation.
+
+    FitError for linearly dependent columns.
+    """
     return _inverted(linear.triangle, linear.scale, linear.n_equation)[0]
 
 
-def _inverted(triangle: FloatArray, scale: FloatArray, n_row: int) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+def _inverted(
+    triangle: FloatArray, scale: FloatArray, n_row: int
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
     """(W^T W)^-1 of W = Q R S, and the singular vectors and values of R."""
     left_vectors, singular, right_vectors = linalg.svd(triangle)
     if singular[-1] <= singular[0] * np.finfo(float).eps * n_row:
@@ -196,7 +235,9 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
     columns = stacked_terms(terms).T
     side = stacked(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
-        message = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
+        message = (
+            f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
+        )
         raise FitError(message, hint="widen the band")
     values, inverse = solve_scaled(columns, side)
     residual = side - columns @ values
@@ -207,7 +248,10 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
     """(rows of the equation of motion, parameters) of every group of rows with common parameters."""
     n_dof = model.constant.mass.shape[0]
-    acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in (term.matrices for term in model.terms)]
+    acts = [
+        np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1)
+        for m in (term.matrices for term in model.terms)
+    ]
     groups: list[tuple[list[int], list[int]]] = []
     for row in range(n_dof):
         rows, columns = [row], {number for number, places in enumerate(acts) if places[row]}
@@ -224,24 +268,28 @@ def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int
 
 MAX_ITERATIONS = 25
 TOLERANCE = 1e-4
-# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is above 0.39 for good fits
-# and below 0.2 where the iteration diverges to a model unrelated to the data.
+# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is
+# above 0.39 for good fits and below 0.2 where the iteration diverges to a model unrelated to the data.
 WEAKEST_INSTRUMENTS = 0.3
 BREAKDOWN_NOTE = (
-    "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical correlation {correlation:.2f}, "
-    f"limit {WEAKEST_INSTRUMENTS:g}), or the iteration does not converge. The estimator ml converges without it."
+    "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical "
+    f"correlation {{correlation:.2f}}, limit {WEAKEST_INSTRUMENTS:g}), or the iteration does not converge. "
+    "The estimator ml converges without it."
 )
 
 
 def instrumental_variables(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
-    """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one; started from ls.
+    """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one;
+    started from ls.
 
-    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4). A fit with weak instruments
-    counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for dependent instruments.
-    Equation (est-iv).
+    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4).
+    A fit with weak instruments counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega
+    V) (A^T V)^-1. FitError for dependent instruments. Equation (est-iv).
     """
     equation = regression(measured, model, weight)
-    values, stationary, iterations = _iterate(measured, model, equation, equation_solution(equation, model)[0])
+    values, stationary, iterations = _iterate(
+        measured, model, equation, equation_solution(equation, model)[0]
+    )
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
     correlation = weakest_correlation(instruments, stacked_terms(equation.terms))
@@ -269,19 +317,25 @@ def instrumental_variables(measured: Measured, model: DynamicModel, weight: str 
 def instrument_step(
     measured: Measured, model: DynamicModel, weight: str, values: FloatArray
 ) -> Callable[[DynamicModel, Measured], FloatArray]:
-    """From a model and data to the estimate (n_parameter,) [parameter units] by the instruments of *values* (n_parameter,)."""
+    """From a model and data to the estimate (n_parameter,) [parameter units] by the instruments of *values*
+    (n_parameter,).
+    """
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, regression(measured, model, weight))
 
     def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
         equation = regression(changed, changed_model, weight)
         columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
-        return _solve_instrumental(instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns)))
+        return _solve_instrumental(
+            instruments, columns, side, np.sqrt(np.einsum("pe,pe->p", columns, columns))
+        )
 
     return step
 
 
-def _iterate(measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray) -> tuple[FloatArray, bool, int]:
+def _iterate(
+    measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
+) -> tuple[FloatArray, bool, int]:
     """(estimate, True if converged, iterations)."""
     columns, side = stacked_terms(equation.terms), stacked(equation.right_side.reshape(-1))
     # Parameters of different dimension are compared in units of the regressors' lengths.
@@ -291,29 +345,37 @@ def _iterate(measured: Measured, model: DynamicModel, equation: Regression, valu
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
         new = _solve_instrumental(instruments, columns, side, size)
-        stationary = _change(new * size, values * size) < TOLERANCE or (last is not None and _change(response, last) < TOLERANCE)
+        stationary = _change(new * size, values * size) < TOLERANCE or (
+            last is not None and _change(response, last) < TOLERANCE
+        )
         values, last = new, response
         if stationary:
             return values, True, iteration
     return values, False, MAX_ITERATIONS
 
 
-def _solve_instrumental(instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray) -> FloatArray:
+def _solve_instrumental(
+    instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray
+) -> FloatArray:
     """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
     product = (instruments @ columns.T) / np.outer(size, size)
     try:
         values: FloatArray = np.linalg.solve(product, (instruments @ side) / size) / size
     except np.linalg.LinAlgError:
-        raise FitError("the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml") from None
+        raise FitError(
+            "the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml"
+        ) from None
     if not np.all(np.isfinite(values)):
         raise FitError("iv diverged", hint="use ml")
     return values
 
 
 def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
-    """Smallest canonical correlation [1] between the spaces of instruments and of regressors, both (n_parameter, n_equation).
+    """Smallest canonical correlation [1] between the spaces of instruments and of regressors, both
+    (n_parameter, n_equation).
 
-    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1. Equation (est-canonical).
+    With V = Q_v R_v and A = Q_a R_a it is the smallest singular value of Q_v^T Q_a = R_v^-T V^T A R_a^-1.
+    Equation (est-canonical).
     """
     sizes = [np.sqrt(np.einsum("pe,pe->p", rows, rows)) for rows in (instruments, columns)]
     half = np.linalg.solve(triangle_of(instruments.T).T, instruments @ columns.T / np.outer(*sizes))
@@ -321,8 +383,12 @@ def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
     return float(np.linalg.svd(between, compute_uv=False)[-1])
 
 
-def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
-    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by line (White)."""
+def _sandwich(
+    measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
+) -> FloatArray:
+    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by
+    line (White).
+    """
     scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ stacked_terms(equation.terms).T)
@@ -330,15 +396,23 @@ def _sandwich(measured: Measured, model: DynamicModel, equation: Regression, ins
     return covariance
 
 
-def _scores(measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray) -> FloatArray:
-    """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
+def _scores(
+    measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
+) -> FloatArray:
+    """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it
+    in the real part.
+    """
     assert measured.covariance is not None
     n_line, n_output, n_input = measured.matrix.shape
     z = model.dynamic_stiffness(values, measured.omega) * equation.line_weights[:, None, None]
     turned = np.einsum("lab,ij->laibj", z, np.eye(n_input)).reshape(n_line, n_output * n_input, -1)
     omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
     half = instruments.shape[1] // 2
-    rows = (instruments[:, :half] + 1j * instruments[:, half:]).reshape(-1, n_line, n_output * n_input).transpose(1, 0, 2)
+    rows = (
+        (instruments[:, :half] + 1j * instruments[:, half:])
+        .reshape(-1, n_line, n_output * n_input)
+        .transpose(1, 0, 2)
+    )
     middle: FloatArray = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
     return middle
 

@@ -1,7 +1,9 @@
-"""The mean of repeats and its interval: what hits, decays, recordings or points that measure one quantity say together.
+"""The mean of repeats and its interval: what hits, decays, recordings or points that measure one quantity say
+together.
 
-y_i = mu + x_i beta + u_i + e_i: e_i noise of known variance v_i, u_i ~ (0, tau^2) between the repeats. The interval of mu holds both. It
-does not hold an error that all repeats share; the scatter of repeats cannot show that.
+y_i = mu + x_i beta + u_i + e_i: e_i noise of known variance v_i, u_i ~ (0, tau^2) between the repeats. The
+interval of mu holds both. It does not hold an error that all repeats share; the scatter of repeats cannot
+show that.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.statistics import student_limit
 
-# Repeats that stand out against the others. Below this number none can be told, below the second more is asked for.
+# Repeats that stand out against the others. Below this number none can be told, below the second more is
+# asked for.
 LEAST_FOR_OUTLIERS, FEW = 5, 8
 # Robust standard deviations beyond which a repeat stands out: of few repeats, and of more.
 FAR_OF_FEW, FAR = 7.0, 4.5
@@ -25,11 +28,13 @@ MAD_SCALE = 1.4826
 MOST_OUTSIDE = 0.25
 # Rounds of reweighting towards the least absolute deviations.
 ROUNDS = 50
-# Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures: 0.05-0.45).
+# Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures:
+# 0.05-0.45).
 PRIOR_SCALE = 0.3
 # Points on which tau is integrated.
 N_TAU = 80
-# Repeats from which on a curvature over the covariate, and an order in time, can be seen, and their critical values.
+# Repeats from which on a curvature over the covariate, and an order in time, can be seen, and their critical
+# values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
 # Largest correlation of neighbours that is believed.
@@ -38,11 +43,12 @@ MOST_CORRELATED = 0.9
 
 @dataclass(frozen=True)
 class RepeatMean:
-    """The mean *value* of repeats (at covariate 0) and the *half_width* of its 95 % interval; both in the unit of the repeats.
+    """The mean *value* of repeats (at covariate 0) and the *half_width* of its 95 % interval; both in the
+    unit of the repeats.
 
-    *spread*: median of tau; *weights* (n,) of the repeats in the mean, sum 1; *slopes* (n_column,) over the covariate and its square;
-    *residual* (n,): of the repeats. *stretch*: factor on the number of repeats that each stands for less than one, 1 without an order in
-    time; *correlation* of neighbours [1].
+    *spread*: median of tau; *weights* (n,) of the repeats in the mean, sum 1; *slopes* (n_column,) over the
+    covariate and its square; *residual* (n,): of the repeats. *stretch*: factor on the number of repeats that
+    each stands for less than one, 1 without an order in time; *correlation* of neighbours [1].
     """
 
     value: float
@@ -62,17 +68,21 @@ class RepeatMean:
 
 @dataclass(frozen=True)
 class Kept:
-    """Which repeats are used, (n,), and whether so many stand outside that they are two populations, all of which are used."""
+    """Which repeats are used, (n,), and whether so many stand outside that they are two populations, all of
+    which are used.
+    """
 
     used: BoolArray
     two_populations: bool = False
 
 
 def kept_repeats(values: FloatArray, variances: FloatArray, covariate: FloatArray | None = None) -> Kept:
-    """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none for n < 5.
+    """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none
+    for n < 5.
 
-    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the residuals of a line of least
-    absolute deviations are judged. More than a quarter outside are two populations, and all stay. Equation (repeats-outliers).
+    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the
+    residuals of a line of least absolute deviations are judged. More than a quarter outside are two
+    populations, and all stay. Equation (repeats-outliers).
     """
     n = len(values)
     if n < LEAST_FOR_OUTLIERS:
@@ -87,7 +97,9 @@ def kept_repeats(values: FloatArray, variances: FloatArray, covariate: FloatArra
 
 
 def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
-    """The lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least squares."""
+    """The lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least
+    squares.
+    """
     columns = np.stack([np.ones_like(covariate), covariate - np.mean(covariate)], axis=1)
     lines = np.empty_like(values)
     for number, y in enumerate(values.T):
@@ -100,13 +112,15 @@ def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
     return lines
 
 
-def repeat_mean(values: FloatArray, variances: FloatArray, scale: float, covariate: FloatArray | None = None) -> RepeatMean:
+def repeat_mean(
+    values: FloatArray, variances: FloatArray, scale: float, covariate: FloatArray | None = None
+) -> RepeatMean:
     """The mean of two repeats or more with its 95 % interval under a half-Cauchy prior of *scale* on tau.
 
-    *values* (n,) [any unit] in the order of recording, *variances* (n,) of their noise alone, *covariate* (n,)
-    that is 0 where the value is stated. On
-    tau = scale tan(pi u / 2) each point weighs exp(1/2 sum ln w - 1/2 ln det X'WX - 1/2 sum w r^2), w = 1 / (v + tau^2); the interval
-    is that of the mixture of normal distributions of mu. Where neighbours in time are alike it is longer. FitError for fewer repeats than
+    *values* (n,) [any unit] in the order of recording, *variances* (n,) of their noise alone, *covariate*
+    (n,) that is 0 where the value is stated. On tau = scale tan(pi u / 2) each point weighs exp(1/2 sum ln w
+    - 1/2 ln det X'WX - 1/2 sum w r^2), w = 1 / (v + tau^2); the interval is that of the mixture of normal
+    distributions of mu. Where neighbours in time are alike it is longer. FitError for fewer repeats than
     unknowns and one. Equations (repeats-mean) and (repeats-order).
     """
     columns = design(values, variances, covariate)
@@ -120,7 +134,11 @@ def repeat_mean(values: FloatArray, variances: FloatArray, scale: float, covaria
     projection = inverse @ np.einsum("tn,np->tpn", weights, columns)
     solutions = projection @ values
     residuals = values - solutions @ columns.T
-    logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - np.sum(weights * residuals**2, axis=1))
+    logarithm = 0.5 * (
+        np.sum(np.log(weights), axis=1)
+        - np.linalg.slogdet(normal)[1]
+        - np.sum(weights * residuals**2, axis=1)
+    )
     shares = np.exp(logarithm - logarithm.max())
     shares /= shares.sum()
     solution = shares @ solutions
@@ -130,11 +148,15 @@ def repeat_mean(values: FloatArray, variances: FloatArray, scale: float, covaria
     spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
     mean_weights = shares @ projection[:, 0]
     half_width = (high - low) / 2 * _longer(stretch, n, n_column)
-    return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], residual, stretch, correlation)
+    return RepeatMean(
+        float(solution[0]), half_width, spread, mean_weights, solution[1:], residual, stretch, correlation
+    )
 
 
 def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | None) -> FloatArray:
-    """Columns (n, n_column) [1] of the mean: 1, the *covariate* (n,), its square where eight repeats or more show it (|t| > 2)."""
+    """Columns (n, n_column) [1] of the mean: 1, the *covariate* (n,), its square where eight repeats or more
+    show it (|t| > 2).
+    """
     ones = np.ones_like(values)
     if covariate is None:
         return ones[:, None]
@@ -149,7 +171,10 @@ def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | No
 
 
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
-    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter; *columns* (n, n_column) [1]."""
+    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter.
+
+    *columns* (n, n_column) [1].
+    """
     freedom = values.size - columns.shape[1]
 
     def excess(square: float) -> float:
@@ -169,9 +194,11 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
 
 
 def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
-    """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known group.
+    """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known
+    group.
 
-    *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation (repeats-group).
+    *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
+    (repeats-group).
     """
     weights = 1 / (variances + paule_mandel(values, variances, columns))
     inverse = np.linalg.inv(columns.T @ (weights[:, None] * columns))
@@ -183,7 +210,8 @@ def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray
 def mean_of_groups(values: FloatArray, variances: FloatArray, groups: list[str], scale: float) -> RepeatMean:
     """The mean over known *groups* (n,), such as days or mountings, the mean of each is one repeat.
 
-    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean. Equation (repeats-group).
+    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean. Equation
+    (repeats-group).
     """
     names, labels = list(dict.fromkeys(groups)), np.array(groups)
     means = []
@@ -198,8 +226,8 @@ def mean_of_groups(values: FloatArray, variances: FloatArray, groups: list[str],
 def order_in_time(residual: FloatArray) -> tuple[float, float]:
     """(stretch, correlation) of residuals (n,) [any unit] in recording order.
 
-    k = (1 + rho)/(1 - rho) where rho = r_1 + 1/n > 1.645 / sqrt(n). (1, 0) for fewer than six repeats, k = 1 where no order is
-    seen. Equation (repeats-order).
+    k = (1 + rho)/(1 - rho) where rho = r_1 + 1/n > 1.645 / sqrt(n). (1, 0) for fewer than six repeats, k = 1
+    where no order is seen. Equation (repeats-order).
     """
     residual = residual - np.mean(residual)
     n, power = residual.size, float(np.sum(residual**2))
@@ -213,7 +241,9 @@ def order_in_time(residual: FloatArray) -> tuple[float, float]:
 
 
 def _longer(stretch: float, n: int, n_column: int) -> float:
-    """Factor on the half-width of n repeats of which neighbours are alike: sqrt(k) and the quantile of the fewer that they stand for."""
+    """Factor on the half-width of n repeats of which neighbours are alike: sqrt(k) and the quantile of the
+    fewer that they stand for.
+    """
     if stretch <= 1.0:
         return 1.0
     return float(np.sqrt(stretch) * student_limit(max(1.0, n / stretch - 1)) / student_limit(n - n_column))

@@ -1,14 +1,18 @@
 """Whether the residual of a fit is noise, and the scatter of the residual along the lines as its covariance.
 
-Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not known or not all there is.
+Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not
+known or not all there is.
 
-Every line gives a share of the estimate; the shares of lines near each other may have common noise (a window spreads it), and lines may
-differ in noise. The sum of their products with Bartlett's weights allows for both (Newey and West 1987, Econometrica 55:703).
+Every line gives a share of the estimate; the shares of lines near each other may have common noise (a window
+spreads it), and lines may differ in noise. The sum of their products with Bartlett's weights allows for both
+(Newey and West 1987, Econometrica 55:703).
 
-Whether the residual of a fit is noise, where the size of the noise is not known: its structure against that of noise under the same fit.
+Whether the residual of a fit is noise, where the size of the noise is not known: its structure against that
+of noise under the same fit.
 
-A residual is what noise becomes after the fit has taken its part, (I - P) n with P the projection on the Jacobian's columns. So noise is
-drawn, projected likewise, and the same statistics are computed of the draws: their p-values are exact whatever the band.
+A residual is what noise becomes after the fit has taken its part, (I - P) n with P the projection on the
+Jacobian's columns. So noise is drawn, projected likewise, and the same statistics are computed of the draws:
+their p-values are exact whatever the band.
 """
 
 from __future__ import annotations
@@ -24,25 +28,32 @@ from labpipe.estimation.leakage import SharedNoise
 # Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not
 # known or not all there is.
 
-# Lines whose noise may be common: a window's main lobe at least, and more where more lines show it, as n^(1/3).
+# Lines whose noise may be common: a window's main lobe at least, and more where more lines show it, as
+# n^(1/3).
 FEWEST_NEIGHBOURS = 3
 
 
 @dataclass(frozen=True)
 class LineScatter:
-    """*covariance* of the estimates (n_parameter, n_parameter), and degrees of freedom behind each variance, (n_parameter,) [1]."""
+    """*covariance* of the estimates (n_parameter, n_parameter), and degrees of freedom behind each variance,
+    (n_parameter,) [1].
+    """
 
     covariance: FloatArray
     dof: FloatArray
 
 
-def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int, *, alone: bool = False) -> LineScatter:
-    """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d / (D + 1).
+def line_scatter(
+    jacobian: FloatArray, residual: FloatArray, n_line: int, *, alone: bool = False
+) -> LineScatter:
+    """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d
+    / (D + 1).
 
-    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1] of output_error.OutputError: real parts, then
-    imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife, MacKinnon and White 1985). The degrees
-    of freedom are those of a quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169).
-    *alone*: the noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
+    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1] of
+    output_error.OutputError: real parts, then imaginary parts. (1 - H_ll)^-1 undoes what the line itself
+    takes from its residual (jackknife, MacKinnon and White 1985). The degrees of freedom are those of a
+    quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169). *alone*: the
+    noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
     numpy.linalg.LinAlgError for dependent columns. Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
@@ -61,8 +72,12 @@ def line_scatter(jacobian: FloatArray, residual: FloatArray, n_line: int, *, alo
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
-    """Columns (n_equation, n) as (n_line, n_equation / n_line, n): the real and imaginary parts of one line together."""
-    return columns.reshape(2, n_line, -1, columns.shape[1]).swapaxes(0, 1).reshape(n_line, -1, columns.shape[1])
+    """Columns (n_equation, n) as (n_line, n_equation / n_line, n): the real and imaginary parts of one line
+    together.
+    """
+    return (
+        columns.reshape(2, n_line, -1, columns.shape[1]).swapaxes(0, 1).reshape(n_line, -1, columns.shape[1])
+    )
 
 
 def _bartlett(n_line: int) -> FloatArray:
@@ -71,10 +86,11 @@ def _bartlett(n_line: int) -> FloatArray:
 
 
 def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
-    """Number of lines that determine each variance, (n_parameter,) [1]: by the model's slopes and by the shares seen, whichever is less.
+    """Number of lines that determine each variance, (n_parameter,) [1]: by the model's slopes and by the
+    shares seen, whichever is less.
 
-    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 = 3 v^2. A residual of zero
-    has no shares.
+    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 =
+    3 v^2. A residual of zero has no shares.
     """
     by_slopes = np.sum(influence, axis=0) ** 2 / np.sum(influence**2, axis=0)
     fourth = np.sum(squares**2, axis=0)
@@ -103,7 +119,10 @@ SAID = (
 
 @dataclass(frozen=True)
 class Structure:
-    """*p_value*: probability [1] of so much structure in noise, the best of all statistics counted once; *said*: what it looks like."""
+    """*p_value*: probability [1] of so much structure in noise, the best of all statistics counted once.
+
+    *said*: what it looks like.
+    """
 
     p_value: float
     said: str
@@ -113,9 +132,9 @@ class Structure:
 class Null:
     """The noise that a residual is held against.
 
-    *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b |H|^2 along the lines, with a and
-    b from the residual, else the same at all. *n_smooth*: smooth curves that the model has already, so that the next ones are looked for.
-    *n_draw*: most draws.
+    *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b
+    |H|^2 along the lines, with a and b from the residual, else the same at all. *n_smooth*: smooth curves
+    that the model has already, so that the next ones are looked for. *n_draw*: most draws.
     """
 
     shared: SharedNoise | None = None
@@ -124,11 +143,15 @@ class Null:
     n_draw: int = DRAWS
 
 
-def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None) -> Structure | None:
-    """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per parameter unit].
+def residual_structure(
+    residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None
+) -> Structure | None:
+    """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
+    parameter unit].
 
-    *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`: real parts line by line, then
-    imaginary parts. None where the lines are too few for any structure. Equation (est-structure).
+    *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`:
+    real parts line by line, then imaginary parts. None where the lines are too few for any structure.
+    Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + null.n_smooth + DEGREE + 1:
@@ -145,18 +168,27 @@ def residual_structure(residual: FloatArray, jacobian: FloatArray, size: FloatAr
     noise *= np.tile(levels.reshape(-1), 2)[:, None]
     noise -= basis @ (basis.T @ noise)
     smooth = _smooth(n_line, null.n_smooth)
-    return _least_p(_statistics(errors[:, :, None], size, smooth)[0], _statistics(_structure_by_line(noise, n_line), size, smooth))
+    return _least_p(
+        _statistics(errors[:, :, None], size, smooth)[0],
+        _statistics(_structure_by_line(noise, n_line), size, smooth),
+    )
 
 
 def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
-    """Root of the power along the lines (n_line, n_element) [1]: the mean one, or a + b *size*^2 by least squares, both at least 0."""
+    """Root of the power along the lines (n_line, n_element) [1]: the mean one, or a + b *size*^2 by least
+    squares, both at least 0.
+    """
     power = np.abs(errors) ** 2
     mean = np.mean(power, axis=0)
     if size is None:
         return np.broadcast_to(np.sqrt(mean), power.shape)
     square = size**2 / np.mean(size**2, axis=0)
     spread = np.mean((square - 1) ** 2, axis=0)
-    slope = np.clip(np.divide(np.mean((square - 1) * power, axis=0), spread, out=np.zeros_like(spread), where=spread > 0), 0.0, mean)
+    slope = np.clip(
+        np.divide(np.mean((square - 1) * power, axis=0), spread, out=np.zeros_like(spread), where=spread > 0),
+        0.0,
+        mean,
+    )
     return np.asarray(np.sqrt(mean + slope * (square - 1)))
 
 
@@ -176,7 +208,8 @@ def _structure_by_line(values: FloatArray, n_line: int) -> ComplexArray:
 
 
 def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) -> FloatArray:
-    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, whatever their size.
+    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large,
+    whatever their size.
 
     *size* (n_line, n_element) [m/N]; *smooth* (n_line, n_curve) [1]: curves that are looked for.
     """
@@ -186,18 +219,28 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
     moving = [np.max(np.abs(sums[width:] - sums[:-width]) ** 2, axis=(0, 1)) / width for width in WIDTHS]
     weight = (size**2 / np.mean(size**2, axis=0))[:, :, None]
     energy = np.abs(np.einsum("ln,led->ned", smooth, scaled)) ** 2
-    statistics = [np.sum(lags, axis=(0, 1)), np.max(moving, axis=0), np.sum(np.abs(scaled) ** 2 * weight, axis=(0, 1))]
+    statistics = [
+        np.sum(lags, axis=(0, 1)),
+        np.max(moving, axis=0),
+        np.sum(np.abs(scaled) ** 2 * weight, axis=(0, 1)),
+    ]
     return np.stack([*statistics, np.sum(energy, axis=(0, 1))], axis=-1)
 
 
 def _smooth(n_line: int, n_known: int) -> FloatArray:
-    """DEGREE + 1 orthonormal polynomials of the line number, of the degrees from *n_known* upwards, (n_line, DEGREE + 1) [1]."""
+    """DEGREE + 1 orthonormal polynomials of the line number, of the degrees from *n_known* upwards, (n_line,
+    DEGREE + 1) [1].
+    """
     place = np.linspace(-1, 1, n_line)
-    return np.asarray(np.linalg.qr(np.polynomial.chebyshev.chebvander(place, n_known + DEGREE))[0][:, n_known:])
+    return np.asarray(
+        np.linalg.qr(np.polynomial.chebyshev.chebvander(place, n_known + DEGREE))[0][:, n_known:]
+    )
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of the statistics *observed* (4,), against the least ones of the draws (n_draw, 4)."""
+    """The least p-value of the statistics *observed* (4,), against the least ones of the draws (n_draw,
+    4).
+    """
     n_draw = draws.shape[0]
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)
@@ -211,6 +254,8 @@ def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
 
 
 def _tail(value: float, draws: FloatArray) -> float:
-    """Probability of a value beyond all draws (n_draw,): of the gamma distribution with their mean and variance."""
+    """Probability of a value beyond all draws (n_draw,): of the gamma distribution with their mean and
+    variance.
+    """
     mean, variance = float(np.mean(draws)), float(np.var(draws))
     return chi2_tail(2 * value * mean / variance, 2 * mean**2 / variance)

@@ -1,8 +1,10 @@
 """Settings of one fit, the kinds of models and the tables of models and estimators.
 
-A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks for instead of its name.
+A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks for
+instead of its name.
 
-Every kind is looked at when a pipeline is read, so the modules of the kinds import no code that fits: their functions do, when called.
+Every kind is looked at when a pipeline is read, so the modules of the kinds import no code that fits: their
+functions do, when called.
 """
 
 from __future__ import annotations
@@ -39,19 +41,22 @@ LINEAR = (
 class ModelKind:
     """How fits of a model are made, and what is true of it.
 
-    fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak. section: key of the model's own
-    settings in a fit, their dataclass *settings*, and an *example* of the section, *optional* where all of them have defaults. earlier:
-    name of the fit whose result this one begins with, empty for none; begin: the settings with the result of that fit among *fits*.
-    times_mass: stiffness and damping are the given mass times what is fitted.
+    fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
+    section: key of the model's own settings in a fit, their dataclass *settings*, and an *example* of the
+    section, *optional* where all of them have defaults. earlier: name of the fit whose result this one begins
+    with, empty for none; begin: the settings with the result of that fit among *fits*. times_mass: stiffness
+    and damping are the given mass times what is fitted.
 
-    keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood: those of them that only an
-    estimator by likelihood takes. estimators: names of those that fit it;
-    empty: any. equations: of a model linear in its parameters, from ports and settings; None for a model fitted in its own way.
+    keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
+    those of them that only an estimator by likelihood takes. estimators: names of those that fit it; empty:
+    any. equations: of a model linear in its parameters, from ports and settings; None for a model fitted in
+    its own way.
 
-    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes:
-    the modes of its K, C and M are derived. one_direction: a stiffness and a damping for each direction, uncoupled. of_base: its
-    input is the motion of a base. own_damping: every mode has one damping of its own. frees_mass: a given mass can as well be
-    estimated. richer, simpler: models to compare with.
+    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and
+    zeta. matrix_modes: the modes of its K, C and M are derived. one_direction: a stiffness and a damping for
+    each direction, uncoupled. of_base: its input is the motion of a base. own_damping: every mode has one
+    damping of its own. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare
+    with.
     """
 
     fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
@@ -96,7 +101,8 @@ def _fit_linear(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit
 
 # Settings of one fit: from a response to parameters with uncertainties.
 
-# ModelKinds, or, of plug-ins, functions from the setup of a fit (ports, mass) to a model linear in its parameters.
+# ModelKinds, or, of plug-ins, functions from the setup of a fit (ports, mass) to a model linear in its
+# parameters.
 MODELS = Registry(
     "model",
     {
@@ -122,7 +128,10 @@ WEIGHTS = ("none", "noise")
 VISCOUS = "viscous"
 DAMPINGS = Registry(
     "damping law",
-    {"proportional": "labpipe.estimation.damping:PROPORTIONAL", "hysteretic": "labpipe.estimation.damping:HYSTERETIC"},
+    {
+        "proportional": "labpipe.estimation.damping:PROPORTIONAL",
+        "hysteretic": "labpipe.estimation.damping:HYSTERETIC",
+    },
 )
 
 Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
@@ -138,37 +147,58 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients; their uncertainties are sources of the budget."""
+    """Stiffness and damping of the support, subtracted from the direct coefficients.
 
-    stiffness: Uncertain = setting("uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0))
+    Their uncertainties are sources of the budget.
+    """
+
+    stiffness: Uncertain = setting(
+        "uncertain", "stiffness of the support", unit="N/m", default=Uncertain(0.0)
+    )
     damping: Uncertain = setting("uncertain", "damping of the support", unit="N.s/m", default=Uncertain(0.0))
 
 
 @dataclass(frozen=True)
 class FitSettings(Settings):
-    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the section that its model has.
+    """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
+    section that its model has.
 
     *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
     _: KW_ONLY
-    mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE)
+    mass: Mass = setting(
+        "mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE
+    )
     estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
-    output: tuple[str, ...] = setting("names", "response channel(s); default: all the model takes", default=())
-    band: tuple[float, float] | None = setting("band", "frequencies used; default: all", unit="Hz", default=None)
-    bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", unit="Hz", default=())
-    peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
-        "peaks", "bands of chosen peaks of the diagonal terms, by dof; one fit for each", unit="Hz", default=()
+    output: tuple[str, ...] = setting(
+        "names", "response channel(s); default: all the model takes", default=()
     )
-    sliding: Sliding | None = setting("section", "repeat the fit in sliding bands", section=Sliding, default=None)
+    band: tuple[float, float] | None = setting(
+        "band", "frequencies used; default: all", unit="Hz", default=None
+    )
+    bands: tuple[tuple[float, float], ...] = setting(
+        "bands", "several bands, one fit for each", unit="Hz", default=()
+    )
+    peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
+        "peaks",
+        "bands of chosen peaks of the diagonal terms, by dof; one fit for each",
+        unit="Hz",
+        default=(),
+    )
+    sliding: Sliding | None = setting(
+        "section", "repeat the fit in sliding bands", section=Sliding, default=None
+    )
     subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
     share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
     eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
     symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)
     lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
-    scale_mass: bool = setting("flag", "the given mass is known but for a factor, which is estimated", default=False)
+    scale_mass: bool = setting(
+        "flag", "the given mass is known but for a factor, which is estimated", default=False
+    )
     relative: bool = setting("flag", "the response is measured relative to the base", default=False)
     damping: str = setting(
         "choice",
@@ -176,12 +206,27 @@ class FitSettings(Settings):
         choices=(VISCOUS, *DAMPINGS),
         default=VISCOUS,
     )
-    fixed: tuple[tuple[str, float], ...] = setting("coefficients", "coefficients that are given, by name", default=())
-    tied: tuple[tuple[str, ...], ...] = setting("groups", "lists of coefficients that have one value", default=())
-    weight: str = setting("choice", "all lines weigh alike, or by their noise (as they always do for ml)", choices=WEIGHTS, default="none")
-    bootstrap: int = setting("integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0)
+    fixed: tuple[tuple[str, float], ...] = setting(
+        "coefficients", "coefficients that are given, by name", default=()
+    )
+    tied: tuple[tuple[str, ...], ...] = setting(
+        "groups", "lists of coefficients that have one value", default=()
+    )
+    weight: str = setting(
+        "choice",
+        "all lines weigh alike, or by their noise (as they always do for ml)",
+        choices=WEIGHTS,
+        default="none",
+    )
+    bootstrap: int = setting(
+        "integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0
+    )
     coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
-    monte_carlo: int = setting("integer", "draws of noise and of all numbers with an uncertainty, as a check of the budget", default=0)
+    monte_carlo: int = setting(
+        "integer",
+        "draws of noise and of all numbers with an uncertainty, as a check of the budget",
+        default=0,
+    )
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     name: str = ""
@@ -195,7 +240,9 @@ class FitSettings(Settings):
         self._check_combinations()
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
-            raise ConfigError(f"model {self.model} has no settings of its own", hint="leave model_settings out")
+            raise ConfigError(
+                f"model {self.model} has no settings of its own", hint="leave model_settings out"
+            )
         if kind.settings is not None and kind.optional and self.model_settings is None:
             object.__setattr__(self, "model_settings", kind.settings())
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
@@ -212,7 +259,9 @@ class FitSettings(Settings):
         return estimator_of(self.estimator)
 
     def _check_keys(self) -> None:
-        """ConfigError for an estimator that does not fit the model, and for keys that would change nothing that is computed."""
+        """ConfigError for an estimator that does not fit the model, and for keys that would change nothing
+        that is computed.
+        """
         able = _able(self.model)
         if self.estimator not in able:
             what = f"{self.estimator} does not estimate model {self.model}"
@@ -234,16 +283,23 @@ class FitSettings(Settings):
         if not 0 < self.coverage < 1:
             raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
         if self.damping != VISCOUS and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1:
-            what = f"{self.damping} damping is of several coefficients, every mode of model {self.model} has its own"
+            what = (
+                f"{self.damping} damping is of several coefficients, every mode of model {self.model} "
+                "has its own"
+            )
             raise ConfigError(what, hint="leave it out", field="damping")
         if self.damping != VISCOUS and self.eliminate:
             hint = "leave one of them out"
-            raise ConfigError(f"'eliminate' cannot be combined with {self.damping} damping", hint=hint, field="eliminate")
+            raise ConfigError(
+                f"'eliminate' cannot be combined with {self.damping} damping", hint=hint, field="eliminate"
+            )
         if self.scale_mass and self.mass == ESTIMATE:
             hint = "for example mass: [1 kg, 2 kg]"
             raise ConfigError("'scale_mass' needs the mass to be scaled", hint=hint, field="scale_mass")
         if self.lumped_mass and self.mass != ESTIMATE:
-            raise ConfigError("'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass")
+            raise ConfigError(
+                "'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass"
+            )
         if self.kind.of_base and self.mass == ESTIMATE and (self.subtract or self.share != 1):
             key = "subtract" if self.subtract else "share"
             what = f"'{key}' needs the mass: without it a transmissibility gives no stiffness"
@@ -252,7 +308,11 @@ class FitSettings(Settings):
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""
         if self.bands and (self.band or self.sliding):
-            raise ConfigError("'bands' goes with neither 'band' nor 'sliding'", hint="name all bands under bands", field="bands")
+            raise ConfigError(
+                "'bands' goes with neither 'band' nor 'sliding'",
+                hint="name all bands under bands",
+                field="bands",
+            )
         if self.peaks and (self.band or self.bands or self.sliding or self.input or self.output):
             hint = "leave out band, bands, sliding, input and output"
             raise ConfigError("'peaks' names bands and ports by itself", hint=hint, field="peaks")
@@ -275,8 +335,14 @@ def check_kind(settings: FitSettings, measured: str) -> None:
     needed, remedy = _NEEDED[of]
     if of == RESPONSES:
         hint = f"model: {_MODEL_OF[measured]}"
-        raise ConfigError(f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none", hint=hint, field="model")
-    raise ConfigError(f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model")
+        raise ConfigError(
+            f"model {settings.model} needs {needed}, {_NEEDED[measured][0]} have none",
+            hint=hint,
+            field="model",
+        )
+    raise ConfigError(
+        f"model {settings.model} needs {needed}, not {_NEEDED[measured][0]}", hint=remedy, field="model"
+    )
 
 
 def model_kind(name: str) -> ModelKind:
@@ -305,7 +371,9 @@ def models_text(key: str) -> str:
 def _able(model: str) -> tuple[str, ...]:
     """The estimators that fit a model."""
     kind = model_kind(model)
-    return kind.estimators or tuple(name for name in ESTIMATORS if kind.one_frf or not estimator_of(name).one_frf)
+    return kind.estimators or tuple(
+        name for name in ESTIMATORS if kind.one_frf or not estimator_of(name).one_frf
+    )
 
 
 def _one_of(names: Sequence[str]) -> str:

@@ -1,4 +1,6 @@
-"""Goodness of fit, standard errors, intervals, collinearity, and what systematic errors do to a minimum of squares."""
+"""Goodness of fit, standard errors, intervals, collinearity, and what systematic errors do to a minimum of
+squares.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,13 @@ from labpipe.records.identification import Goodness
 class Estimate:
     """Result of an estimator: parameters, their covariance, goodness of fit.
 
-    values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design (n_parameter, n_parameter): triangular
-    factor of the real design or Jacobian with columns of length 1; dof: real equations - parameters; parameter_dof (n_parameter,): the
-    same of the regression of each parameter, where a fit consists of several (ls: one per direction), else None.
-    amplification (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF; half of
-    it for an error of half the FRF's size in the worst possible direction. squares: sum of the weighted residual's squares [1]. Both are
-    None where the estimator does not compute them.
+    values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design
+    (n_parameter, n_parameter): triangular factor of the real design or Jacobian with columns of length 1;
+    dof: real equations - parameters; parameter_dof (n_parameter,): the same of the regression of each
+    parameter, where a fit consists of several (ls: one per direction), else None. amplification
+    (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF;
+    half of it for an error of half the FRF's size in the worst possible direction. squares: sum of the
+    weighted residual's squares [1]. Both are None where the estimator does not compute them.
     """
 
     values: FloatArray
@@ -47,10 +50,11 @@ class Estimate:
 
 
 def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter: int) -> tuple[float, float]:
-    """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
+    """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real
+    equations.
 
-    right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts in one column, as in the
-    regression (Lim et al. 2009, eq. 23). Equation (est-r2).
+    right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts
+    in one column, as in the regression (Lim et al. 2009, eq. 23). Equation (est-r2).
     """
     side = stacked(right_side.reshape(-1))
     n = side.size
@@ -73,11 +77,23 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
     t_ratio = value / std_error if std_error > 0 else None
     interval = (value - limit * std_error, value + limit * std_error)
     significant = abs(value) > limit * std_error
-    return Parameter(name, value, unit, std_error=std_error, t_ratio=t_ratio, ci95=interval, significant=significant, vif=vif)
+    return Parameter(
+        name,
+        value,
+        unit,
+        std_error=std_error,
+        t_ratio=t_ratio,
+        ci95=interval,
+        significant=significant,
+        vif=vif,
+    )
 
 
 def widened(parameter: Parameter, factor: float) -> Parameter:
-    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong; std_error stays that of noise."""
+    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong.
+
+    Std_error stays that of noise.
+    """
     if parameter.std_error is None:
         return parameter
     error, value = factor * parameter.std_error, parameter.value
@@ -97,7 +113,8 @@ def derived(name: str, unit: str, value: float, std_error: float, dof: int) -> P
 
 
 def inflation_factors(scaled_design: FloatArray) -> FloatArray:
-    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1 for an orthogonal column.
+    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1
+    for an orthogonal column.
 
     *scaled_design* (n_parameter, n_parameter). Equation (est-vif).
     """
@@ -108,7 +125,8 @@ def inflation_factors(scaled_design: FloatArray) -> FloatArray:
 
 
 def condition_number(scaled_design: FloatArray) -> float:
-    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns (Belsley, Kuh and Welsch 1980).
+    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns
+    (Belsley, Kuh and Welsch 1980).
 
     Equation (est-condition).
     """
@@ -131,7 +149,9 @@ def stacked(values: ComplexArray) -> FloatArray:
 
 
 def stacked_terms(terms: ComplexArray) -> FloatArray:
-    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit], with a single copy."""
+    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit],
+    with a single copy.
+    """
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag
     return rows.reshape(terms.shape[0], -1)
@@ -141,7 +161,10 @@ def stacked_terms(terms: ComplexArray) -> FloatArray:
 
 
 def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
-    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; without parts below *least*."""
+    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change.
+
+    Without parts below *least*.
+    """
     # Sorted as printed: parts that look alike keep the order of their names, whatever their last digits.
     order = np.argsort(-np.round(np.abs(direction) / np.max(np.abs(direction)), 2), kind="stable")
     direction = direction / direction[order[0]]
@@ -165,16 +188,17 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 
 
 def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the residual of slopes J.
+    """-C J^T dr (n_source, n_parameter) [parameter units] by changes dr (n_source, n_datum) [1] of the
+    residual of slopes J.
 
-    slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter, n_parameter) [parameter units] (J^T J)^-1.
-    Equation (unc-step).
+    slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter, n_parameter) [parameter units]
+    (J^T J)^-1. Equation (unc-step).
     """
     return np.asarray(-changes @ slopes @ covariance)
 
 
-# Distance between a stated number and what the data ask for, in the standard uncertainty of both together, beyond which they contradict
-# each other; with many numbers the one of chance among all of them.
+# Distance between a stated number and what the data ask for, in the standard uncertainty of both together,
+# beyond which they contradict each other; with many numbers the one of chance among all of them.
 FAR, FAR_P = 3.0, 0.01
 # Part of a posterior variance by the data below which they say nothing of a number.
 SAYS_NOTHING = 1e-9
@@ -182,11 +206,13 @@ SAYS_NOTHING = 1e-9
 
 @dataclass(frozen=True)
 class Pulls:
-    """What a residual says of numbers that were stated with their uncertainty, each 0 +- 1 standard uncertainty away from what was stated.
+    """What a residual says of numbers that were stated with their uncertainty, each 0 +- 1 standard
+    uncertainty away from what was stated.
 
-    likely (n_source,) [standard uncertainties]: the most likely change of each number; asked, error (n_source,): that which the data by
-    themselves ask for, the others within what was stated, and its standard error, large where the data say nothing. explained [1]: what
-    the sum of squares of the residual loses by the most likely changes of all of them together.
+    likely (n_source,) [standard uncertainties]: the most likely change of each number; asked, error
+    (n_source,): that which the data by themselves ask for, the others within what was stated, and its
+    standard error, large where the data say nothing. explained [1]: what the sum of squares of the residual
+    loses by the most likely changes of all of them together.
     """
 
     likely: FloatArray
@@ -196,7 +222,9 @@ class Pulls:
 
     @property
     def sizes(self) -> FloatArray:
-        """|asked| over the standard uncertainty of what was asked and what was stated together (n_source,) [1]. Equation (unc-pull)."""
+        """|asked| over the standard uncertainty of what was asked and what was stated together (n_source,)
+        [1]. Equation (unc-pull).
+        """
         return np.asarray(np.abs(self.asked) / np.hypot(1.0, self.error))
 
     @property
@@ -207,15 +235,19 @@ class Pulls:
 
     @property
     def factors(self) -> FloatArray:
-        """By what the uncertainty of each number grows (n_source,) [1]: to the distance of what the data ask for where that is far."""
+        """By what the uncertainty of each number grows (n_source,) [1]: to the distance of what the data ask
+        for where that is far.
+        """
         return np.where(self.far, np.abs(self.asked), 1.0)
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard uncertainty of each.
+    """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard
+    uncertainty of each.
 
-    at (n_source,) [standard uncertainties]: how far the numbers are from what was stated where the residual and its changes were computed.
+    at (n_source,) [standard uncertainties]: how far the numbers are from what was stated where the residual
+    and its changes were computed.
     """
 
     changes: FloatArray
@@ -227,11 +259,15 @@ class Stated:
         return cls(changes, np.zeros(len(changes)))
 
 
-def pulls_of(residual: FloatArray, stated: Stated, slopes: FloatArray, covariance: FloatArray, noise: float = 1.0) -> Pulls:
-    """The most likely changes t of stated numbers, min over t and the parameters of |r + D^T t|^2 / s + |t|^2.
+def pulls_of(
+    residual: FloatArray, stated: Stated, slopes: FloatArray, covariance: FloatArray, noise: float = 1.0
+) -> Pulls:
+    """The most likely changes t of stated numbers, min over t and the parameters of |r + D^T t|^2 / s +
+    |t|^2.
 
-    residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit] and covariance (n_parameter, n_parameter)
-    [parameter units] as for the steps; *noise* s [1]: variance of a projection of the residual by noise. Equation (unc-explained).
+    residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit] and covariance
+    (n_parameter, n_parameter) [parameter units] as for the steps; *noise* s [1]: variance of a projection of
+    the residual by noise. Equation (unc-explained).
     """
     left = stated.changes + steps_by(stated.changes, slopes, covariance) @ slopes.T
     information = left @ stated.changes.T / noise
@@ -241,4 +277,6 @@ def pulls_of(residual: FloatArray, stated: Stated, slopes: FloatArray, covarianc
     share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
     likely = stated.at - posterior @ score
     error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / np.where(np.isinf(share), SAYS_NOTHING**2, share))
-    return Pulls(likely, likely / share, error, float(noise * (score @ posterior @ score - stated.at @ stated.at)))
+    return Pulls(
+        likely, likely / share, error, float(noise * (score @ posterior @ score - stated.at @ stated.at))
+    )

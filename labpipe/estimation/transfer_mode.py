@@ -23,11 +23,12 @@ LIGHT = 0.01
 
 @dataclass(frozen=True)
 class TransferMode:
-    """H(w) = (A + j B) / (w_n^2 - w^2 + 2 j zeta w_n w) + C + j D: a mode, and a constant for those outside the band.
+    """H(w) = (A + j B) / (w_n^2 - w^2 + 2 j zeta w_n w) + C + j D: a mode, and a constant for those outside
+    the band.
 
-    Parameters: f_n [Hz], zeta [1], the modal constant A [1/kg] = psi_o psi_i / m with its sign, B [1/kg] its part in quadrature, C and D
-    [m/N]. A delay or a gain that changes evenly with frequency turns the residue and leaves a constant: w_n and zeta stay what they are.
-    Equation (est-transfer-mode).
+    Parameters: f_n [Hz], zeta [1], the modal constant A [1/kg] = psi_o psi_i / m with its sign, B [1/kg] its
+    part in quadrature, C and D [m/N]. A delay or a gain that changes evenly with frequency turns the residue
+    and leaves a constant: w_n and zeta stay what they are. Equation (est-transfer-mode).
     """
 
     name: str = "sdof"
@@ -46,7 +47,9 @@ class TransferMode:
         return ()
 
     def whole(self, parameters: FloatArray) -> Matrices:
-        """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,) [parameter units]."""
+        """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,)
+        [parameter units].
+        """
         w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
         unit = np.ones((1, 1))
         return Matrices(w_n**2 * unit, 2 * zeta * w_n * unit, unit, parameters[2] * unit)
@@ -62,7 +65,14 @@ class TransferMode:
         below = 1 / _denominator(parameters, omega)
         slope = -complex(*parameters[2:4]) * below**2
         unit = np.ones(omega.size, np.complex128)
-        rows = [slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega), slope * 2j * w_n * omega, below, 1j * below, unit, 1j * unit]
+        rows = [
+            slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega),
+            slope * 2j * w_n * omega,
+            below,
+            1j * below,
+            unit,
+            1j * unit,
+        ]
         return np.array(rows)[:, :, None, None]
 
 
@@ -74,7 +84,8 @@ def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
 def is_transfer(output: Port, force: Port) -> bool:
     """True where force and response are at different points, or across each other at one: by their dofs.
 
-    A dof that is no more than the name of a channel or column ("acc", "f") is no point: only names with a number count without a rig file.
+    A dof that is no more than the name of a channel or column ("acc", "f") is no point: only names with a
+    number count without a rig file.
     """
     if output.dof == force.dof or not (_is_place(output) and _is_place(force)):
         return False
@@ -88,7 +99,11 @@ def _is_place(port: Port) -> bool:
     """True for a dof that says where or along what: a direction, a name of its own, or one with a number."""
     if not port.dof:
         return False
-    return angle_of(port) is not None or port.dof not in (port.label, port.channel) or any(letter.isdigit() for letter in port.dof)
+    return (
+        angle_of(port) is not None
+        or port.dof not in (port.label, port.channel)
+        or any(letter.isdigit() for letter in port.dof)
+    )
 
 
 def transfer_of(setup: Setup) -> bool:
@@ -97,10 +112,12 @@ def transfer_of(setup: Setup) -> bool:
 
 
 def transfer_start(measured: Measured) -> FloatArray:
-    """Start values (6,) [parameter units]: least squares of (k + j w c) H - (A + j B) - (C + j D) (k - w^2 + j w c) = w^2 H.
+    """Start values (6,) [parameter units]: least squares of (k + j w c) H - (A + j B) - (C + j D) (k - w^2 +
+    j w c) = w^2 H.
 
-    The constant's products with k and c are taken from the last pass, and equations divided by its denominator (Sanathanan and Koerner
-    1963). From the largest line where no pass gives an oscillation; FitError for fewer lines than determine them.
+    The constant's products with k and c are taken from the last pass, and equations divided by its
+    denominator (Sanathanan and Koerner 1963). From the largest line where no pass gives an oscillation;
+    FitError for fewer lines than determine them.
     """
     h, w = measured.matrix[:, 0, 0], measured.omega
     if h.size < 5:

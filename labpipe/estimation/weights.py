@@ -2,9 +2,10 @@
 
 Weights of the lines in an output-error fit, and the effect of estimated weights.
 
-A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n for n outputs
-(several forces share or have separate estimates of the outputs' noise, so they do not count in n):
-E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n
+for n outputs (several forces share or have separate estimates of the outputs' noise, so they do not count in
+n): E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald and Kraus 2000, IEE Proc.
+Radar 147:162).
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from labpipe.estimation.statistics import stacked
 # Weights of FRFs whose covariance is one matrix over the responses times one over the forces, as that of H1
 # is.
 
-# Share of the standard deviations by which a covariance may differ from such a product: rounding of its making.
+# Share of the standard deviations by which a covariance may differ from such a product: rounding of its
+# making.
 ROUNDING = 1e-12
 # Numbers of a covariance that are looked at together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
@@ -32,10 +34,11 @@ CACHED_NUMBERS = 1 << 16
 
 @dataclass(frozen=True)
 class ProductWeights:
-    """W_o and W_i of every line; the FRFs H become uncorrelated as W_o H W_i^T, which is W_o (x) W_i times vec(H), row-major.
+    """W_o and W_i of every line; the FRFs H become uncorrelated as W_o H W_i^T, which is W_o (x) W_i times
+    vec(H), row-major.
 
-    *outputs* W_o (n_line, n_output, n_output) and *inputs* W_i (n_line, n_input, n_input); their product [N/m].
-    Equation (est-product-weights).
+    *outputs* W_o (n_line, n_output, n_output) and *inputs* W_i (n_line, n_input, n_input); their product
+    [N/m]. Equation (est-product-weights).
     """
 
     outputs: ComplexArray
@@ -46,23 +49,30 @@ class ProductWeights:
         return ProductWeights(self.outputs[lines], self.inputs[lines])
 
     def whitened(self, values: ComplexArray) -> ComplexArray:
-        """FRFs (..., n_line, n_output, n_input) [m/N] without correlation and of variance 1, the same shape [1]."""
+        """FRFs (..., n_line, n_output, n_input) [m/N] without correlation and of variance 1, the same shape
+        [1].
+        """
         white: ComplexArray = self.outputs @ values @ self.inputs.swapaxes(1, 2)
         return white
 
     def whitened_columns(self, by_line: ComplexArray) -> ComplexArray:
-        """Terms (n_line, n_output, n_input, n_term) [m/N per unit of the term] likewise, (n_line, n_output * n_input, n_term)."""
+        """Terms (n_line, n_output, n_input, n_term) [m/N per unit of the term] likewise, (n_line, n_output *
+        n_input, n_term).
+        """
         n_line, n_output, _, n_term = by_line.shape
         across = (self.outputs @ by_line.reshape(n_line, n_output, -1)).reshape(by_line.shape)
         white: ComplexArray = (self.inputs[:, None] @ across).reshape(n_line, -1, n_term)
         return white
 
 
-def correlation_factors(covariance: ComplexArray, deviations: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
-    """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the correlation of vec(H), row-major.
+def correlation_factors(
+    covariance: ComplexArray, deviations: FloatArray
+) -> tuple[ComplexArray, ComplexArray] | None:
+    """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the
+    correlation of vec(H), row-major.
 
-    Of a *covariance* (n_line, n, n) [m^2/N^2] and the *deviations* (n_line, n_output, n_input) [m/N] on its diagonal; None where it is no
-    such product. A few lines at a time: of many FRFs the covariance is large.
+    Of a *covariance* (n_line, n, n) [m^2/N^2] and the *deviations* (n_line, n_output, n_input) [m/N] on its
+    diagonal; None where it is no such product. A few lines at a time: of many FRFs the covariance is large.
     """
     n_line, n_output, n_input = deviations.shape
     by_axes = covariance.reshape(n_line, n_output, n_input, n_output, n_input)
@@ -79,7 +89,9 @@ def correlation_factors(covariance: ComplexArray, deviations: FloatArray) -> tup
 
 
 def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """s_o (n_line, n_output) [m/N] and s_i (n_line, n_input) [1] of standard deviations s_o s_i (n_line, n_output, n_input) [m/N]."""
+    """s_o (n_line, n_output) [m/N] and s_i (n_line, n_input) [1] of standard deviations s_o s_i (n_line,
+    n_output, n_input) [m/N].
+    """
     return deviations[:, :, 0], deviations[:, 0] / deviations[:, 0, :1]
 
 
@@ -101,10 +113,10 @@ Weights: TypeAlias = ComplexArray | ProductWeights
 class WeightUncertainty:
     """Effect of weights from an estimated covariance on a fit; all 1 and infinite for a known covariance.
 
-    excess        E[d^H S^-1 d] / E[d^H C^-1 d]: factor by which the weighted residual is too large
-    inflation     true covariance of the estimates / (J^H S^-1 J)^-1, including lost efficiency and noise shared by lines
-    residual_dof  second degree of freedom of the F distribution of the reduced chi-square
-    shared        ratio of equations to degrees of freedom of the residual, since lines share noise
+    excess        E[d^H S^-1 d] / E[d^H C^-1 d]: factor by which the weighted residual is too large inflation
+    true covariance of the estimates / (J^H S^-1 J)^-1, including lost efficiency and noise shared by lines
+    residual_dof  second degree of freedom of the F distribution of the reduced chi-square shared        ratio
+    of equations to degrees of freedom of the residual, since lines share noise
     """
 
     excess: float = 1.0
@@ -113,7 +125,8 @@ class WeightUncertainty:
     shared: float = 1.0
 
     def p_value(self, reduced: float, dof: int) -> float:
-        """Probability of a reduced chi-square at least this large for a correct model; chi-square, or F scaled to the mean 1.
+        """Probability of a reduced chi-square at least this large for a correct model; chi-square, or F
+        scaled to the mean 1.
 
         Equation (est-chi2).
         """
@@ -124,11 +137,13 @@ class WeightUncertainty:
 
 
 def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
-    """excess = nu / a, inflation = s nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual; *dof* of the fit.
+    """excess = nu / a, inflation = s nu^2 / (a^2 - 1), residual_dof by the variance of the weighted residual;
+    *dof* of the fit.
 
-    s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies little from line to line.
-    The inflation is exact for independent noise estimates of the lines, and slightly too large when neighbouring lines have a common
-    one. FitError for nu <= n + 1: the weighted residual then has no variance, or no mean. Equation (est-weights).
+    s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies
+    little from line to line. The inflation is exact for independent noise estimates of the lines, and
+    slightly too large when neighbouring lines have a common one. FitError for nu <= n + 1: the weighted
+    residual then has no variance, or no mean. Equation (est-weights).
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
@@ -140,18 +155,26 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
             hint="average more periods or blocks, or raise `smooth`",
         )
     inflation = measured.shared_noise * nu**2 / (a**2 - 1)
-    return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power)
+    return WeightUncertainty(
+        nu / a, inflation, _residual_dof(measured, dof, measured.shared_power), measured.shared_power
+    )
 
 
 def fitted_uncertainty(
-    measured: Measured, noise: SharedNoise | LineBlocks | None, uncertainty: WeightUncertainty, jacobian: FloatArray, inverse: FloatArray
+    measured: Measured,
+    noise: SharedNoise | LineBlocks | None,
+    uncertainty: WeightUncertainty,
+    jacobian: FloatArray,
+    inverse: FloatArray,
 ) -> tuple[FloatArray, WeightUncertainty]:
-    """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the uncertainty of the residual of a fit.
+    """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the uncertainty of the
+    residual of a fit.
 
-    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *uncertainty* of weight_uncertainty. Where the
-    noise of lines is correlated as only a matrix can say, that matrix *noise* gives both instead of the factors *inflation* and *shared*.
-    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a common factor of a resonance's
-    weights and cost no efficiency. Equation (est-ml-covariance).
+    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *uncertainty* of
+    weight_uncertainty. Where the noise of lines is correlated as only a matrix can say, that matrix *noise*
+    gives both instead of the factors *inflation* and *shared*. Estimates of the noise under an exponential
+    window are as correlated as the noise: their errors are a common factor of a resonance's weights and cost
+    no efficiency. Equation (est-ml-covariance).
     """
     if noise is None:
         return uncertainty.inflation * inverse, uncertainty
@@ -171,16 +194,20 @@ def fitted_uncertainty(
 
 
 def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
-    """A Jacobian (n_equation, n_parameter) of real parts, then imaginary parts, as complex (n_line, n_element, n_parameter) [its unit]."""
+    """A Jacobian (n_equation, n_parameter) of real parts, then imaginary parts, as complex (n_line,
+    n_element, n_parameter) [its unit].
+    """
     half = jacobian.shape[0] // 2
     return np.asarray((jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, jacobian.shape[1]))
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
-    """The second degree of freedom of the F distribution with the variance of the weighted residual over all lines.
+    """The second degree of freedom of the F distribution with the variance of the weighted residual over all
+    lines.
 
-    Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q forces, W lines with a
-    common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2: 2 (d1 + d2 - 2) / (d1 (d2 - 4)).
+    Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q
+    forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:
+    2 (d1 + d2 - 2) / (d1 (d2 - 4)).
     """
     n_line, n, q = measured.matrix.shape
     a = measured.noise_dof - n
@@ -195,11 +222,15 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
 def has_noise(measured: Measured) -> bool:
     """True if the FRF has a measured covariance above rounding."""
     variance = measured.variance
-    return variance is not None and bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
+    return variance is not None and bool(
+        np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2)
+    )
 
 
 def equal_weights(measured: Measured) -> ComplexArray:
-    """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], scaled by the FRF's size so that units have no influence."""
+    """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], scaled by the FRF's size so that units have
+    no influence.
+    """
     n = measured.matrix.shape[1] * measured.matrix.shape[2]
     return np.broadcast_to(np.eye(n) / _size(measured), (measured.omega.size, n, n)).astype(np.complex128)
 
@@ -217,9 +248,14 @@ def whitener(measured: Measured) -> ComplexArray:
 
 
 def fit_weights(measured: Measured) -> Weights:
-    """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has. FitError as for whitener."""
+    """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has.
+
+    FitError as for whitener.
+    """
     if not has_noise(measured):
-        return np.broadcast_to(1 / _size(measured), (measured.omega.size, measured.matrix[0].size)).astype(np.complex128)
+        return np.broadcast_to(1 / _size(measured), (measured.omega.size, measured.matrix[0].size)).astype(
+            np.complex128
+        )
     assert measured.covariance is not None
     std = _deviations(measured)
     if np.count_nonzero(measured.covariance) == std.size:
@@ -231,27 +267,40 @@ def fit_weights(measured: Measured) -> Weights:
     smallest = [np.linalg.eigvalsh(factor)[:, 0] for factor in factors]
     _check_regular(measured, smallest[0] * smallest[1])
     deviations = deviation_factors(by_port)
-    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in zip(factors, deviations, strict=True))
+    roots = (
+        np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None]
+        for factor, size in zip(factors, deviations, strict=True)
+    )
     return ProductWeights(*roots)
 
 
 def _check_regular(measured: Measured, smallest: FloatArray) -> None:
-    """FitError where the *smallest* eigenvalues (n_line,) [1] of the correlations of the FRFs are rounding."""
+    """FitError where the *smallest* eigenvalues (n_line,) [1] of the correlations of the FRFs are
+    rounding.
+    """
     n = measured.matrix[0].size
     singular = _is_singular(smallest, n)
     if np.any(singular):
         hint = "average more periods or blocks, or name fewer responses with `output`"
-        raise FitError(f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint)
+        raise FitError(
+            f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint
+        )
 
 
 def singular_lines(measured: Measured) -> BoolArray:
-    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line; FitError for a zero variance."""
+    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line.
+
+    FitError for a zero variance.
+    """
     scaled = _scaled(measured)[1]
     return _is_singular(np.linalg.eigvalsh(scaled)[:, 0], scaled.shape[1])
 
 
 def _scaled(measured: Measured) -> tuple[FloatArray, ComplexArray]:
-    """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs; FitError for a zero variance."""
+    """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs.
+
+    FitError for a zero variance.
+    """
     assert measured.covariance is not None
     std = _deviations(measured)
     return std, measured.covariance / (std[:, :, None] * std[:, None, :])
@@ -262,7 +311,10 @@ def _deviations(measured: Measured) -> FloatArray:
     assert measured.covariance is not None
     std: FloatArray = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
-        raise FitError(f"the variance of the FRF is zero at {_first(measured, std == 0)}", hint="leave this line out with `exclude`")
+        raise FitError(
+            f"the variance of the FRF is zero at {_first(measured, std == 0)}",
+            hint="leave this line out with `exclude`",
+        )
     return std
 
 
@@ -271,7 +323,8 @@ def _is_singular(smallest: FloatArray, n: int) -> BoolArray:
 
 
 def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
-    """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of variance 1.
+    """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of
+    variance 1.
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
@@ -281,13 +334,16 @@ def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
     whitener = short_weights(whitener)
     if whitener.ndim == 2:
         return np.sqrt(2.0) * stacked((flat * whitener).reshape(*values.shape[:-3], -1))
-    white = np.matmul(whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2))
+    white = np.matmul(
+        whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2)
+    )
     lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
     return np.sqrt(2.0) * stacked(lines)
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
-    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as columns (n_equation, n_term).
+    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as
+    columns (n_equation, n_term).
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n).
     """
@@ -305,11 +361,15 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
 
 
 def _white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> ComplexArray:
-    """Terms (n_line, n_output, n_input, n_term) of some *lines* of which *whitener* has all, whitened, (n_line, n, n_term)."""
+    """Terms (n_line, n_output, n_input, n_term) of some *lines* of which *whitener* has all, whitened,
+    (n_line, n, n_term).
+    """
     if isinstance(whitener, ProductWeights):
         return whitener.at(lines).whitened_columns(by_line)
     columns = by_line.reshape(by_line.shape[0], -1, by_line.shape[3])
-    white: ComplexArray = whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
+    white: ComplexArray = (
+        whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
+    )
     return white
 
 
@@ -324,7 +384,9 @@ def weights_at(weights: Weights, lines: slice) -> Weights:
 
 
 def short_weights(whitener: ComplexArray) -> ComplexArray:
-    """Weights (n_line, n, n) [N/m] as their diagonals (n_line, n) where all else is zero: FRFs with independent noise."""
+    """Weights (n_line, n, n) [N/m] as their diagonals (n_line, n) where all else is zero: FRFs with
+    independent noise.
+    """
     if whitener.ndim == 2:
         return whitener
     diagonal: ComplexArray = np.einsum("lnn->ln", whitener)

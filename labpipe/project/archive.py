@@ -1,13 +1,16 @@
 """One file that holds a result with all it was made from: an RO-Crate in a ZIP.
 
-``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1 (https://w3id.org/ro/crate/1.1).
+``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1
+(https://w3id.org/ro/crate/1.1).
 
-No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said to be not stated.
+No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said
+to be not stated.
 
 The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no size.
 
-Files are stored as they are, in the order of their names, at the first moment that ZIP knows: compression would make the bytes depend on
-the library that compresses. A recording that is compressed itself (.csv.gz) stays so.
+Files are stored as they are, in the order of their names, at the first moment that ZIP knows: compression
+would make the bytes depend on the library that compresses. A recording that is compressed itself (.csv.gz)
+stays so.
 """
 
 from __future__ import annotations
@@ -57,7 +60,8 @@ YAML = (".yaml", ".yml")
 class Member:
     """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256.
 
-    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the result depends on that.
+    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the
+    result depends on that.
     """
 
     name: str
@@ -71,7 +75,10 @@ class Member:
 
 @dataclass(frozen=True)
 class Contents:
-    """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*. left_out: of no result."""
+    """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*.
+
+    left_out: of no result.
+    """
 
     identification: Identification
     pipeline: str
@@ -86,9 +93,11 @@ class Contents:
 
 
 def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Contents:
-    """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the recordings.
+    """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the
+    recordings.
 
-    DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that an archive cannot hold.
+    DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that
+    an archive cannot hold.
     """
     identification = read_identification(folder / IDENTIFICATION)
     _check_same(identification, pipeline, folder)
@@ -100,10 +109,17 @@ def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Content
     for name in reports:
         if not is_drawn(folder / name, drawn_from(folder / IDENTIFICATION)):
             hint = f"remove it or draw it again by `labpipe report {folder}`"
-            raise DataError("was not drawn from this result, or edited since", where=str(folder / name), hint=hint)
+            raise DataError(
+                "was not drawn from this result, or edited since", where=str(folder / name), hint=hint
+            )
     recordings = [name for name in names if name.endswith(RECORDING)]
     results = [
-        Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=not (digests_only and name in recordings))
+        Member(
+            f"{RESULTS}/{name}",
+            _role_of_result(name),
+            folder / name,
+            kept=not (digests_only and name in recordings),
+        )
         for name in (*names, *reports)
     ]
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
@@ -111,22 +127,35 @@ def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Content
     digests = {reference.path: reference.sha256 for reference in noted} | {
         source["path"]: source["sha256"] for source in identification.sources
     }
-    main, files = _project(pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only)
-    return Contents(identification, main, tuple(map(_digested, files)), tuple(map(_digested, results)), tuple(left_out))
+    main, files = _project(
+        pipeline, digests, dated=identification.dataset is not None, digests_only=digests_only
+    )
+    return Contents(
+        identification, main, tuple(map(_digested, files)), tuple(map(_digested, results)), tuple(left_out)
+    )
 
 
 def _digested(member: Member) -> Member:
-    """The member with digest and size; one that is not kept and lies elsewhere has the digest that the result names."""
+    """The member with digest and size.
+
+    One that is not kept and lies elsewhere has the digest that the result names.
+    """
     if is_remote(member.path):
         return member
-    return replace(member, sha256=source_ref(member.path, member.path.parent).sha256, size=member.path.stat().st_size)
+    return replace(
+        member, sha256=source_ref(member.path, member.path.parent).sha256, size=member.path.stat().st_size
+    )
 
 
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
     """DataError where the result was made by another build, or by a pipeline that says something else."""
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
-        raise DataError(what, where=str(folder / IDENTIFICATION), hint="run `labpipe run` again, or make the archive with that build")
+        raise DataError(
+            what,
+            where=str(folder / IDENTIFICATION),
+            hint="run `labpipe run` again, or make the archive with that build",
+        )
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
         # With the conditions as the recordings showed them.
@@ -135,16 +164,22 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
     differing += ["rig"] if rig_entry(pipeline) != identification.rig else []
     if differing:
         what = f"says something else under '{differing[0]}' than the result in {folder} was made with"
-        raise DataError(what, where=str(pipeline.path), hint="write into the file what --set said, and run it again")
+        raise DataError(
+            what, where=str(pipeline.path), hint="write into the file what --set said, and run it again"
+        )
 
 
 def _names_of_result(folder: Path, identification: Identification, pipeline: Pipeline) -> list[str]:
     """The artefacts of this very result by their names; what earlier pipelines left in the folder is none."""
     named = [reference["path"] for reference in identification.inputs]
     named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
-    files_there = [name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts]
+    files_there = [
+        name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts
+    ]
     measured = [name for name in files_there if name.endswith(".parquet") and "/" not in name]
-    recordings = [f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs]
+    recordings = [
+        f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs
+    ]
     return sorted({IDENTIFICATION, *files_there, *(name for name in recordings if (folder / name).is_file())})
 
 
@@ -153,16 +188,31 @@ def _role_of_result(name: str) -> str:
         return "result: parameters, standard errors, findings, outcomes of rules"
     if name.startswith("report."):
         return "report"
-    kinds = {RECORDING: "calibrated recording", ".results.parquet": "results of many tests", ".json": "fits of a test"}
-    return next((role for suffix, role in kinds.items() if name.endswith(suffix)), "measured response, decays or spectra of a test")
+    kinds = {
+        RECORDING: "calibrated recording",
+        ".results.parquet": "results of many tests",
+        ".json": "fits of a test",
+    }
+    return next(
+        (role for suffix, role in kinds.items() if name.endswith(suffix)),
+        "measured response, decays or spectra of a test",
+    )
 
 
-def _project(pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool) -> tuple[str, list[Member]]:
+def _project(
+    pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
+) -> tuple[str, list[Member]]:
     """The pipeline's name in the archive, and it with all files that it names, in folders as they are.
 
-    digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings were last changed.
+    digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
+    were last changed.
     """
-    raw = [path for test in pipeline.tests for source in test.recordings for path in (source.path, *source.joined)]
+    raw = [
+        path
+        for test in pipeline.tests
+        for source in test.recordings
+        for path in (source.path, *source.joined)
+    ]
     ready = [path for test in pipeline.tests for frf in test.frfs for path in frf.paths]
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
@@ -170,7 +220,11 @@ def _project(pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, dig
         raise DataError(what, where=shown(remote), hint="--digests-only keeps its digest")
     settings, named = _named_by(pipeline.path)
     roles = dict.fromkeys(map(_absolute, (*raw, *ready)), "recording")
-    roles |= {path: "table or file that the settings name" for path in map(_absolute, (*pipeline.side_files, *named)) if path not in roles}
+    roles |= {
+        path: "table or file that the settings name"
+        for path in map(_absolute, (*pipeline.side_files, *named))
+        if path not in roles
+    }
     roles |= dict.fromkeys(settings, "rig, bearing or other settings")
     roles |= {_absolute(pipeline.path): "pipeline: the procedure"}
     home = Path(os.path.commonpath([path.parent for path in roles if not is_remote(path)]))
@@ -194,7 +248,10 @@ def _day(path: Path) -> str:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first, and those that they name; all other files that any of them names."""
+    """The settings files that a settings file names, itself first, and those that they name.
+
+    All other files that any of them names.
+    """
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
         for node in _texts(load_marked(file)):
@@ -225,7 +282,11 @@ def _is_named(node: Marked, folder: Path) -> bool:
 def _texts(node: Marked) -> Iterator[Marked]:
     """The texts in a tree."""
     parts: Sequence[Marked] = (
-        tuple(node.content.values()) if isinstance(node.content, dict) else node.content if isinstance(node.content, list) else ()
+        tuple(node.content.values())
+        if isinstance(node.content, dict)
+        else node.content
+        if isinstance(node.content, list)
+        else ()
     )
     if node.text and not parts:
         yield node
@@ -244,9 +305,12 @@ FAMILY = "https://w3id.org/ro/crate/"
 NO_LICENCE = "Not stated. Whoever made this archive decides what may be done with it."
 UNKNOWN = "application/octet-stream"
 FORMATS = {
-    ".csv": "text/csv", ".txt": "text/plain", ".dat": "text/plain", ".asc": "text/plain", ".lvm": "text/plain", ".md": "text/markdown",
-    ".html": "text/html", ".pdf": "application/pdf", ".json": "application/json", ".yaml": "application/yaml", ".yml": "application/yaml",
-    ".parquet": "application/vnd.apache.parquet", ".h5": "application/x-hdf5", ".hdf5": "application/x-hdf5", ".wav": "audio/vnd.wave",
+    ".csv": "text/csv", ".txt": "text/plain", ".dat": "text/plain", ".asc": "text/plain",
+    ".lvm": "text/plain", ".md": "text/markdown",
+    ".html": "text/html", ".pdf": "application/pdf", ".json": "application/json", ".yaml": "application/yaml",
+    ".yml": "application/yaml",
+    ".parquet": "application/vnd.apache.parquet", ".h5": "application/x-hdf5", ".hdf5": "application/x-hdf5",
+    ".wav": "audio/vnd.wave",
     ".mat": "application/x-matlab-data", ".gz": "application/gzip", ".zst": "application/zstd",
     ".xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
 }  # fmt: skip
@@ -266,7 +330,9 @@ class Listed:
 
 @dataclass(frozen=True)
 class Crate:
-    """What verification reads of the metadata: the files, the pipeline's name, and how many files are listed by their digest only."""
+    """What verification reads of the metadata: the files, the pipeline's name, and how many files are listed
+    by their digest only.
+    """
 
     files: tuple[Listed, ...]
     pipeline: str
@@ -288,7 +354,8 @@ def _heads(contents: Contents, date: str) -> Iterator[Entity]:
         "@id": "./",
         "@type": "Dataset",
         "name": title,
-        "description": f"{title}: procedure, rig and recordings of a test, the result that labpipe made of them, and its report.",
+        "description": f"{title}: procedure, rig and recordings of a test, the result that labpipe made of "
+        "them, and its report.",
         "datePublished": date,
         "license": NO_LICENCE,
         "conformsTo": {"@id": VERSION},
@@ -310,7 +377,9 @@ def _entity(member: Member) -> Entity:
         "@id": _id(member),
         "@type": "File" if member.kept else "CreativeWork",
         "name": path.name if member.kept else member.name,
-        "description": member.role if member.kept else f"{member.role}; not in the archive, known by its digest",
+        "description": member.role
+        if member.kept
+        else f"{member.role}; not in the archive, known by its digest",
         "encodingFormat": FORMATS.get(path.suffix.lower(), UNKNOWN),
         "sha256": member.sha256,
     }
@@ -352,7 +421,11 @@ def read_metadata(content: bytes, where: str) -> Crate:
         left_out = sum(name.startswith("#left-out/") for name in entities)
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DataError(f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})", where=where, hint=f"{VERSION}") from None
+        raise DataError(
+            f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})",
+            where=where,
+            hint=f"{VERSION}",
+        ) from None
     if pipeline not in {file.name for file in files}:
         raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where=where)
     return Crate(files, pipeline, left_out)
@@ -360,7 +433,9 @@ def read_metadata(content: bytes, where: str) -> Crate:
 
 def _root(entities: Mapping[str, Entity]) -> Entity:
     """The entity that the metadata are about, found as RO-Crate says."""
-    crates = (entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY))
+    crates = (
+        entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY)
+    )
     descriptor = next((described for described in crates if "about" in described), {})
     return entities[descriptor["about"]["@id"]]
 
@@ -372,7 +447,13 @@ def _reference(entry: Any) -> Any:
 def _listed(entity: Entity, where: str) -> Listed:
     name, day = unquote(entity["@id"]), entity.get("dateModified", "")
     size, sha256 = entity["contentSize"], entity["sha256"]
-    if not (isinstance(size, str) and size.isascii() and size.isdigit() and isinstance(sha256, str) and isinstance(day, str)):
+    if not (
+        isinstance(size, str)
+        and size.isascii()
+        and size.isdigit()
+        and isinstance(sha256, str)
+        and isinstance(day, str)
+    ):
         raise DataError(f"lists '{cut(name)}' without its size and digest", where=where)
     return Listed(name, int(size), sha256, day)
 
@@ -397,24 +478,40 @@ def is_archive(path: Path) -> bool:
 def check_output(path: Path) -> None:
     """ConfigError for the name of an archive that has another ending, or that is there already."""
     if path.suffix.lower() not in (ZIP, ELN):
-        raise ConfigError(f"no archive has the ending '{path.suffix}'", where=str(path), hint=f"known: {ZIP}, {ELN}")
+        raise ConfigError(
+            f"no archive has the ending '{path.suffix}'", where=str(path), hint=f"known: {ZIP}, {ELN}"
+        )
     if path.exists():
-        raise ConfigError("is there already", where=str(path), hint="name another file, or remove this one; an archive is never replaced")
+        raise ConfigError(
+            "is there already",
+            where=str(path),
+            hint="name another file, or remove this one; an archive is never replaced",
+        )
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
-    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name around all."""
+    """Write the archive; DataError where a file changes meanwhile.
+
+    An .eln has one folder of its own name around all.
+    """
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
     with output_file(path) as target, zipfile.ZipFile(target, "x") as archive:
         for member in (member for member in contents.members if member.kept):
             digest = hashlib.sha256()
-            with member.path.open("rb") as source, _opened(archive, around + member.name, member.size or 0) as goal:
+            with (
+                member.path.open("rb") as source,
+                _opened(archive, around + member.name, member.size or 0) as goal,
+            ):
                 while chunk := source.read(CHUNK):
                     digest.update(chunk)
                     goal.write(chunk)
             if digest.hexdigest() != member.sha256:
-                raise DataError("changes while it is archived", where=str(member.path), hint="try again when it is finished")
+                raise DataError(
+                    "changes while it is archived",
+                    where=str(member.path),
+                    hint="try again when it is finished",
+                )
         content = metadata(contents, date)
         with _opened(archive, around + NAME, len(content)) as goal:
             goal.write(content)
@@ -454,10 +551,17 @@ class Opened:
                     goal.write(chunk)
         except DamagedError as error:
             return error.what
-        return "" if digest.hexdigest() == listed.sha256 else "is not the file that the archive lists: its SHA-256 is another"
+        return (
+            ""
+            if digest.hexdigest() == listed.sha256
+            else ("is not the file that the archive lists: its SHA-256 is another")
+        )
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
-        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written is no fault of the archive."""
+        """The content of a member; DamagedError where it cannot be read.
+
+        What goes wrong where it is written is no fault of the archive.
+        """
         try:
             with self.archive.open(info) as stream:
                 while chunk := stream.read(CHUNK):
@@ -468,14 +572,21 @@ class Opened:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Opened]:
-    """An archive to be read; DataError for what is no ZIP, for names that lead out of it, and without metadata."""
+    """An archive to be read.
+
+    DataError for what is no ZIP, for names that lead out of it, and without metadata.
+    """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
         raise DataError(what, where=str(path), hint="name a file that `labpipe archive` wrote")
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
-        raise DataError(f"is no ZIP file, or a damaged one ({cut(str(error))})", where=str(path), hint="have it sent again") from None
+        raise DataError(
+            f"is no ZIP file, or a damaged one ({cut(str(error))})",
+            where=str(path),
+            hint="have it sent again",
+        ) from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
         for info in archive.infolist():
@@ -483,8 +594,14 @@ def opened(path: Path) -> Iterator[Opened]:
             if not info.is_dir():
                 members[info.filename] = info
         for name in members:
-            if above := next((str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""):
-                raise DataError("is a file and a folder", where=f"{path}: {cut(above)!r}", hint="labpipe writes no such archive")
+            if above := next(
+                (str(folder) for folder in PurePosixPath(name).parents if str(folder) in members), ""
+            ):
+                raise DataError(
+                    "is a file and a folder",
+                    where=f"{path}: {cut(above)!r}",
+                    hint="labpipe writes no such archive",
+                )
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
         yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))
@@ -508,7 +625,10 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
-    """The folder around all of an .eln, as a prefix; empty for a crate at the top. DataError without metadata."""
+    """The folder around all of an .eln, as a prefix; empty for a crate at the top.
+
+    DataError without metadata.
+    """
     if NAME in members:
         return ""
     tops = {PurePosixPath(name).parts[0] for name in members}
@@ -523,7 +643,9 @@ def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> by
     try:
         return archive.read(info)
     except DAMAGE as error:
-        raise DataError(f"is damaged ({cut(str(error))})", where=f"{path}: {NAME}", hint="have it sent again") from None
+        raise DataError(
+            f"is damaged ({cut(str(error))})", where=f"{path}: {NAME}", hint="have it sent again"
+        ) from None
 
 
 # An archive taken apart again: every file held against its digest, then the result where verification and
@@ -549,14 +671,18 @@ def unpacked(path: Path, folder: Path) -> Unpacked:
     with opened(path) as archive:
         crate = read_metadata(archive.metadata, f"{path}: {NAME}")
         listed = {file.name: file for file in crate.files}
-        faults = [(name, "is not listed among the metadata") for name in archive.members if name not in listed]
+        faults = [
+            (name, "is not listed among the metadata") for name in archive.members if name not in listed
+        ]
         for file in listed.values():
             fault = archive.unpack(file, folder)
             if fault:
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    return Unpacked(folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults)))
+    return Unpacked(
+        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
+    )
 
 
 def _date(file: Listed, folder: Path) -> None:

@@ -1,4 +1,6 @@
-"""bearing: a bearing file -> stiffness and damping at its load and speed, alone or over a sweep of one entry."""
+"""bearing: a bearing file -> stiffness and damping at its load and speed, alone or over a sweep of one
+entry.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ SCHEMA = "labpipe/bearing/1"
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The coefficients of a bearing, with what the uncertainties of its numbers leave of them; None without uncertainties."""
+    """The coefficients of a bearing, with what the uncertainties of its numbers leave of them.
+
+    None without uncertainties.
+    """
 
     coefficients: BearingCoefficients
     uncertainties: BearingUncertainties | None = None
@@ -38,16 +43,27 @@ def evaluated(file: BearingFile) -> Evaluated:
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
-    """The coefficients at every value of the sweep, in its order; the uncertainty of the swept entry itself does not count."""
+    """The coefficients at every value of the sweep, in its order.
+
+    The uncertainty of the swept entry itself does not count.
+    """
 
     def setter(value: float) -> Callable[[], None]:
         return lambda: set_entry(file.tree, f"{sweep.key}={value!r} {sweep.unit}")
 
-    return _evaluated(file, [setter(float(value)) for value in sweep.values], [key for key in file.uncertainties if key != sweep.key])
+    return _evaluated(
+        file,
+        [setter(float(value)) for value in sweep.values],
+        [key for key in file.uncertainties if key != sweep.key],
+    )
 
 
-def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]) -> list[Evaluated]:
-    """The file at each of the *points*, which set its entries: all settings in one go, since kinds evaluate many at once."""
+def _evaluated(
+    file: BearingFile, points: Sequence[Callable[[], None]], keys: Collection[str]
+) -> list[Evaluated]:
+    """The file at each of the *points*, which set its entries: all settings in one go, since kinds evaluate
+    many at once.
+    """
     settings = []
     for point in points:
         point()
@@ -57,14 +73,21 @@ def _evaluated(file: BearingFile, points: Sequence[Callable[[], None]], keys: Co
     coefficients = file.coefficients(settings)
     if not keys:
         return [Evaluated(point) for point in coefficients]
-    sources = [uncertainty_of(file.uncertainties[key], key, setting_at(file.kind.settings, key).unit) for key in keys]
+    sources = [
+        uncertainty_of(file.uncertainties[key], key, setting_at(file.kind.settings, key).unit) for key in keys
+    ]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
-    return [Evaluated(row[0], bearing_uncertainties(sources, list(zip(row[1::2], row[2::2], strict=True)))) for row in rows]
+    return [
+        Evaluated(row[0], bearing_uncertainties(sources, list(zip(row[1::2], row[2::2], strict=True))))
+        for row in rows
+    ]
 
 
 def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
-    """Entries of --json: kind, dofs, stiffness, damping, equilibrium, and where known the range over a ball passage. SI units."""
+    """Entries of --json: kind, dofs, stiffness, damping, equilibrium, and where known the range over a ball
+    passage. SI units.
+    """
     coefficients = whole.coefficients
     equilibrium = {amount.name: amount.value for amount in coefficients.rest}
     equilibrium |= {key: values.tolist() for key, values in coefficients.element_state.items()}
@@ -87,16 +110,23 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
     if coefficients.shaft:
         entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
     if coefficients.lowest is not None and coefficients.highest is not None:
-        entry["passage"] = {"stiffness_min": coefficients.lowest.tolist(), "stiffness_max": coefficients.highest.tolist()}
+        entry["passage"] = {
+            "stiffness_min": coefficients.lowest.tolist(),
+            "stiffness_max": coefficients.highest.tolist(),
+        }
     if whole.uncertainties is not None:
         entry["uncertainty"] = _uncertainty_entry(whole.uncertainties, coefficients)
     return entry
 
 
-def _uncertainty_entry(uncertainties: BearingUncertainties, coefficients: BearingCoefficients) -> dict[str, Any]:
+def _uncertainty_entry(
+    uncertainties: BearingUncertainties, coefficients: BearingCoefficients
+) -> dict[str, Any]:
     """Standard uncertainties by all sources, and the change by one standard uncertainty of each."""
     names = [amount.name for amount in coefficients.rest]
-    changes = zip(uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True)
+    changes = zip(
+        uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True
+    )
     return {
         "stiffness": uncertainties.stiffness_error.tolist(),
         "damping": uncertainties.damping_error.tolist(),
@@ -116,18 +146,27 @@ def _uncertainty_entry(uncertainties: BearingUncertainties, coefficients: Bearin
 
 
 def bearing_json(entry: dict[str, Any]) -> str:
-    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at rest."""
+    """The entry as text.
+
+    Null where an amount has no end, as the sensitivity of a loop without stiffness at rest.
+    """
     return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
-    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF table; the files' names."""
+    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF
+    table; the files' names.
+    """
     from labpipe.document.charts import svg_file
     from labpipe.report.bearing_figures import stiffness_figure
 
     coefficients = whole.coefficients
-    output.write_path("bearing.json").write_text(bearing_json(bearing_entry(file, name, whole)), encoding="utf-8")
-    output.write_path("stiffness.svg").write_text(svg_file(stiffness_figure(name, coefficients)), encoding="utf-8")
+    output.write_path("bearing.json").write_text(
+        bearing_json(bearing_entry(file, name, whole)), encoding="utf-8"
+    )
+    output.write_path("stiffness.svg").write_text(
+        svg_file(stiffness_figure(name, coefficients)), encoding="utf-8"
+    )
     names = ["bearing.json", "stiffness.svg"]
     for file_name, figure in (file.kind.figures(name, coefficients) if file.kind.figures else {}).items():
         output.write_path(file_name).write_text(svg_file(figure), encoding="utf-8")
@@ -148,16 +187,21 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
     with output.write_path("sweep.csv").open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(",".join(columns) + "\n")
         for row in zip(*columns.values(), strict=True):
-            stream.write(",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n")
+            stream.write(
+                ",".join(value if isinstance(value, str) else f"{value:.9g}" for value in row) + "\n"
+            )
     names = ["sweep.csv"]
-    for kind, figure in sweep_figures(name, sweep.label, sweep.values, [point.coefficients for point in points]).items():
+    for kind, figure in sweep_figures(
+        name, sweep.label, sweep.values, [point.coefficients for point in points]
+    ).items():
         output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
         names.append(f"sweep-{kind}.svg")
     return names
 
 
 def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
-    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the codes of the warnings.
+    """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, the
+    codes of the warnings.
 
     With uncertainties, standard uncertainties u_k_i_j and u_c_i_j follow.
     """
@@ -168,12 +212,18 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
         if symbol == "k" or matrices.any():
             columns |= _by_element(symbol, coefficients[0], matrices)
     for number, amount in enumerate(coefficients[0].shares):
-        columns[f"share_{amount.name} [{amount.unit}]"] = np.array([point.shares[number].value for point in coefficients])
+        columns[f"share_{amount.name} [{amount.unit}]"] = np.array(
+            [point.shares[number].value for point in coefficients]
+        )
     for number, amount in enumerate(coefficients[0].rest):
-        columns[f"{amount.name} [{amount.unit}]"] = np.array([point.rest[number].value for point in coefficients])
+        columns[f"{amount.name} [{amount.unit}]"] = np.array(
+            [point.rest[number].value for point in coefficients]
+        )
     uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
     if uncertainties:
-        columns |= _by_element("u_k", coefficients[0], np.stack([source.stiffness_error for source in uncertainties]))
+        columns |= _by_element(
+            "u_k", coefficients[0], np.stack([source.stiffness_error for source in uncertainties])
+        )
         errors = np.stack([source.damping_error for source in uncertainties])
         columns |= _by_element("u_c", coefficients[0], errors) if errors.any() else {}
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]

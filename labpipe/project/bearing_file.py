@@ -19,7 +19,9 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class BearingFile:
-    """A bearing file that is being read: its path, kind, the tree of its entries, and the *uncertainties* of its numbers by their keys."""
+    """A bearing file that is being read: its path, kind, the tree of its entries, and the *uncertainties* of
+    its numbers by their keys.
+    """
 
     path: Path
     kind_name: str
@@ -80,8 +82,13 @@ def setting_at(owner: type, key: str) -> Setting:
     return declared if not rest or declared.section is None else setting_at(declared.section, rest)
 
 
-def taken_uncertainties(node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry an uncertainty, by their keys; in the tree their values stand alone after that."""
+def taken_uncertainties(
+    node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
+) -> dict[str, Uncertain]:
+    """The numbers of a mapping that carry an uncertainty, by their keys.
+
+    In the tree their values stand alone after that.
+    """
     uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
         return uncertainties
@@ -107,14 +114,19 @@ def taken_uncertainties(node: Marked, kind: BearingKind, key: str, owner: type, 
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
-    """The kind that the entry `kind` of a bearing names; None and a fault where there is none of that name."""
+    """The kind that the entry `kind` of a bearing names.
+
+    None and a fault where there is none of that name.
+    """
     entries = faults.mapping(tree, key)
     if "kind" not in entries:
         faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(BEARINGS.names())}")
         return None
     name = entries["kind"].text
     if name not in BEARINGS.names():
-        faults.add(entries["kind"], join(key, "kind"), f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
+        faults.add(
+            entries["kind"], join(key, "kind"), f"unknown bearing '{name}'", nearest(name, BEARINGS.names())
+        )
         return None
     kind: BearingKind = BEARINGS.load(name)
     for entry, unit in kind.bare_units.items():

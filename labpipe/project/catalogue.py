@@ -1,8 +1,10 @@
 """Index of a results folder: an SQLite file kept up to date with the results below it, and its queries.
 
-Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can be deleted at any time.
+Index of a results folder: an SQLite file kept up to date with the identification.json files below it; it can
+be deleted at any time.
 
-It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged is made again.
+It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged
+is made again.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ DATE = "date"
 
 _TABLES = """
 CREATE TABLE result (
-    id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT, version TEXT, date TEXT,
-    tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER
+    id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT,
+    version TEXT, date TEXT, tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER
 );
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
@@ -53,7 +55,8 @@ CREATE TABLE value (
     ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
 );
 CREATE TABLE condition (
-    result INTEGER REFERENCES result ON DELETE CASCADE, test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
+    result INTEGER REFERENCES result ON DELETE CASCADE,
+    test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
 );
 CREATE INDEX value_parameter ON value (parameter, fit);
 CREATE INDEX condition_name ON condition (result, test, name);
@@ -71,12 +74,18 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
     DataError for a missing folder or one without results.
     """
     if not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+        raise DataError(
+            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
+        )
     with closing(_opened(folder)) as connection:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
-            raise DataError(f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`")
+            raise DataError(
+                f"holds no {NAME}",
+                where=str(folder),
+                hint="results appear with `labpipe run PIPELINE -o FOLDER/NAME`",
+            )
         yield connection
 
 
@@ -103,13 +112,18 @@ def _opened(folder: Path) -> sqlite3.Connection:
 
 
 def _stamped(database: bytes) -> bytes:
-    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index is noticed."""
+    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index
+    is noticed.
+    """
     first, last = database[: _STAMP.start], database[_STAMP.stop :]
     return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
 
 
 def _keep(connection: sqlite3.Connection, folder: Path) -> None:
-    """Write the index beside the results, as a whole: several processes may do so at once. Not to a folder that may not be written."""
+    """Write the index beside the results, as a whole: several processes may do so at once.
+
+    Not to a folder that may not be written.
+    """
     if (folder / INDEX).exists() and not (folder / INDEX).is_file():
         return
     try:
@@ -150,7 +164,11 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
     try:
         rows = _rows(read_identification(path), file_date)
     except (DataError, *RECORD_FAULTS) as error:
-        what = error.what if isinstance(error, DataError) else f"holds what no labpipe wrote ({type(error).__name__}: {error})"
+        what = (
+            error.what
+            if isinstance(error, DataError)
+            else (f"holds what no labpipe wrote ({type(error).__name__}: {error})")
+        )
         rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
     number = 0
     for table, row in rows:
@@ -161,7 +179,10 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
 
 
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
-    """The rows of a result with their tables; one of RECORD_FAULTS for entries of other types than labpipe writes."""
+    """The rows of a result with their tables.
+
+    One of RECORD_FAULTS for entries of other types than labpipe writes.
+    """
     conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
     dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
     entry = {
@@ -177,11 +198,21 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
     }
     rows = [("result", _checked(entry))]
     for listed in listed_parameters(identification):
-        rows.append(("value", _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"]))))))
+        rows.append(
+            (
+                "value",
+                _checked(_value_row(listed, conditions.get(listed.test, {}).get(DATE, str(entry["date"])))),
+            )
+        )
     for test, of_test in conditions.items():
         for condition, text in of_test.items():
             amount, unit = amount_of(text)
-            rows.append(("condition", _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit})))
+            rows.append(
+                (
+                    "condition",
+                    _checked({"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}),
+                )
+            )
     return rows
 
 
@@ -212,21 +243,29 @@ def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
         **{name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")},
         **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
         **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-        **{"std_error": parameter.full_error, "random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))},
+        **{
+            "std_error": parameter.full_error,
+            "random_error": listed.random_error,
+            "changes": json.dumps(dict(listed.changes)),
+        },
         **{"ci_low": low, "ci_high": high},
         **{"significant": parameter.significant, "warnings": ", ".join(listed.warnings), "date": date},
     }
 
 
 def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not noise."""
+    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not
+    noise.
+    """
     return (None, None) if parameter.ci95 is None else parameter.ci95
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
     """Add a row and return its number. Table and column names are constants of this module."""
     marks = ", ".join("?" for _ in row)
-    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values()))
+    cursor = connection.execute(
+        f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values())
+    )
     return int(cursor.lastrowid or 0)
 
 
@@ -242,8 +281,14 @@ def verdict(identification: Identification) -> str:
 def _all_codes(identification: Identification) -> set[str]:
     """The warnings of all fits, and of every other section."""
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
-    pairs = (pair for name, record in identification.sections.items() for pair in section(name).findings(record))
-    of_many = {counted.finding.code for counted in identification.dataset.of_level(WARNING)} if identification.dataset else set()
+    pairs = (
+        pair for name, record in identification.sections.items() for pair in section(name).findings(record)
+    )
+    of_many = (
+        {counted.finding.code for counted in identification.dataset.of_level(WARNING)}
+        if identification.dataset
+        else set()
+    )
     return of_fits | of_many | {finding.code for _, finding in pairs if finding.level == WARNING}
 
 
@@ -256,7 +301,9 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class Filter:
-    """Criteria of a query; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400 N", "direction = up"."""
+    """Criteria of a query; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400
+    N", "direction = up".
+    """
 
     rig: str = ""
     fit: str = ""
@@ -283,7 +330,8 @@ class ResultRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
-    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric ones.
+    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric
+    ones.
 
     random_error: standard error without what given numbers add; changes: by each of these, as JSON.
     """
@@ -315,7 +363,9 @@ class ValueRow:
         return self.test or self.path.removesuffix("/identification.json")
 
 
-VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts"))
+VALUE_COLUMNS = tuple(
+    field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts")
+)
 
 # Columns of which no result lacks the number, though it may not be one.
 NUMBERS = ("value", "low_hz", "high_hz")
@@ -331,12 +381,17 @@ def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     columns = [field.name for field in dataclasses.fields(ResultRow)]
     sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
     rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
-    entries: list[dict[str, Any]] = [dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows]
+    entries: list[dict[str, Any]] = [
+        dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows
+    ]
     return [ResultRow(**entry) for entry in entries]
 
 
 def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria, by date, result and fit; ConfigError for a name that no result has."""
+    """The parameters that meet the criteria, by date, result and fit.
+
+    ConfigError for a name that no result has.
+    """
     clauses, bound = _result_clauses(criteria, "v.date")
     for column in ("fit", "test", "parameter"):
         pattern = getattr(criteria, column)
@@ -356,7 +411,9 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     for *row, number in rows:
         # SQLite has no not-a-number.
         named = zip(VALUE_COLUMNS, row, strict=True)
-        entries: dict[str, Any] = {name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named}
+        entries: dict[str, Any] = {
+            name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
+        }
         key = (number, entries["test"])
         if key not in cache:
             cache[key] = _conditions(index, *key)
@@ -365,8 +422,12 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     return value_rows
 
 
-def _conditions(index: sqlite3.Connection, result: int, test: str) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
-    rows = index.execute("SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?", (result, test)).fetchall()
+def _conditions(
+    index: sqlite3.Connection, result: int, test: str
+) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
+    rows = index.execute(
+        "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?", (result, test)
+    ).fetchall()
     texts = {name: text for name, text, _, _ in rows}
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
@@ -405,7 +466,9 @@ def split_condition(text: str) -> tuple[str, str, str]:
     """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
     match = _WHERE.match(text)
     if match is None:
-        raise ConfigError(f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'")
+        raise ConfigError(
+            f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'"
+        )
     return match["name"], match["sign"], match["bound"]
 
 
@@ -429,7 +492,10 @@ def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> t
             raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
         return f"{begin}c.text {sign} ?)", [name, limit]
     if unit not in units:
-        raise ConfigError(f"'{text}': the condition '{name}' is in {', '.join(sorted(units - {''})) or 'words'}, not in {unit}")
+        raise ConfigError(
+            f"'{text}': the condition '{name}' is in "
+            f"{', '.join(sorted(units - {''})) or 'words'}, not in {unit}"
+        )
     near = SAME * max(abs(amount), SAME)
     test = {"=": "BETWEEN ? AND ?", "!=": "NOT BETWEEN ? AND ?"}.get(sign)
     if test is not None:

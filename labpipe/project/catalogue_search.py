@@ -1,9 +1,11 @@
 """What results below a folder hold: search, comparison of two results, trends over conditions or time.
 
-What the results below a folder hold: those of single results by their index, those of many tests by their datasets.
+What the results below a folder hold: those of single results by their index, those of many tests by their
+datasets.
 
-Both are kept. The index spares reading the JSON of a lab's results, of which each is small and may be replaced; a dataset is columns
-already, its parts never change, and it is asked where it lies, however large it grows.
+Both are kept. The index spares reading the JSON of a lab's results, of which each is small and may be
+replaced; a dataset is columns already, its parts never change, and it is asked where it lies, however large
+it grows.
 """
 
 from __future__ import annotations
@@ -23,7 +25,15 @@ import pyarrow.compute as pc
 from scipy import special
 
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.dataset_file import AMOUNT, CONDITION, Part, amount_of, columns_of_conditions, parts, read_part
+from labpipe.artefacts.dataset_file import (
+    AMOUNT,
+    CONDITION,
+    Part,
+    amount_of,
+    columns_of_conditions,
+    parts,
+    read_part,
+)
 from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
@@ -59,7 +69,8 @@ _COMPARE = {">=": pc.greater_equal, "<=": pc.less_equal, ">": pc.greater, "<": p
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
-    """The parameters in the dataset of a *folder* that meet the criteria, by date and test; *name*: of the folder as lists show it.
+    """The parameters in the dataset of a *folder* that meet the criteria, by date and test; *name*: of the
+    folder as lists show it.
 
     ConfigError for a name or a condition that no test has.
     """
@@ -76,7 +87,9 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
-    """The parameters of all fits in the dataset of a *folder*, by date and test, with what comparing them takes."""
+    """The parameters of all fits in the dataset of a *folder*, by date and test, with what comparing them
+    takes.
+    """
     return [
         ListedParameter(
             fit=row.fit,
@@ -116,12 +129,16 @@ def _may_hold(part: Part, criteria: Filter) -> bool:
 
 def _pattern(text: str) -> re.Pattern[str]:
     """A name in which '*' stands for any characters."""
-    return re.compile(".*".join(re.escape(piece) for piece in text.split("*")) + r"\Z", re.IGNORECASE | re.DOTALL)
+    return re.compile(
+        ".*".join(re.escape(piece) for piece in text.split("*")) + r"\Z", re.IGNORECASE | re.DOTALL
+    )
 
 
 def _by_name(table: pa.Table, column: str, pattern: str) -> pa.Table:
     names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
-    kept = [name for name in names if re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, re.DOTALL)]
+    kept = [
+        name for name in names if re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, re.DOTALL)
+    ]
     if not kept:
         raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
     return table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
@@ -134,10 +151,16 @@ def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
 
 
 def _holds(table: pa.Table, text: str) -> Any:
-    """Whether a condition such as "preload >= 400 N" holds, for every row; ConfigError for one that cannot be read or that no test has."""
+    """Whether a condition such as "preload >= 400 N" holds, for every row.
+
+    ConfigError for one that cannot be read or that no test has.
+    """
     name, sign, bound = split_condition(text)
     if CONDITION + name not in table.column_names:
-        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, list(columns_of_conditions(table.column_names))))
+        raise ConfigError(
+            f"no test has the condition '{name}'",
+            hint=nearest(name, list(columns_of_conditions(table.column_names))),
+        )
     try:
         amount, unit = si_amount(bound)
     except UnitError as error:
@@ -170,7 +193,9 @@ def _value_row(row: dict[str, Any], path: str, conditions: Sequence[str], units:
         path=path,
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
-        amounts={name: (amount, units[name]) for name in texts if (amount := row.get(AMOUNT + name)) is not None},
+        amounts={
+            name: (amount, units[name]) for name in texts if (amount := row.get(AMOUNT + name)) is not None
+        },
     )
 
 
@@ -193,19 +218,26 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that none of them has; DataError for a folder without results.
     """
     with open_index(folder) as index:
-        asked: list[Callable[[], list[ValueRow]]] = [lambda: values(index, criteria)] if _has_values(index) else []
+        asked: list[Callable[[], list[ValueRow]]] = (
+            [lambda: values(index, criteria)] if _has_values(index) else []
+        )
         for name, home in folders(with_datasets(index), folder):
             asked.append(lambda name=name, home=home: dataset_values(home, name, criteria))  # type: ignore[misc]
         return _all_of(asked)
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
-    """The results below a folder with at least one test that meets the criteria, the oldest first; errors as of `found_values`."""
+    """The results below a folder with at least one test that meets the criteria, the oldest first.
+
+    Errors as of `found_values`.
+    """
     with open_index(folder) as index:
         homes = dict(folders(with_datasets(index), folder))
         if not homes or not criteria.where:
             return results(index, criteria)
-        asked: list[Callable[[], list[ResultRow]]] = [lambda: results(index, criteria)] if _has_values(index) else []
+        asked: list[Callable[[], list[ResultRow]]] = (
+            [lambda: results(index, criteria)] if _has_values(index) else []
+        )
         everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
         for row in everything:
             home = Path(row.path).parent.as_posix()
@@ -241,8 +273,8 @@ LEVEL = 0.05
 class Difference:
     """One parameter in two results, in SI units.
 
-    p_value: probability of an equal or larger difference by the standard errors alone, corrected for the number of parameters compared
-    (Holm); None where a standard error is missing.
+    p_value: probability of an equal or larger difference by the standard errors alone, corrected for the
+    number of parameters compared (Holm); None where a standard error is missing.
     """
 
     fit: str
@@ -262,17 +294,25 @@ class Difference:
 def differences(first: Iterable[ListedParameter], second: Iterable[ListedParameter]) -> list[Difference]:
     """The parameters common to two results, in the order of the first one; DataError when there is none.
 
-    z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in common, two-sided against the
-    normal distribution, Holm's correction over all of them. Parameters are matched by fit, term, band, test, name and unit; the test's name
-    is ignored where each result has one test only.
+    z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in
+    common, two-sided against the normal distribution, Holm's correction over all of them. Parameters are
+    matched by fit, term, band, test, name and unit; the test's name is ignored where each result has one test
+    only.
     """
     mine, others = list(first), list(second)
     one_test = all(len({listed.test for listed in side}) == 1 for side in (mine, others))
     theirs = {_key(listed, one_test): listed for listed in others}
-    pairs = [_difference(listed, partner) for listed in mine if (partner := theirs.get(_key(listed, one_test))) is not None]
+    pairs = [
+        _difference(listed, partner)
+        for listed in mine
+        if (partner := theirs.get(_key(listed, one_test))) is not None
+    ]
     if not pairs:
         names = [", ".join(dict.fromkeys(listed.fit for listed in side)) or "none" for side in (mine, others)]
-        raise DataError(f"the two have no fit in common (fits: {names[0]}; {names[1]})", hint="name, term, band and test must be the same")
+        raise DataError(
+            f"the two have no fit in common (fits: {names[0]}; {names[1]})",
+            hint="name, term, band and test must be the same",
+        )
     with_p_value = [number for number, pair in enumerate(pairs) if pair.p_value is not None]
     corrected = holm(np.array([pairs[number].p_value for number in with_p_value], np.float64))
     for number, p_value in zip(with_p_value, corrected, strict=True):
@@ -282,7 +322,14 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
 
 def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
     band = f"{listed.band_hz[0]:g}-{listed.band_hz[1]:g}"
-    return listed.fit, listed.term, band, "" if one_test else listed.test, listed.parameter.name, listed.parameter.unit
+    return (
+        listed.fit,
+        listed.term,
+        band,
+        "" if one_test else listed.test,
+        listed.parameter.name,
+        listed.parameter.unit,
+    )
 
 
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
@@ -290,7 +337,9 @@ def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
     change = matrix_of([mine.changes, other.changes])
     errors = mine.random_error, other.random_error
     error = (
-        float(np.sqrt(errors[0] ** 2 + errors[1] ** 2 + np.sum((change[:, 1] - change[:, 0]) ** 2))) if errors[0] and errors[1] else None
+        float(np.sqrt(errors[0] ** 2 + errors[1] ** 2 + np.sum((change[:, 1] - change[:, 0]) ** 2)))
+        if errors[0] and errors[1]
+        else None
     )
     value, other_value = mine.parameter.value, other.parameter.value
     p_value = None if error is None else 2 * float(special.ndtr(-abs(other_value - value) / error))
@@ -334,13 +383,19 @@ class Series:
 
     @property
     def errors(self) -> FloatArray:
-        """Standard errors (n,) [unit] of each test alone, NaN where missing; or, where tests have sources in common, covariance (n, n)."""
+        """Standard errors (n,) [unit] of each test alone, NaN where missing.
+
+        Or, where tests have sources in common, covariance (n, n).
+        """
         errors = np.array([np.nan if row.random_error is None else row.random_error for row in self.rows])
         return joint_errors(errors, matrix_of([json.loads(row.changes) for row in self.rows]))
 
     @property
     def line(self) -> WeightedFit | None:
-        """The weighted straight line; None where values, errors or differences of the condition are missing."""
+        """The weighted straight line.
+
+        None where values, errors or differences of the condition are missing.
+        """
         try:
             return straight_trend(self.condition, self.values, self.errors)
         except FitError:
@@ -349,7 +404,11 @@ class Series:
     @property
     def limits(self) -> ControlLimits | None:
         """Control limits of the values in the order of their dates; None for fewer than three."""
-        return control_limits(np.array([row.value for row in self.by_date])) if len(self.rows) >= FEWEST else None
+        return (
+            control_limits(np.array([row.value for row in self.by_date]))
+            if len(self.rows) >= FEWEST
+            else None
+        )
 
     @property
     def by_date(self) -> list[ValueRow]:
@@ -362,7 +421,8 @@ class Series:
 
 
 def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
-    """One series for each fit, term and band; tests without the condition, or with a date that is none, are ignored.
+    """One series for each fit, term and band; tests without the condition, or with a date that is none, are
+    ignored.
 
     ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
     """
@@ -385,7 +445,9 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
     else:
         units = sorted({row.amounts[over][1] for row in rows})
         if len(units) > 1:
-            raise ConfigError(f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension")
+            raise ConfigError(
+                f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension"
+            )
         pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
     pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
     return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))

@@ -1,4 +1,6 @@
-"""The sections compare and matrix: fits of all tests held against each other, against theory, and ordered by conditions."""
+"""The sections compare and matrix: fits of all tests held against each other, against theory, and ordered by
+conditions.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, Matrix
 
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
-    """The section compare: every comparison in its order. One that lacks a failed test is named among the work's failures.
+    """The section compare: every comparison in its order. One that lacks a failed test is named among the
+    work's failures.
 
     Otherwise LabpipeError names the comparison.
     """
@@ -70,12 +73,17 @@ DEFAULT_AXES = (("x", "y"), ("y", "z"))
 
 
 def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    """Every matrix in its order; LabpipeError names the matrix. One that lacks a failed test is named among the work's failures."""
+    """Every matrix in its order; LabpipeError names the matrix.
+
+    One that lacks a failed test is named among the work's failures.
+    """
     conditions = {test.name: test.conditions for test in work.tests}
     matrices: list[ConditionMatrix] = []
     for matrix in settings:
         try:
-            matrices.append(condition_matrix(matrix, work.fits, conditions, _theory(matrix, work.pipeline.folder)))
+            matrices.append(
+                condition_matrix(matrix, work.fits, conditions, _theory(matrix, work.pipeline.folder))
+            )
         except LabpipeError as error:
             error.where = error.where or f"{work.pipeline.path}: {MATRIX_PREFIX}{matrix.name}"
             if not work.go_on:
@@ -93,7 +101,10 @@ def _theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
 
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    """K and C of a bearing file at the conditions of a point, in the rig's x and y; ConfigError for unknown dofs."""
+    """K and C of a bearing file at the conditions of a point, in the rig's x and y.
+
+    ConfigError for unknown dofs.
+    """
     theories: dict[tuple[float, ...], Mapping[str, float]] = {}
 
     def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
@@ -110,8 +121,13 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
 
 
 def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
-    """k_xx ... c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point the other way."""
-    named = axes or next((pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0])
+    """k_xx ...
+
+    c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point the other way.
+    """
+    named = axes or next(
+        (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]
+    )
     dofs = [axis.lstrip("-") for axis in named]
     unknown = next((dof for dof in dofs if dof not in coefficients.dofs), None)
     if unknown is not None:
@@ -127,15 +143,18 @@ def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Ma
 
 
 def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
-    """Coefficients of another program: linear between the rows of a table along the first condition, at the level of all others.
+    """Coefficients of another program: linear between the rows of a table along the first condition, at the
+    level of all others.
 
-    Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the table has no theory.
-    DataError where a column of a condition is missing, or a unit does not fit.
+    Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the
+    table has no theory. DataError where a column of a condition is missing, or a unit does not fit.
     """
     columns = _si_columns(path)
     for name in over:
         if name not in columns:
-            raise DataError(f"has no column of the condition '{name}'", where=str(path), hint=nearest(name, columns))
+            raise DataError(
+                f"has no column of the condition '{name}'", where=str(path), hint=nearest(name, columns)
+            )
     coefficients = {name: values for name, values in columns.items() if name not in over}
     places = [columns[name] for name in over]
 
@@ -149,7 +168,9 @@ def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheo
         reach = tolerance * float(np.max(np.abs(x), initial=0.0))
         if not x.size or not x[0] - reach <= conditions[0] <= x[-1] + reach:
             return {}
-        return {name: float(np.interp(conditions[0], x, values[order])) for name, values in coefficients.items()}
+        return {
+            name: float(np.interp(conditions[0], x, values[order])) for name, values in coefficients.items()
+        }
 
     return at
 

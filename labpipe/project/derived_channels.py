@@ -1,7 +1,9 @@
-"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) * x_2".
+"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) *
+x_2".
 
-Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number with unit and uncertainty, a
-name of `constants:`, or the cosine or sine of an angle; the units of all factors and of the channel must give the unit of the sum.
+Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number
+with unit and uncertainty, a name of `constants:`, or the cosine or sine of an angle; the units of all factors
+and of the channel must give the unit of the sum.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ _TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: its value and dimension, the number with uncertainty behind it, and the factor's derivative by that."""
+    """A factor of a term: its value and dimension, the number with uncertainty behind it, and the factor's
+    derivative by that.
+    """
 
     value: float
     dimension: Dimension
@@ -48,7 +52,10 @@ def read_constants(node: Marked | None, faults: Faults) -> dict[str, Factor]:
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for anything else."""
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty.
+
+    UnitError for anything else.
+    """
     turn = _TURN.match(text.strip())
     if turn is not None:
         return _turned(turn[1], turn[2], turn[3], name)
@@ -58,7 +65,11 @@ def parse_factor(text: str, name: str) -> Factor:
     dimension = parse_unit(match[1] or "1").dimension
     unit = name_of_dimension(dimension)
     uncertain = parse_uncertain(text, unit)
-    number = Number(name, uncertain.value, uncertain.std_error, unit, uncertain.source) if uncertain.std_error > 0 else None
+    number = (
+        Number(name, uncertain.value, uncertain.std_error, unit, uncertain.source)
+        if uncertain.std_error > 0
+        else None
+    )
     return Factor(uncertain.value, dimension, number)
 
 
@@ -66,7 +77,11 @@ def _turned(sign: str, function: str, angle_text: str, name: str) -> Factor:
     """The cosine or sine of an angle with its uncertainty."""
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
-    value, slope = (math.cos(angle.value), -math.sin(angle.value)) if function == "cos" else (math.sin(angle.value), math.cos(angle.value))
+    value, slope = (
+        (math.cos(angle.value), -math.sin(angle.value))
+        if function == "cos"
+        else (math.sin(angle.value), math.cos(angle.value))
+    )
     number = Number(name, angle.value, angle.std_error, "rad", angle.source) if angle.std_error > 0 else None
     return Factor(size * value, parse_unit("1").dimension, number, size * slope)
 
@@ -94,7 +109,9 @@ class SumReader:
                 factors.append(self._typed(piece, text, name))
         if len(members) != 1:
             what = "no channel" if not members else f"{len(members)} channels"
-            raise UnitError(f"'{text}' holds {what}", "a term is one channel times numbers, for example -30 kg * a_x")
+            raise UnitError(
+                f"'{text}' holds {what}", "a term is one channel times numbers, for example -30 kg * a_x"
+            )
         self._check_unit(factors, members[0], text, name)
         return _term_of(members[0], sign, factors)
 
@@ -105,7 +122,10 @@ class SumReader:
             if re.search(r"[+-]", piece):
                 hint = "plus and minus between channels stand between blanks: f_x - m_s * a_x"
             raise UnitError(f"'{piece}' is neither a channel nor one of the constants", hint)
-        return parse_factor(piece, f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}" if piece != term else name)
+        return parse_factor(
+            piece,
+            f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}" if piece != term else name,
+        )
 
     def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
         """UnitError unless the term has the dimension of the sum's quantity."""
@@ -116,9 +136,13 @@ class SumReader:
             total = _combined(total, factor.dimension, 1)
         if any(abs(power) > 1e-9 for power in _combined(total, wanted, -1)):
             unit = QUANTITIES[self.quantities[name]].si_unit
-            what = f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {self.quantities[name]}"
+            what = (
+                f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {self.quantities[name]}"
+            )
             needed = name_of_dimension(_combined(wanted, of_member, -1))
-            raise UnitError(what, f"the factor of {member} is {'a pure number' if needed == '1' else f'in {needed}'}")
+            raise UnitError(
+                what, f"the factor of {member} is {'a pure number' if needed == '1' else f'in {needed}'}"
+            )
 
 
 def _combined(first: Dimension, second: Dimension, sign: int) -> Dimension:
@@ -144,19 +168,33 @@ def _parts(text: str) -> list[tuple[float, str]]:
         raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")
     pieces = _SIGN.split(_LEADING.sub(r"\1 ", text))
     terms = [(1.0, pieces[0])] if pieces[0].strip() else []
-    terms += [(-1.0 if sign == "-" else 1.0, term) for sign, term in zip(pieces[1::2], pieces[2::2], strict=True)]
+    terms += [
+        (-1.0 if sign == "-" else 1.0, term) for sign, term in zip(pieces[1::2], pieces[2::2], strict=True)
+    ]
     if not all(term.strip() for _, term in terms):
         raise UnitError(f"'{text}' lacks a term", "for example f_x - m_s * a_x")
     return [(sign, term.strip()) for sign, term in terms]
 
 
-def expanded(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
-    """The sum of channel *name* in recorded channels, sums in it written out; UnitError for one that holds itself."""
+def expanded(
+    sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()
+) -> tuple[Term, ...]:
+    """The sum of channel *name* in recorded channels, sums in it written out.
+
+    UnitError for one that holds itself.
+    """
     if name in above:
-        raise UnitError(f"the sum holds itself: {' of '.join((*above[above.index(name) :], name))}", "write it in recorded channels")
+        raise UnitError(
+            f"the sum holds itself: {' of '.join((*above[above.index(name) :], name))}",
+            "write it in recorded channels",
+        )
     terms: dict[str, Term] = {}
     for term in sums[name]:
-        inner = expanded(sums, term.channel, (*above, name)) if term.channel in sums else (Term(term.channel, 1.0),)
+        inner = (
+            expanded(sums, term.channel, (*above, name))
+            if term.channel in sums
+            else (Term(term.channel, 1.0),)
+        )
         for part in inner:
             whole = _product(term, part)
             terms[part.channel] = _added(terms[part.channel], whole) if part.channel in terms else whole
@@ -166,7 +204,12 @@ def expanded(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, 
 def _product(outer: Term, inner: Term) -> Term:
     """A term of a sum that is itself a member: d(ab) = a db + b da."""
     scaled = inner.times(outer.factor)
-    by_derivatives = Term(inner.channel, 0.0, outer.numbers, tuple(inner.factor * derivative for derivative in outer.derivatives))
+    by_derivatives = Term(
+        inner.channel,
+        0.0,
+        outer.numbers,
+        tuple(inner.factor * derivative for derivative in outer.derivatives),
+    )
     return replace(_added(scaled, by_derivatives), factor=scaled.factor)
 
 

@@ -1,9 +1,10 @@
 """Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster.
 
-Tests on the workers of a Dask cluster: one that runs already, one of this machine, or one that a file describes.
+Tests on the workers of a Dask cluster: one that runs already, one of this machine, or one that a file
+describes.
 
-Tests go out in batches, a bounded number at a time: a scheduler spends about a millisecond on a task, however short that is, and keeps each
-until its outcome is taken.
+Tests go out in batches, a bounded number at a time: a scheduler spends about a millisecond on a task, however
+short that is, and keeps each until its outcome is taken.
 """
 
 from __future__ import annotations
@@ -59,7 +60,12 @@ def in_processes(count: int) -> Execute:
                 del open_jobs[done.test]
                 yield done
         for name in open_jobs:
-            yield Done(name, failed=Failed(name, "its process was killed, perhaps for lack of memory; use fewer processes"))
+            yield Done(
+                name,
+                failed=Failed(
+                    name, "its process was killed, perhaps for lack of memory; use fewer processes"
+                ),
+            )
 
     return execute
 
@@ -70,7 +76,9 @@ def _pooled(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
         return
-    pool = ProcessPoolExecutor(min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
+    pool = ProcessPoolExecutor(
+        min(count, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+    )
     try:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             if not isinstance(future.exception(), BrokenProcessPool):
@@ -107,7 +115,8 @@ FILE_KEYS = ("class", "arguments", "adapt", "scale")
 
 
 def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
-    """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; "local": processes of this machine; FILE.yaml: a cluster to start.
+    """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; "local": processes of this machine;
+    FILE.yaml: a cluster to start.
 
     Workers must see the same files under the same paths.
     """
@@ -119,7 +128,11 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
                 yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
         except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
             # Dask's own errors of a connection; those of files have a number.
-            if isinstance(error, OSError) and not isinstance(error, distributed.comm.core.CommClosedError) and LOST not in str(error):
+            if (
+                isinstance(error, OSError)
+                and not isinstance(error, distributed.comm.core.CommClosedError)
+                and LOST not in str(error)
+            ):
                 raise
             hint = "what is finished is kept; the same command goes on from there when a scheduler runs"
             raise DataError("the scheduler was lost", where=address, hint=hint) from None
@@ -128,7 +141,10 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
 
 def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """Outcomes as they come; tests of a batch whose workers were all ended are tried alone, so that one of them costs no other."""
+    """Outcomes as they come.
+
+    Tests of a batch whose workers were all ended are tried alone, so that one of them costs no other.
+    """
     size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
@@ -161,7 +177,10 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
 
 
 def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
-    """What is asked for within some seconds, again and again as long as there are workers; DataError where there was none for an hour."""
+    """What is asked for within some seconds, again and again as long as there are workers.
+
+    DataError where there was none for an hour.
+    """
     since = time.monotonic()
     while True:
         try:
@@ -188,7 +207,9 @@ def _distributed() -> Any:
     try:
         import distributed
     except ImportError:
-        raise ConfigError("--cluster: needs the package dask.distributed", hint="pip install 'labpipe[cluster]'") from None
+        raise ConfigError(
+            "--cluster: needs the package dask.distributed", hint="pip install 'labpipe[cluster]'"
+        ) from None
     # What goes wrong with a scheduler is said once, by this module.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -197,14 +218,22 @@ def _distributed() -> Any:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
-    """A client of the cluster that an address, "local" or a file names; what was started for it ends with it."""
+    """A client of the cluster that an address, "local" or a file names.
+
+    What was started for it ends with it.
+    """
     patience = CONNECT_SECONDS
     with ExitStack() as started:
         if address == LOCAL:
-            cluster = distributed.LocalCluster(host="127.0.0.1", dashboard_address="127.0.0.1:0", threads_per_worker=1, silence_logs=50)
+            cluster = distributed.LocalCluster(
+                host="127.0.0.1", dashboard_address="127.0.0.1:0", threads_per_worker=1, silence_logs=50
+            )
             scheduler = started.enter_context(cluster).scheduler_address
         elif Path(address).suffix.lower() in (".yaml", ".yml"):
-            scheduler, patience = started.enter_context(_described(Path(address))).scheduler_address, START_SECONDS
+            scheduler, patience = (
+                started.enter_context(_described(Path(address))).scheduler_address,
+                START_SECONDS,
+            )
         else:
             scheduler = address
         client = _connected(distributed, scheduler, patience)
@@ -213,19 +242,33 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
 
 
 def _described(path: Path) -> Any:
-    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, and `adapt:` or `scale:` for the number of workers."""
+    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, and `adapt:` or `scale:`
+    for the number of workers.
+    """
     entries = load_marked(path).plain()
-    if not isinstance(entries, dict) or not isinstance(entries.get("class"), str) or "." not in entries["class"]:
-        raise ConfigError("is not the description of a cluster", where=str(path), hint="begin with class: dask_jobqueue.SLURMCluster")
+    if (
+        not isinstance(entries, dict)
+        or not isinstance(entries.get("class"), str)
+        or "." not in entries["class"]
+    ):
+        raise ConfigError(
+            "is not the description of a cluster",
+            where=str(path),
+            hint="begin with class: dask_jobqueue.SLURMCluster",
+        )
     unknown = [key for key in entries if key not in FILE_KEYS]
     if unknown:
-        raise ConfigError(f"unknown entry '{unknown[0]}'", where=str(path), hint=f"known: {', '.join(FILE_KEYS)}")
+        raise ConfigError(
+            f"unknown entry '{unknown[0]}'", where=str(path), hint=f"known: {', '.join(FILE_KEYS)}"
+        )
     module, _, name = entries["class"].rpartition(".")
     try:
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError):
         raise ConfigError(
-            f"class: {entries['class']} is not installed", where=str(path), hint=f"pip install {module.split('.')[0]}"
+            f"class: {entries['class']} is not installed",
+            where=str(path),
+            hint=f"pip install {module.split('.')[0]}",
         ) from None
     try:
         cluster = make(**(entries.get("arguments") or {}))
@@ -242,7 +285,9 @@ def _described(path: Path) -> Any:
 def _connected(distributed: Any, address: str, patience: float) -> Any:
     """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
-        client = distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False, security=_security(address))
+        client = distributed.Client(
+            address, timeout=CONNECT_SECONDS, set_as_default=False, security=_security(address)
+        )
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
         raise DataError(f"no scheduler answers ({error})", where=address, hint=hint) from None
@@ -251,7 +296,9 @@ def _connected(distributed: Any, address: str, patience: float) -> Any:
         versions = client.run(_version)
     except TimeoutError:
         client.close()
-        raise DataError("the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`") from None
+        raise DataError(
+            "the scheduler has no workers", where=address, hint=f"start some with `dask worker {address}`"
+        ) from None
     others = {worker: version for worker, version in versions.items() if version != _version()}
     if others:
         client.close()
@@ -263,7 +310,10 @@ def _connected(distributed: Any, address: str, patience: float) -> Any:
 
 
 def _security(address: str) -> Any:
-    """The certificates that Dask's own configuration names, for an address tls://...; none for another one."""
+    """The certificates that Dask's own configuration names, for an address tls://....
+
+    None for another one.
+    """
     if not address.startswith("tls://"):
         return None
     security: Any = _distributed().Security()

@@ -8,7 +8,13 @@ from pathlib import Path
 import pandas as pd
 
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_response, read_spectra
+from labpipe.artefacts.measured_files import (
+    DECAY_SUFFIX,
+    SPECTRA_SUFFIX,
+    read_decays,
+    read_response,
+    read_spectra,
+)
 from labpipe.artefacts.parquet import open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
@@ -44,7 +50,9 @@ WRITERS = Registry(
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name [unit]", results as parameters."""
+    """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name
+    [unit]", results as parameters.
+    """
     if artefact.suffix == ".json":
         write_table_csv(parameter_table(artefact), target)
     elif artefact.name.endswith(DECAY_SUFFIX):
@@ -73,7 +81,10 @@ def write_parquet(artefact: Path, target: Path) -> None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text; of a result its mode shapes (records 15, 82 and 55)."""
+    """A recording or an FRF as a universal file, numbers as text.
+
+    Of a result its mode shapes (records 15, 82 and 55).
+    """
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
         return
@@ -92,7 +103,9 @@ def write_uff58b(artefact: Path, target: Path) -> None:
 def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
-        raise DataError("parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet")
+        raise DataError(
+            "parameters cannot be written as a MATLAB file", where=str(artefact), hint="known: csv, parquet"
+        )
     _refuse_tables(artefact, "a MATLAB file")
     if artefact.name.endswith(RECORDING_SUFFIX):
         write_recording_mat(target, open_recording(artefact).in_memory())
@@ -111,23 +124,44 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(Modes) is not None)
     if not fits:
-        raise DataError("holds no mode shapes", where=str(artefact), hint="parameters are written as csv or parquet")
+        raise DataError(
+            "holds no mode shapes", where=str(artefact), hint="parameters are written as csv or parquet"
+        )
     return fits
 
 
 def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
-    """One row per fit, mode and point: the complex shape with its standard error, and the place of the point where it is known."""
+    """One row per fit, mode and point: the complex shape with its standard error, and the place of the point
+    where it is known.
+    """
     rows = []
     for fit in fits:
         modes = fit.detail(Modes)
         assert modes is not None
-        places = modes.geometry.positions[[modes.geometry.place(dof)[0] for dof in modes.dofs]] if modes.geometry else None
+        places = (
+            modes.geometry.positions[[modes.geometry.place(dof)[0] for dof in modes.dofs]]
+            if modes.geometry
+            else None
+        )
         for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             for n, point in enumerate(modes.points):
                 place = dict(zip(("x_m", "y_m", "z_m"), places[n], strict=True)) if places is not None else {}
                 value, error = modes.shapes[n, mode], modes.shape_std_errors[n, mode]
-                shape = {"point": point, "dof": modes.dofs[n], **place, "real": value.real, "imaginary": value.imag, "std_error": error}
-                head = {"fit": fit.name, "test": fit.test, "mode": mode + 1, "frequency_hz": frequency, "damping_ratio": ratio}
+                shape = {
+                    "point": point,
+                    "dof": modes.dofs[n],
+                    **place,
+                    "real": value.real,
+                    "imaginary": value.imag,
+                    "std_error": error,
+                }
+                head = {
+                    "fit": fit.name,
+                    "test": fit.test,
+                    "mode": mode + 1,
+                    "frequency_hz": frequency,
+                    "damping_ratio": ratio,
+                }
                 rows.append({**head, **shape})
     return pd.DataFrame(rows)
 
@@ -143,7 +177,9 @@ def recording_table(artefact: Path) -> pd.DataFrame:
 
 
 def decay_table(artefact: Path) -> pd.DataFrame:
-    """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the responses in SI units."""
+    """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the
+    responses in SI units.
+    """
     decays = read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
@@ -161,17 +197,24 @@ def _refuse_tables(artefact: Path, what: str) -> None:
     named = {SPECTRA_SUFFIX: "spectra of all channels", DECAY_SUFFIX: "free decays"}
     for suffix, name in named.items():
         if artefact.name.endswith(suffix):
-            raise DataError(f"{name} cannot be written as {what}", where=str(artefact), hint="known: csv, parquet")
+            raise DataError(
+                f"{name} cannot be written as {what}", where=str(artefact), hint="known: csv, parquet"
+            )
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
-    """One row per run and line: real part, imaginary part and standard deviation of every channel "name [unit]"."""
+    """One row per run and line: real part, imaginary part and standard deviation of every channel "name
+    [unit]".
+    """
     spectra = read_spectra(artefact)
     tables = []
     for number, run in enumerate(spectra.runs):
         table = pd.DataFrame({"run": run, "frequency_hz": spectra.frequency})
         for column, channel in enumerate(spectra.channels):
-            values, variance = spectra.vectors[:, number, column], spectra.covariance[:, number, column, column].real
+            values, variance = (
+                spectra.vectors[:, number, column],
+                spectra.covariance[:, number, column, column].real,
+            )
             parts = (("re", values.real), ("im", values.imag), ("std", variance.clip(min=0) ** 0.5))
             for part, amounts in parts:
                 table[f"{channel.name}:{part} [{channel.unit}]"] = amounts

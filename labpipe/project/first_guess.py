@@ -1,4 +1,7 @@
-"""What a file's own metadata say of its channels or FRFs: quantity, unit, role, direction; what they do not say stays open."""
+"""What a file's own metadata say of its channels or FRFs: quantity, unit, role, direction.
+
+What they do not say stays open.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,17 @@ EVEN = 1e-3
 # A copy is looked for where a column exceeds this share of its peak, at so many samples at least.
 FAINT, LEAST_LOUD = 0.01, 8
 
-_RECORDED = ("force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature", "moment")
+_RECORDED = (
+    "force",
+    "displacement",
+    "velocity",
+    "acceleration",
+    "voltage",
+    "current",
+    "pressure",
+    "temperature",
+    "moment",
+)
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
 _BY_NAME = (
@@ -46,9 +59,11 @@ _BY_NAME = (
 
 @dataclass(frozen=True)
 class GuessedChannel:
-    """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE for a sensor in volts.
+    """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE
+    for a sensor in volts.
 
-    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from the name alone.
+    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from
+    the name alone.
     """
 
     key: str
@@ -65,7 +80,8 @@ class GuessedChannel:
     def decisions(self) -> tuple[str, ...]:
         """Decisions that the user must take, as text."""
         questions = {
-            "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not needed",
+            "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not "
+            "needed",
             "unit": f"the unit of the recorded numbers, for example {QUANTITIES[self.quantity].si_unit}"
             if self.quantity in QUANTITIES
             else "the unit of the recorded numbers",
@@ -89,7 +105,9 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed, and positive."""
+    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed,
+    and positive.
+    """
     return [name for name, column in zip(names, rows.T, strict=True) if step_of(column)]
 
 
@@ -104,9 +122,11 @@ def step_of(column: FloatArray) -> float:
 
 
 def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel of its own.
+    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel
+    of its own.
 
-    A copy equals the other column, or is it under a window: everywhere between zero and the other, and somewhere nearly equal.
+    A copy equals the other column, or is it under a window: everywhere between zero and the other, and
+    somewhere nearly equal.
     """
     copied: dict[str, str] = {}
     for number, name in enumerate(names):
@@ -129,12 +149,23 @@ def _copied(column: FloatArray, other: FloatArray, is_later: bool) -> str:
     if np.count_nonzero(loud) < LEAST_LOUD:
         return ""
     share = column[loud] / other[loud]
-    windowed = share.min() >= 0 and share.max() <= 1 + EVEN and share.max() > 1 - 0.1 and share.min() < 1 - 0.1
-    return "a windowed copy" if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max()) else ""
+    windowed = (
+        share.min() >= 0 and share.max() <= 1 + EVEN and share.max() > 1 - 0.1 and share.min() < 1 - 0.1
+    )
+    return (
+        "a windowed copy"
+        if windowed and np.all(np.abs(column) <= size * (1 + EVEN) + EVEN * size.max())
+        else ""
+    )
 
 
-def guess_channels(names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None) -> list[GuessedChannel]:
-    """A channel for every column by its name, unit and sensitivity; the force of a rig with one response acts along it."""
+def guess_channels(
+    names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None
+) -> list[GuessedChannel]:
+    """A channel for every column by its name, unit and sensitivity.
+
+    The force of a rig with one response acts along it.
+    """
     keys: list[str] = []
     for name in names:
         keys.append(_key(name, keys))
@@ -170,11 +201,15 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     quantity = quantity or DECIDE
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
     invert = bool(_node(name)) and "-" in name
-    return GuessedChannel(key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess)
+    return GuessedChannel(
+        key, name, quantity, unit or DECIDE, role, _direction(name) or key, sensitivity, invert, guess
+    )
 
 
 def _sensed(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
-    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says what is measured."""
+    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says
+    what is measured.
+    """
     match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
     if match is None or _measured_in(channel.unit) != "voltage":
         return channel
@@ -184,7 +219,9 @@ def _sensed(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
         return channel
     volt = parse_unit("V").dimension
     for quantity in _RECORDED:
-        wanted = tuple(u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True))
+        wanted = tuple(
+            u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True)
+        )
         if wanted in dimensions and quantity != "voltage":
             role = DEFAULT_ROLES.get(quantity, "reference")
             return replace(channel, quantity=quantity, role=role, sensitivity=sensitivity.strip(), guess="")
@@ -212,7 +249,9 @@ def _node(name: str) -> str:
 def _direction(name: str) -> str:
     """x, y or z where the name has one as a word or at its end."""
     plain_name = _BRACKETS.sub(" ", name)
-    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(r"[a-z]([XYZ])\b", plain_name)
+    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(
+        r"[a-z]([XYZ])\b", plain_name
+    )
     return match[1].lower() if match else ""
 
 
@@ -251,8 +290,8 @@ _WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
 
 @dataclass(frozen=True)
 class GuessedFrf:
-    """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency (n_frequency,)
-    [Hz] and size (n_frequency,) [unit of the file] as they stand there.
+    """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
+    (n_frequency,) [Hz] and size (n_frequency,) [unit of the file] as they stand there.
     """
 
     columns: dict[str, str]
@@ -262,7 +301,10 @@ class GuessedFrf:
 
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
-    """The FRF of a text table whose header names a frequency and the parts of complex numbers; None for any other file."""
+    """The FRF of a text table whose header names a frequency and the parts of complex numbers.
+
+    None for any other file.
+    """
     if plain_suffix(path) not in TEXT_SUFFIXES:
         return None
     table = TextColumns(path)
@@ -272,14 +314,18 @@ def guessed_frf(path: Path) -> GuessedFrf | None:
         if kind and kind not in columns:
             columns[kind] = name
     phase = next((kind for kind in ("phase_deg", "phase_rad") if kind in columns), "phase")
-    parts = next((pair for pair in _WHOLE if {part.replace("phase", phase) for part in pair} <= columns.keys()), None)
+    parts = next(
+        (pair for pair in _WHOLE if {part.replace("phase", phase) for part in pair} <= columns.keys()), None
+    )
     if parts is None or "frequency" not in columns:
         return None
     used = ["frequency", *(part.replace("phase", phase) for part in parts), "coherence"]
     columns = {kind: columns[kind] for kind in used if kind in columns}
     numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
     size = np.hypot(numbers["re"], numbers["im"]) if parts == ("re", "im") else numbers[parts[0]]
-    return GuessedFrf(columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size)
+    return GuessedFrf(
+        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size
+    )
 
 
 def _unit_of_frf(unit: str) -> str:

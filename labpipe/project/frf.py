@@ -28,7 +28,8 @@ ALIKE = "look for channels that are silent or alike"
 
 # The path of the reference to how files are described, which is no file.
 DESCRIPTION = "(entry under frfs)"
-# The parameter of what was measured from raw files: their rigs. Its inputs then are the raw files, with paths from the pipeline.
+# The parameter of what was measured from raw files: their rigs. Its inputs then are the raw files, with paths
+# from the pipeline.
 RIGS = "rigs"
 
 
@@ -48,16 +49,31 @@ class MeasuredSource(SampleSource, Protocol):
 
 
 def measured_header(
-    kind: str, recordings: Sequence[MeasuredSource], settings: FrfSettings, test: str, conditions: dict[str, str] | None
+    kind: str,
+    recordings: Sequence[MeasuredSource],
+    settings: FrfSettings,
+    test: str,
+    conditions: dict[str, str] | None,
 ) -> Header:
-    """The header of what is measured from recordings; of raw ones with their rigs, which make them what they are."""
+    """The header of what is measured from recordings.
+
+    Of raw ones with their rigs, which make them what they are.
+    """
     parameters = {"frf": dataclasses.asdict(settings), "test": test, "conditions": conditions or {}}
-    rigs = [dataclasses.asdict(recording.rig) for recording in recordings if isinstance(recording, RawRecording)]
-    return Header(kind, {**parameters, **({RIGS: rigs} if rigs else {})}, inputs=tuple(one.source_ref() for one in recordings))
+    rigs = [
+        dataclasses.asdict(recording.rig) for recording in recordings if isinstance(recording, RawRecording)
+    ]
+    return Header(
+        kind,
+        {**parameters, **({RIGS: rigs} if rigs else {})},
+        inputs=tuple(one.source_ref() for one in recordings),
+    )
 
 
 def fresh_measured(output: OutputFolder, name: str, header: Callable[[], Header]) -> Path | None:
-    """The path of what is measured already with the same *header*, which digests raw files and is asked for only where there is one."""
+    """The path of what is measured already with the same *header*, which digests raw files and is asked for
+    only where there is one.
+    """
     return fresh_path(output, name, header()) if output.read_path(name).exists() else None
 
 
@@ -82,7 +98,9 @@ def frf(
         error.where = error.where or where_recorded(recordings)
         raise
     except LinAlgError as error:
-        raise DataError(f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE) from error
+        raise DataError(
+            f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
+        ) from error
     write_response(output.write_path(name), response, header())
     return response
 
@@ -90,7 +108,8 @@ def frf(
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
     return ", ".join(
-        one.header.inputs[0].path if isinstance(one, StoredRecording) and one.header.inputs else one.path.name for one in recordings
+        one.header.inputs[0].path if isinstance(one, StoredRecording) and one.header.inputs else one.path.name
+        for one in recordings
     )
 
 

@@ -1,4 +1,6 @@
-"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held against it."""
+"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held
+against it.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +44,10 @@ def identify_stage(
 ) -> Identification:
     """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
 
-    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by their name in the
-    pipeline. *failed*: the tests that are missing; a comparison that cannot do without them is missing as well.
-    *inputs*: the digests of what was measured itself, by which a change of a rig, a sensor or a recording reaches the result.
+    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by
+    their name in the pipeline. *failed*: the tests that are missing; a comparison that cannot do without them
+    is missing as well. *inputs*: the digests of what was measured itself, by which a change of a rig, a
+    sensor or a recording reaches the result.
     """
     basis = Identification(
         fits=(),
@@ -91,7 +94,9 @@ def _run_sections(work: Work) -> dict[str, Any]:
 
 def _same_work(existing: Identification, basis: Identification) -> bool:
     """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
-    failed_tests = tuple(failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX))
+    failed_tests = tuple(
+        failure for failure in existing.failed if not failure.name.startswith(COMPARE_PREFIX)
+    )
     same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
     return same and failed_tests == basis.failed
 
@@ -113,7 +118,10 @@ def _existing(output: OutputFolder) -> Identification | None:
 
 
 def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
-    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work; conditions as the *tests* had them."""
+    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work.
+
+    Conditions as the *tests* had them.
+    """
     measured = {test.name: test.conditions for test in tests}
     entry: dict[str, Any] = {
         "frf": pipeline.frf,

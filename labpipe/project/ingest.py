@@ -12,7 +12,13 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
-from labpipe.artefacts.recording_file import SUFFIX, RecordingWriter, StoredRecording, open_recording, recording_contents
+from labpipe.artefacts.recording_file import (
+    SUFFIX,
+    RecordingWriter,
+    StoredRecording,
+    open_recording,
+    recording_contents,
+)
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, readings
@@ -35,19 +41,27 @@ def is_recording(path: Path) -> bool:
 
 
 def ingest(
-    source: Path, rig: Rig, output: OutputFolder, name: str, base: Path, joined: Sequence[Path] = (), by: str = ""
+    source: Path,
+    rig: Rig,
+    output: OutputFolder,
+    name: str,
+    base: Path,
+    joined: Sequence[Path] = (),
+    by: str = "",
 ) -> StoredRecording:
     """The calibrated recording of a raw file, made unless the one on disk is fresh.
 
-    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which paths in the
-    header are relative. *joined*: further files with channels of the same run, joined *by* time or sample. Raises DataError with file
-    and line for what cannot be used.
+    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which
+    paths in the header are relative. *joined*: further files with channels of the same run, joined *by* time
+    or sample. Raises DataError with file and line for what cannot be used.
     """
     if is_recording(source):
         return open_recording(source)
     table = _joined([source, *joined], rig, by) if joined else open_table(source)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
-    header = Header("recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined)))
+    header = Header(
+        "recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined))
+    )
     if (fresh := fresh_path(output, name + SUFFIX, header)) is not None:
         return open_recording(fresh)
     target = output.write_path(name + SUFFIX)
@@ -64,17 +78,27 @@ def changed_while_read(path: Path) -> DataError:
 
 
 def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
-    """The files of one run as one table; DataError where they shall be joined on a time that one of them lacks."""
+    """The files of one run as one table.
+
+    DataError where they shall be joined on a time that one of them lacks.
+    """
     tables = [open_table(path) for path in paths]
     untimed = [table for table in tables if rig.time not in table.columns]
     if by == "time" and untimed:
-        what = f"has no time column '{rig.time}'" if rig.time else "cannot be joined on time: the rig file names no time column"
+        what = (
+            f"has no time column '{rig.time}'"
+            if rig.time
+            else ("cannot be joined on time: the rig file names no time column")
+        )
         raise DataError(what, where=str(untimed[0].path), hint="by: sample joins row by row")
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
 def check_table(table: Table, rig: Rig) -> list[str]:
-    """The columns of the rig's channels, the time before them; DataError for one that is missing, or whose unit is another."""
+    """The columns of the rig's channels, the time before them.
+
+    DataError for one that is missing, or whose unit is another.
+    """
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     if rig.time and table.units.get(rig.time) == "Hz":
@@ -87,7 +111,9 @@ def check_table(table: Table, rig: Rig) -> list[str]:
 
 def channel_screen(rig: Rig) -> ChannelScreen:
     """The search for faults of a rig's measured channels."""
-    return ChannelScreen([channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels])
+    return ChannelScreen(
+        [channel.channel.name for channel in rig.channels], [_si_limits(channel) for channel in rig.channels]
+    )
 
 
 class Calibration:
@@ -100,7 +126,10 @@ class Calibration:
         self._changes = (self._scale != 1) | (self._offset != 0)
 
     def measured(self, chunk: FloatArray) -> FloatArray:
-        """Recorded columns (n, n_measured) [unit of the file] in SI units; those of a file that holds these already are not copied."""
+        """Recorded columns (n, n_measured) [unit of the file] in SI units.
+
+        Those of a file that holds these already are not copied.
+        """
         if not self._changes.any():
             return chunk
         block: FloatArray = chunk * self._scale
@@ -113,13 +142,17 @@ class Calibration:
         return values * self._scale[number] + self._offset[number] if self._changes[number] else values
 
     def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
-        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by side."""
+        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by
+        side.
+        """
         block = np.empty((columns[0].size, len(columns)))
         for start in range(0, block.shape[0], IN_CACHE):
             piece = slice(start, start + IN_CACHE)
             for number, column in enumerate(columns):
                 # Single precision becomes double where it is put.
-                block[piece, number] = self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
+                block[piece, number] = (
+                    self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
+                )
         return block
 
     def with_sums(self, block: FloatArray) -> FloatArray:
@@ -155,7 +188,9 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
 def contradictions(table: Table, rig: Rig) -> list[DataError]:
     """Every point in which a file and a rig file do not agree: columns, units, rate."""
     columns = [channel.column for channel in rig.channels]
-    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in [*([rig.time] if rig.time else []), *columns]]
+    checks: list[Callable[[], object]] = [
+        partial(check_columns, table, [name]) for name in [*([rig.time] if rig.time else []), *columns]
+    ]
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
     if rig.time is None:
         checks.append(partial(stated_rate, table, rig))
@@ -170,14 +205,25 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
-    """The sampling rate [Hz] that the rig file or the file itself states; DataError when none does, or both do and differ."""
+    """The sampling rate [Hz] that the rig file or the file itself states.
+
+    DataError when none does, or both do and differ.
+    """
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
         message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
         raise DataError(message, where=str(table.path), hint='write sample_rate: 20 kHz or time: "t [s]"')
-    if rig.sample_rate is not None and file_rate is not None and abs(file_rate / rig.sample_rate - 1) > SAME_RATE:
-        message = f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
-        raise DataError(message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it")
+    if (
+        rig.sample_rate is not None
+        and file_rate is not None
+        and abs(file_rate / rig.sample_rate - 1) > SAME_RATE
+    ):
+        message = (
+            f"is sampled at {file_rate:g} Hz by the file itself, at {rig.sample_rate:g} Hz by the rig file"
+        )
+        raise DataError(
+            message, where=str(table.path), hint="leave sample_rate out of the rig file, or correct it"
+        )
     return float(rig.sample_rate or file_rate or 0.0)
 
 
@@ -191,12 +237,20 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
     except UnitError:
         return
     if not set(theirs) & set(ours):
-        what = f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by the rig file"
-        raise DataError(what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'")
+        what = (
+            f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
+            "the rig file"
+        )
+        raise DataError(
+            what, where=str(table.path), hint=f"correct the unit of channel '{channel.channel.name}'"
+        )
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, increasing; pulses have flat ends and none."""
+    """The recorded values at which the logger clips, in SI units of the channel, increasing.
+
+    Pulses have flat ends and none.
+    """
     if channel.limits is None:
         return FAR if channel.channel.quantity == "tacho" else None
     low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
@@ -222,7 +276,9 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 def ingest_all(sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path) -> list[StoredRecording]:
     """`ingest` for many files of one rig."""
     paths = list(sources)
-    return [ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)]
+    return [
+        ingest(path, rig, output, name, base) for path, name in zip(paths, unique_names(paths), strict=True)
+    ]
 
 
 def recording_refs(recording: StoredRecording, base: Path) -> tuple[SourceRef, ...]:

@@ -1,4 +1,6 @@
-"""inspect: a file as it lies on disk -> its overview: what it says of itself, levels, envelope, spectrum, what is wrong with it."""
+"""inspect: a file as it lies on disk -> its overview: what it says of itself, levels, envelope, spectrum,
+what is wrong with it.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,23 @@ from labpipe.records.rig import Rig
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 BLOCK = 1 << 16
-TIME_NAMES = ("t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time", "uhrzeit")
+TIME_NAMES = (
+    "t",
+    "time",
+    "zeit",
+    "x_value",
+    "timestamp",
+    "time stamp",
+    "datetime",
+    "date/time",
+    "date time",
+    "uhrzeit",
+)
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra:
-    """The overview of a recording, free decays or a raw file, or the response or spectra of a file; DataError for one that cannot be read.
+    """The overview of a recording, free decays or a raw file, or the response or spectra of a file; DataError
+    for one that cannot be read.
 
     Recordings and tables are read once, block by block; what is kept does not grow with their length.
     """
@@ -52,7 +66,11 @@ def write_card(content: Overview | FrequencyResponse | ChannelSpectra, file: str
     if isinstance(content, ChannelSpectra):
         document = spectra_card(content, file)
     else:
-        document = response_card(content, file) if isinstance(content, FrequencyResponse) else recording_card(content)
+        document = (
+            response_card(content, file)
+            if isinstance(content, FrequencyResponse)
+            else recording_card(content)
+        )
     written: bytes = DOCUMENTS.load(format_of(path))(document)
     with output_file(path) as target:
         target.write_bytes(written)
@@ -71,13 +89,25 @@ class _Look:
         self._envelopes.add(block)
         self._spectra.add(block)
 
-    def channels(self, units: Sequence[str], about: Sequence[str], sample_rate: float | None) -> tuple[ChannelOverview, ...]:
+    def channels(
+        self, units: Sequence[str], about: Sequence[str], sample_rate: float | None
+    ) -> tuple[ChannelOverview, ...]:
         screen = self.screen
         levels = np.column_stack([screen.minimum, screen.maximum, screen.mean, screen.rms]).tolist()
         tracks = zip(self._envelopes.envelopes(), self._spectra.spectra(sample_rate), strict=True)
         rows = zip(self._names, units, about, levels, tracks, strict=True)
         return tuple(
-            ChannelOverview(name, unit, role, minimum=low, maximum=high, mean=mean, rms=rms, envelope=envelope, spectrum=spectrum)
+            ChannelOverview(
+                name,
+                unit,
+                role,
+                minimum=low,
+                maximum=high,
+                mean=mean,
+                rms=rms,
+                envelope=envelope,
+                spectrum=spectrum,
+            )
             for name, unit, role, (low, high, mean, rms), (envelope, spectrum) in rows
         )
 
@@ -107,14 +137,18 @@ def _of_decays(decays: FreeDecays, file: str) -> Overview:
     for decay in decays.decays:
         look.add(decay.samples)
     lengths = [decay.samples.shape[0] / decays.sample_rate for decay in decays.decays]
-    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s" + (f" to {max(lengths):.4g} s" if len(lengths) > 1 else "")
+    number = f"{len(lengths)} decay(s) of {min(lengths):.4g} s" + (
+        f" to {max(lengths):.4g} s" if len(lengths) > 1 else ""
+    )
     return Overview(
         file,
         "free decays",
         n_sample=sum(decay.samples.shape[0] for decay in decays.decays),
         sample_rate=decays.sample_rate,
         rate=f"{decays.sample_rate:g} Hz, {number}",
-        channels=look.channels(decays.units, [f"output {port.dof}" for port in decays.outputs], decays.sample_rate),
+        channels=look.channels(
+            decays.units, [f"output {port.dof}" for port in decays.outputs], decays.sample_rate
+        ),
         findings=decays.findings,
     )
 
@@ -124,7 +158,11 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     frequencies = [name for name in names if table.units.get(name) == "Hz"]
-    times = [name for name in names if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES]
+    times = [
+        name
+        for name in names
+        if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES
+    ]
     look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     if any(name.lower() in TIME_NAMES for name in frequencies):
@@ -138,14 +176,21 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate, rate_text = per_unit / time_scale(times[0]), f"{per_unit:g} samples per unit of '{times[0]}'"
+            rate, rate_text = (
+                per_unit / time_scale(times[0]),
+                (f"{per_unit:g} samples per unit of '{times[0]}'"),
+            )
     except DataError as error:
         error.where = error.where or str(file)
         raise
     if rate is None and rig is not None:
         rate = rig.sample_rate
-    channels = look.channels([table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate)
-    against = None if rig is None else tuple(str(contradiction) for contradiction in contradictions(table, rig))
+    channels = look.channels(
+        [table.units.get(name, "") for name in names], [_role(name, rig) for name in names], rate
+    )
+    against = (
+        None if rig is None else tuple(str(contradiction) for contradiction in contradictions(table, rig))
+    )
     time_name = times[0] if times else ""
     return Overview(
         file.name,
@@ -162,5 +207,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
 
 def _role(column: str, rig: Rig | None) -> str:
     """Channel, role and dof of a column by the rig file."""
-    channels = [channel.channel for channel in (rig.channels if rig is not None else ()) if channel.column == column]
+    channels = [
+        channel.channel for channel in (rig.channels if rig is not None else ()) if channel.column == column
+    ]
     return ", ".join(f"{channel.name}: {channel.role} {channel.dof}" for channel in channels)

@@ -28,7 +28,10 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 
 
 def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool, str]:
-    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule; one that could not be given meets none."""
+    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
+
+    One that could not be given meets none.
+    """
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
@@ -36,20 +39,32 @@ def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | 
             return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text
         bound = parse_value(rule.bound, unit)
     except UnitError as error:
-        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
+        ) from None
     if rule.kind == "=":
         return value, value is not None and value == bound, text
     return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
-    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one; UnitError for a wrong one."""
+    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one.
+
+    UnitError for a wrong one.
+    """
     written = written_unit(split_uncertainty(rule.bound)[0])
-    return with_error(in_unit(value, unit, written), None, written) if written else amount_text(value, None, unit)
+    return (
+        with_error(in_unit(value, unit, written), None, written)
+        if written
+        else amount_text(value, None, unit)
+    )
 
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> Compared:
-    """Whether a 95 % interval [*unit*, SI] covers the value of the rule; the interval as text, in SI and in the unit of the rule."""
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule.
+
+    The interval as text, in SI and in the unit of the rule.
+    """
     try:
         wanted = parse_value(rule.bound, unit)
         if ci95 is None:
@@ -57,12 +72,17 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
         low, high = ci95
         ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
     except UnitError as error:
-        raise ConfigError(f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint) from None
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
+        ) from None
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends
 
 
 def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
-    """The expanded uncertainty, half the 95 % interval where noise alone is known; relative to the value where the rule is in per cent."""
+    """The expanded uncertainty, half the 95 % interval where noise alone is known.
+
+    Relative to the value where the rule is in per cent.
+    """
     if parameter.ci95 is None:
         return None, False, ""
     half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
@@ -86,11 +106,14 @@ _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
 }
 
 
-def judge(rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False) -> tuple[RuleOutcome, ...]:
+def judge(
+    rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False
+) -> tuple[RuleOutcome, ...]:
     """The outcome of every rule on fits, and on the *records* of sections by their key.
 
-    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete* result, where tests failed, such a
-    rule fails. A value whose bias cannot be known is not accepted, whatever the rules say and where there are none.
+    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete*
+    result, where tests failed, such a rule fails. A value whose bias cannot be known is not accepted,
+    whatever the rules say and where there are none.
     """
     rules = tuple(rules)
     outcomes: list[RuleOutcome] = []
@@ -110,7 +133,9 @@ def unfounded(rule: Rule) -> RuleOutcome:
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
-    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings expects that one."""
+    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
+    expects that one.
+    """
     expected = {(rule.fit, rule.bound) for rule in rules if rule.item == "warnings"}
     codes: dict[str, str] = {}
     for fit in fits:
@@ -131,7 +156,9 @@ def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
 
 
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
-    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses (bands, terms, tests)."""
+    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses
+    (bands, terms, tests).
+    """
     addressed = _addressed(rule, fits)
     if not addressed or rule.item == "count":
         return PartialOutcome(addressed=len(addressed))
@@ -166,17 +193,25 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(partial.addressed), "1"))
     if partial.outcome is not None:
         if partial.fault is not None and partial.outcome.passed:
-            return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: in a test {partial.fault[0]}")
+            return RuleOutcome(
+                rule.section, rule.text, None, False, shown=f"not judged: in a test {partial.fault[0]}"
+            )
         return partial.outcome
     what, hint = partial.fault or ("no such fit in the result", "")
     raise ConfigError(f"{rule.section}.{rule.address}: {what}", where=rule.place, hint=hint)
 
 
 def _addressed(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
-    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the centre of a band."""
+    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the
+    centre of a band.
+    """
     addressed = [fit for fit in fits if fit.name == rule.fit]
     if rule.which:
-        addressed = [fit for fit in addressed if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)]
+        addressed = [
+            fit
+            for fit in addressed
+            if rule.which in (fit.test, fit.term) or _is_centre(rule.which, fit.centre_hz)
+        ]
     return addressed
 
 
@@ -202,7 +237,10 @@ def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
-    """The fits that have the parameter of the rule; of a calibration, only the first line has the linear range."""
+    """The fits that have the parameter of the rule.
+
+    Of a calibration, only the first line has the linear range.
+    """
     if rule.item in _FIT_VALUES:
         return fits
     name, _ = _split(rule.item, fits)
@@ -238,8 +276,11 @@ def _compare_item(rule: Rule, fit: Fit) -> Compared:
 # "name.verdict".
 
 
-def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber) -> RuleOutcome:
-    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an unknown item.
+def comparison_outcome(
+    rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber
+) -> RuleOutcome:
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an
+    unknown item.
 
     What could not be judged keeps no rule, and the outcome says why.
     """
@@ -247,7 +288,9 @@ def comparison_outcome(rule: Rule, comparisons: Sequence[Comparison], compare_nu
     if rule.item == "verdict":
         why = comparison.why_undecided("verdict")
         shown = f"{comparison.verdict}: {why}" if why else ""
-        return RuleOutcome(rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound, shown=shown)
+        return RuleOutcome(
+            rule.section, rule.text, comparison.verdict, comparison.verdict == rule.bound, shown=shown
+        )
     if rule.item == "count":
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, float(len(comparison.points)), "1"))
     name, _, attribute = rule.item.partition(".")
@@ -268,7 +311,9 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
         return comparison.amount(name)
     except KeyError:
         hint = nearest(name, [*(amount.name for amount in comparison.amounts), "verdict", "count"])
-        raise ConfigError(f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint) from None
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: the comparison has no '{name}'", where=rule.place, hint=hint
+        ) from None
 
 
 # Holding a study against rules: "study.fit[noise].item", "study.fit.item" for every noise level,
@@ -281,5 +326,7 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
         amount = matrix.amount(rule.item)
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
-        raise ConfigError(f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint) from None
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint
+        ) from None
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, amount.value, amount.unit))

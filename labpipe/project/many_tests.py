@@ -1,4 +1,6 @@
-"""A run over so many tests that their results are kept as a dataset: nothing of a test stays in memory once its rows are written."""
+"""A run over so many tests that their results are kept as a dataset: nothing of a test stays in memory once
+its rows are written.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ PART_TESTS = 500
 
 
 def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
-    """Whether the results of a pipeline are kept as a dataset; ConfigError where it is asked for and cannot be.
+    """Whether the results of a pipeline are kept as a dataset; ConfigError where it is asked for and cannot
+    be.
 
     *independent*: the fits that need no other one.
     """
@@ -40,16 +43,24 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
         return False
     what = hindrance(pipeline, independent)
     if what:
-        raise ConfigError(f"results: {what}, which needs all tests at once", where=str(pipeline.path), hint="write results: whole")
+        raise ConfigError(
+            f"results: {what}, which needs all tests at once",
+            where=str(pipeline.path),
+            hint="write results: whole",
+        )
     return True
 
 
 def advice(pipeline: Pipeline, independent: Sequence[str]) -> str:
-    """That a dataset would hold the results of so many tests in less memory; empty where there are few, or it cannot."""
+    """That a dataset would hold the results of so many tests in less memory.
+
+    Empty where there are few, or it cannot.
+    """
     if pipeline.results == "dataset" or len(pipeline.tests) < MANY_TESTS or hindrance(pipeline, independent):
         return ""
     return (
-        f"{len(pipeline.tests)} tests stand whole in {NAME}; `results: dataset` keeps them as rows of tables, in a fraction of the memory"
+        f"{len(pipeline.tests)} tests stand whole in {NAME}; `results: dataset` keeps them as rows of "
+        "tables, in a fraction of the memory"
     )
 
 
@@ -61,14 +72,18 @@ def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
     dependent = [fit.name for fit in pipeline.fits if fit.name not in independent]
     if dependent:
         return f"the fit {dependent[0]} begins with another one"
-    levels = [name for test in pipeline.tests for name in (*test.conditions, *test.recorded) if name in LEVELS]
+    levels = [
+        name for test in pipeline.tests for name in (*test.conditions, *test.recorded) if name in LEVELS
+    ]
     return f"the condition '{levels[0]}' asks whether the rig is linear" if levels else ""
 
 
 class Gathered:
-    """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed up.
+    """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed
+    up.
 
-    Tests are taken in their order, whatever the order in which they end: the same results give the same bytes.
+    Tests are taken in their order, whatever the order in which they end: the same results give the same
+    bytes.
     """
 
     def __init__(self, jobs: Sequence[Job], output: OutputFolder) -> None:
@@ -103,13 +118,21 @@ def outcome_of(done: Done, test: Test) -> TestResult:
 
 
 def identified(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
-    """The result of all tests: identification.json, which sums the dataset up. Parts of an earlier run that are no longer of it go."""
+    """The result of all tests: identification.json, which sums the dataset up.
+
+    Parts of an earlier run that are no longer of it go.
+    """
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
-        raise DataError(f"{failed[0].message} (and none of the other {gathered.summary.index.failed - 1} tests could be evaluated)")
+        raise DataError(
+            f"{failed[0].message} (and none of the other {gathered.summary.index.failed - 1} "
+            "tests could be evaluated)"
+        )
     _remark_damaged(output, gathered.parts)
     identification = summed_up(pipeline, gathered.summary)
-    identification = replace(identification, inputs=tuple(asdict(_part_ref(output, name)) for name in gathered.parts))
+    identification = replace(
+        identification, inputs=tuple(asdict(_part_ref(output, name)) for name in gathered.parts)
+    )
     write_identification(output.write_path(NAME), identification)
     for name in (*gathered.parts, NAME):
         output.leave_same(name)
@@ -117,7 +140,10 @@ def identified(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> 
 
 
 def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
-    """The result of many tests without the parts of its dataset; ConfigError for a rule that addresses nothing where no test failed."""
+    """The result of many tests without the parts of its dataset.
+
+    ConfigError for a rule that addresses nothing where no test failed.
+    """
     return Identification(
         fits=(),
         title=pipeline.title,

@@ -1,7 +1,8 @@
 """YAML in which every key and value has its line and column; duplicate keys are refused.
 
-A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list ``list[Marked]``, a scalar
-the plain Python value. The tree is edited by ``--set`` and read by the configuration, which reports faults at the marks.
+A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list
+``list[Marked]``, a scalar the plain Python value. The tree is edited by ``--set`` and read by the
+configuration, which reports faults at the marks.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ class Marked:
 
     @property
     def place(self) -> str:
-        """Place at which a fault of this entry is reported: its key, or the node itself (list entries, the whole file)."""
+        """Place at which a fault of this entry is reported: its key, or the node itself (list entries, the
+        whole file).
+        """
         return self.key_where or self.where
 
     def plain(self) -> Any:
@@ -40,18 +43,25 @@ class Marked:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML whose scalars keep a plain reading: no dates, no 1_000, no sexagesimal 45:30, no yes/no booleans."""
+    """Safe YAML whose scalars keep a plain reading: no dates, no 1_000, no sexagesimal 45:30, no yes/no
+    booleans.
+    """
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, regexp) for tag, regexp in resolvers if tag in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")]
+    first: [
+        (tag, regexp)
+        for tag, regexp in resolvers
+        if tag in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")
+    ]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 
 
 # A file that people write has fewer entries and characters, also when its aliases stand for what they name.
 MOST_NODES, MOST_BYTES = 200_000, 1 << 24
-# Characters of a file whose nodes are kept: pipelines share their rigs, and a watch reads the same files again and again.
+# Characters of a file whose nodes are kept: pipelines share their rigs, and a watch reads the same files
+# again and again.
 MOST_KEPT = 1 << 15
 
 
@@ -61,7 +71,11 @@ def load_marked(path: Path) -> Marked:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError("is no regular file", where=str(path))
         if path.is_file() and path.stat().st_size > MOST_BYTES:
-            raise ConfigError(f"has more than {MOST_BYTES >> 20} MB", where=str(path), hint="a YAML file of settings is needed")
+            raise ConfigError(
+                f"has more than {MOST_BYTES >> 20} MB",
+                where=str(path),
+                hint="a YAML file of settings is needed",
+            )
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError("no such file", where=str(path)) from None
@@ -85,7 +99,9 @@ def parse_marked(text: str, name: str) -> Marked:
     except RecursionError:
         raise ConfigError("not valid YAML: nested too deeply", where=name) from None
     except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(f"not valid YAML: {(str(error).splitlines() or ['unreadable'])[0]}", where=name) from None
+        raise ConfigError(
+            f"not valid YAML: {(str(error).splitlines() or ['unreadable'])[0]}", where=name
+        ) from None
     if node is None:
         raise ConfigError("the file is empty", where=name)
     tree = _Tree(name)
@@ -109,7 +125,9 @@ def _place(mark: yaml.Mark, name: str) -> str:
 
 
 class _Tree:
-    """The marked nodes of one file: counted, since a few aliases of aliases stand for more than any memory holds."""
+    """The marked nodes of one file: counted, since a few aliases of aliases stand for more than any memory
+    holds.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -139,7 +157,13 @@ class _Tree:
                 raise ConfigError("a key must be a plain name", where=where)
             key = str(key_node.value)
             if key in entries:
-                self.duplicates.append(ConfigError(f"{key}: the key appears twice", where=where, hint=f"first at {entries[key].key_where}"))
+                self.duplicates.append(
+                    ConfigError(
+                        f"{key}: the key appears twice",
+                        where=where,
+                        hint=f"first at {entries[key].key_where}",
+                    )
+                )
                 continue
             entries[key] = self.marked(value_node, above)
             entries[key].key_where = where
@@ -147,7 +171,9 @@ class _Tree:
 
 
 def _scalar(node: yaml.Node) -> Any:
-    """Text, None, bool or number: a number only when it is written as one (45 is, '45' and 45 deg are not)."""
+    """Text, None, bool or number: a number only when it is written as one (45 is, '45' and 45 deg are
+    not).
+    """
     text = str(node.value)
     if getattr(node, "style", None) in ("'", '"', "|", ">"):
         return text
@@ -164,7 +190,10 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it is impossible."""
+    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number.
+
+    ConfigError where it is impossible.
+    """
     path, equals, text = assignment.partition("=")
     where = f"--set {assignment}"
     if not equals or not path.strip():
@@ -183,7 +212,9 @@ def set_entry(root: Marked, assignment: str) -> None:
 
 
 def _plain_or_yaml(text: str, where: str) -> Marked:
-    """The value as YAML, or as plain text where it begins with a sign such as '>=' that is reserved in YAML."""
+    """The value as YAML, or as plain text where it begins with a sign such as '>=' that is reserved in
+    YAML.
+    """
     if not text.strip() or text.lstrip()[0] in "><%@`&*!|":
         return Marked(text.strip(), where, where, text.strip())
     value = parse_marked(text, where)

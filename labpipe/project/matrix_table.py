@@ -1,4 +1,6 @@
-"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl frequency."""
+"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl
+frequency.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_u
 from labpipe.records.identification import Fit, Identification
 
 # Coefficients of a rotor code by our names.
-ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in ("k", "c") for axes in ("xx", "xy", "yx", "yy")}
+ROTOR_NAMES = {
+    f"{letter}_{axes}": f"{letter}{axes}" for letter in ("k", "c") for axes in ("xx", "xy", "yx", "yy")
+}
 # Whirl frequencies of a rotor table where the fit's band does not give them.
 N_WHIRL = 9
 
@@ -36,16 +40,22 @@ def write_matrix_parquet(artefact: Path, target: Path) -> None:
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
     """A result and its matrices; DataError where it has none."""
     if artefact.suffix != ".json":
-        raise DataError("holds no matrix of tests", where=str(artefact), hint="they stand in identification.json")
+        raise DataError(
+            "holds no matrix of tests", where=str(artefact), hint="they stand in identification.json"
+        )
     identification = read_identification(artefact)
     matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
     if not matrices:
-        raise DataError("holds no matrix of tests", where=str(artefact), hint="the pipeline needs a section matrix:")
+        raise DataError(
+            "holds no matrix of tests", where=str(artefact), hint="the pipeline needs a section matrix:"
+        )
     return identification, matrices
 
 
 def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
-    """One row for every point and coefficient: conditions with their units, value with its uncertainty, repeats, theory [SI]."""
+    """One row for every point and coefficient: conditions with their units, value with its uncertainty,
+    repeats, theory [SI].
+    """
     rows = []
     for matrix in matrices:
         for point in matrix.points:
@@ -82,10 +92,12 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
 
 
 def write_rotor_xlsx(artefact: Path, target: Path) -> None:
-    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `frequency` [rad/s], one sheet each, as an Excel file.
+    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `frequency` [rad/s], one sheet
+    each, as an Excel file.
 
-    Of every level of the other conditions: a sheet over the speed with the coefficients at whirl in step with it (synchronous), and one
-    for every speed over the whirl frequency. DataError where no condition is a speed, or coefficients are missing.
+    Of every level of the other conditions: a sheet over the speed with the coefficients at whirl in step with
+    it (synchronous), and one for every speed over the whirl frequency. DataError where no condition is a
+    speed, or coefficients are missing.
     """
     load_extra("openpyxl", "excel", artefact)
     sheets = dict(rotor_sheets(*_matrices(artefact)))
@@ -97,35 +109,54 @@ def write_rotor_xlsx(artefact: Path, target: Path) -> None:
 def write_rotor_csv(artefact: Path, target: Path) -> None:
     """The same tables below each other as CSV, the name of the sheet in the first column."""
     sheets = rotor_sheets(*_matrices(artefact))
-    write_table_csv(pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").reset_index(), target)
+    write_table_csv(
+        pd.concat([table.assign(sheet=name) for name, table in sheets]).set_index("sheet").reset_index(),
+        target,
+    )
 
 
-def rotor_sheets(identification: Identification, matrices: tuple[ConditionMatrix, ...]) -> Iterator[tuple[str, pd.DataFrame]]:
+def rotor_sheets(
+    identification: Identification, matrices: tuple[ConditionMatrix, ...]
+) -> Iterator[tuple[str, pd.DataFrame]]:
     """Name and table of every sheet."""
     number = 0
     for matrix in matrices:
-        place = next((n for n, axis in enumerate(matrix.axes) if condition_unit(axis.name, axis.unit) == "rpm"), None)
+        place = next(
+            (n for n, axis in enumerate(matrix.axes) if condition_unit(axis.name, axis.unit) == "rpm"), None
+        )
         if place is None:
-            raise DataError(f"matrix '{matrix.name}' has no speed among its conditions", hint="over: [speed, ...]")
+            raise DataError(
+                f"matrix '{matrix.name}' has no speed among its conditions", hint="over: [speed, ...]"
+            )
         groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
         for point in matrix.points:
             groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
         for points in groups.values():
             number += 1
-            others = [axis.text(matrix.levels_of(points[0])[n]) for n, axis in enumerate(matrix.axes) if n != place]
+            others = [
+                axis.text(matrix.levels_of(points[0])[n]) for n, axis in enumerate(matrix.axes) if n != place
+            ]
             speeds = [matrix.levels_of(point)[place] for point in points]
             courses = [_course(identification, matrix, point) for point in points]
             yield (
                 _sheet(number, "synchronous"),
                 _table(
                     2 * np.pi * np.array(speeds),
-                    np.array([_at(course, np.array([speed]))[0] for course, speed in zip(courses, speeds, strict=True)]),
+                    np.array(
+                        [
+                            _at(course, np.array([speed]))[0]
+                            for course, speed in zip(courses, speeds, strict=True)
+                        ]
+                    ),
                     others,
                 ),
             )
             for speed, course in zip(speeds, courses, strict=True):
                 whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
-                yield _sheet(number, f"{60 * speed:.0f} rpm"), _table(2 * np.pi * whirl, _at(course, whirl), others)
+                yield (
+                    _sheet(number, f"{60 * speed:.0f} rpm"),
+                    _table(2 * np.pi * whirl, _at(course, whirl), others),
+                )
 
 
 def _sheet(number: int, what: str) -> str:
@@ -138,7 +169,9 @@ Course = tuple[FloatArray, ComplexArray]
 
 
 def _course(identification: Identification, matrix: ConditionMatrix, point: MatrixPoint) -> Course:
-    """The mean course of the repeats at a point: that of the fitted models, or of K, C and M where fits hold none."""
+    """The mean course of the repeats at a point: that of the fitted models, or of K, C and M where fits hold
+    none.
+    """
     fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
     drawn = [detail.course for fit in fits for detail in fit.details if detail.course is not None]
     if drawn:
@@ -151,7 +184,9 @@ def _course(identification: Identification, matrix: ConditionMatrix, point: Matr
 def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:
     missing = [name for name in ROTOR_NAMES if point.value(name) is None]
     if missing:
-        raise DataError(f"matrix '{matrix.name}' lacks {', '.join(missing)}", hint="a rotor code needs K and C whole")
+        raise DataError(
+            f"matrix '{matrix.name}' lacks {', '.join(missing)}", hint="a rotor code needs K and C whole"
+        )
     stiffness, damping, mass = (_square(point, letter) for letter in "kcm")
     band = fits[0].band_hz if fits else (0.0, 0.0)
     frequency = np.linspace(*band, N_WHIRL)
@@ -167,7 +202,10 @@ def _square(point: MatrixPoint, letter: str) -> FloatArray:
 
 def _interpolated(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
     flat = matrix.reshape(frequency.size, -1)
-    columns = [np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag) for column in flat.T]
+    columns = [
+        np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag)
+        for column in flat.T
+    ]
     return np.asarray(np.stack(columns, axis=1).reshape(at.size, 2, 2))
 
 

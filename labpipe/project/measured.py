@@ -1,4 +1,7 @@
-"""What a test is measured as: its frequency response, its free decays, or the spectra of its channels. One file for each test."""
+"""What a test is measured as: its frequency response, its free decays, or the spectra of its channels.
+
+One file for each test.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,15 @@ from labpipe.artefacts.measured_files import (
 )
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
-from labpipe.project.frf import ALIKE, MeasuredSource, fresh_measured, frf, frf_file_name, measured_header, where_recorded
+from labpipe.project.frf import (
+    ALIKE,
+    MeasuredSource,
+    fresh_measured,
+    frf,
+    frf_file_name,
+    measured_header,
+    where_recorded,
+)
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse
@@ -37,7 +48,9 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What recordings give beside a frequency response: the *name* of the kind in headers, how it is made, written and read."""
+    """What recordings give beside a frequency response: the *name* of the kind in headers, how it is made,
+    written and read.
+    """
 
     name: str
     suffix: str
@@ -52,7 +65,9 @@ def _free_decays(recordings: Sequence[SampleSource], settings: FrfSettings, **of
     return free_decays(recordings, settings, **of_test)
 
 
-def _channel_spectra(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> ChannelSpectra:
+def _channel_spectra(
+    recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any
+) -> ChannelSpectra:
     from labpipe.spectra.all_channels import channel_spectra
 
     return channel_spectra(recordings, settings, **of_test)
@@ -87,7 +102,10 @@ def fits_file_name(test: str) -> str:
 def files_of_test(test: str) -> list[str]:
     """The names that a test's files may have in a folder of results, but for its recordings."""
     stem = frf_file_name(test).removesuffix(RESPONSE_SUFFIX)
-    return [fits_file_name(test), *(stem + suffix for suffix in (RESPONSE_SUFFIX, DECAY_SUFFIX, SPECTRA_SUFFIX))]
+    return [
+        fits_file_name(test),
+        *(stem + suffix for suffix in (RESPONSE_SUFFIX, DECAY_SUFFIX, SPECTRA_SUFFIX)),
+    ]
 
 
 def measured_files(folder: Path, test: str) -> list[Path]:
@@ -96,9 +114,16 @@ def measured_files(folder: Path, test: str) -> list[Path]:
 
 
 def measure_test(
-    recordings: Sequence[MeasuredSource], settings: FrfSettings, output: OutputFolder, test: str, conditions: dict[str, str]
+    recordings: Sequence[MeasuredSource],
+    settings: FrfSettings,
+    output: OutputFolder,
+    test: str,
+    conditions: dict[str, str],
 ) -> MeasuredTest:
-    """What the recordings of a test give, made unless what is on disk is fresh; LabpipeError names the recording."""
+    """What the recordings of a test give, made unless what is on disk is fresh.
+
+    LabpipeError names the recording.
+    """
     kind = _kind(settings)
     if kind is None:
         return frf(recordings, settings, output, test, conditions)
@@ -112,13 +137,18 @@ def measure_test(
         error.where = error.where or where_recorded(recordings)
         raise
     except LinAlgError as error:
-        raise DataError(f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE) from error
+        raise DataError(
+            f"a matrix of spectra has no solution ({error})", where=where_recorded(recordings), hint=ALIKE
+        ) from error
     kind.write(output.write_path(name), measured, header())
     return measured
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """Ready decays or spectra of labpipe's own, or a ready response; name and conditions of its test take the place of its own."""
+    """Ready decays or spectra of labpipe's own, or a ready response.
+
+    Name and conditions of its test take the place of its own.
+    """
     kind = _kind_of_file(path)
     if kind is not None:
         measured = kind.read(path)
@@ -127,7 +157,9 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
         return response.renamed(name or response.name, conditions or response.conditions)
     else:
         return _load_response(path, name, conditions)
-    return dataclasses.replace(measured, name=name or measured.name, conditions=conditions or measured.conditions)
+    return dataclasses.replace(
+        measured, name=name or measured.name, conditions=conditions or measured.conditions
+    )
 
 
 def _load_response(path: Path, name: str, conditions: dict[str, str] | None) -> FrequencyResponse:
@@ -137,8 +169,12 @@ def _load_response(path: Path, name: str, conditions: dict[str, str] | None) -> 
     return load_response(path, name, conditions)
 
 
-def load_ready_measured(ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What stands under frfs: of a test: labpipe's own free decays or spectra, or a response of any layout."""
+def load_ready_measured(
+    ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None
+) -> MeasuredTest:
+    """What stands under frfs: of a test: labpipe's own free decays or spectra, or a response of any
+    layout.
+    """
     if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
         return load_measured(ready.paths[0], test or ready.name, conditions)
     from labpipe.project.ready_response import load_ready

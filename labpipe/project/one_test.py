@@ -1,4 +1,6 @@
-"""The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, and what it comes to."""
+"""The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, and
+what it comes to.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,10 @@ from labpipe.spectra.settings import FrfSettings
 
 
 def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
-    """The fits and the response of one test from the files in the *folder* of the result; ConfigError for a test that it does not have."""
+    """The fits and the response of one test from the files in the *folder* of the result.
+
+    ConfigError for a test that it does not have.
+    """
     rows = read_rows(folder)
     names = rows["test"].to_pylist()
     if test not in names:
@@ -60,13 +65,19 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     row = rows.slice(names.index(test), 1).to_pylist()[0]
     if row["failed"] is not None:
         raise ConfigError(f"test '{test}' could not be evaluated: {row['failed']}")
-    conditions = {name: text for name in columns_of_conditions(rows.column_names) if (text := row[CONDITION + name]) is not None}
+    conditions = {
+        name: text
+        for name in columns_of_conditions(rows.column_names)
+        if (text := row[CONDITION + name]) is not None
+    }
     measured = [load_measured(path) for path in measured_files(folder, test)]
     fits = folder / fits_file_name(test)
     return dataclasses.replace(
         identification,
         fits=tuple(read_fits(fits)) if fits.exists() else (),
-        responses=tuple(measurement for measurement in measured if isinstance(measurement, FrequencyResponse)),
+        responses=tuple(
+            measurement for measurement in measured if isinstance(measurement, FrequencyResponse)
+        ),
         spectra=tuple(measurement for measurement in measured if isinstance(measurement, ChannelSpectra)),
         settings={**identification.settings, "tests": [{"name": test, "conditions": conditions}]},
         dataset=None,
@@ -89,7 +100,10 @@ def result_of_test(
     sources: Sequence[SourceRef],
     digest: str,
 ) -> TestResult:
-    """The result of a test from its *fits* and the *findings* of its measurement; *sources* are its files, *digest* that of its fits."""
+    """The result of a test from its *fits* and the *findings* of its measurement.
+
+    *sources* are its files, *digest* that of its fits.
+    """
     partial = tuple(judged_part(rule, fits) for rule in rules)
     outcomes = forbidden(rules, fits)
     common = {
@@ -101,7 +115,10 @@ def result_of_test(
     return TestResult(
         # A test without fits has a row as well: the dataset knows that it was worked on.
         rows=tuple(row for fit in fits for row in rows_of_fit(fit, common)) or (DatasetRow(**common),),  # type: ignore[arg-type]
-        findings=(*((test.name, finding) for finding in findings), *((fit_title(fit), of_fit) for fit in fits for of_fit in fit.findings)),
+        findings=(
+            *((test.name, finding) for finding in findings),
+            *((fit_title(fit), of_fit) for fit in fits for of_fit in fit.findings),
+        ),
         partial=partial,
         forbidden=outcomes,
     )
@@ -115,7 +132,12 @@ def failed_result(test: Test, message: str, sources: Sequence[SourceRef] = ()) -
 
 def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
     """What all rows of a test share: whose they are, of which day, at which conditions."""
-    return {"rig": rig_name(test), "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
+    return {
+        "rig": rig_name(test),
+        "date": day_of(test, conditions),
+        "test": test.name,
+        "conditions": dict(conditions),
+    }
 
 
 def rig_name(test: Test) -> str:
@@ -154,7 +176,10 @@ def _seconds(path: Path) -> float:
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:
-    """SHA-256 over the digests of a test's files, or that of the file where it is one; empty where none could be read."""
+    """SHA-256 over the digests of a test's files, or that of the file where it is one.
+
+    Empty where none could be read.
+    """
     digests = [source.sha256 for source in sources]
     if len(digests) <= 1:
         return digests[0] if digests else ""
@@ -177,9 +202,10 @@ def silent(_message: str) -> None:
 class Job:
     """All that one test needs.
 
-    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the run's output folder;
-    scratch: the run's folder for what is not finished. rules: of a run whose results are kept as a dataset, by which the test is judged
-    by itself; None for others. measured_before: its response is there, by `labpipe frf`, and its recordings are not looked at.
+    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the
+    run's output folder; scratch: the run's folder for what is not finished. rules: of a run whose results are
+    kept as a dataset, by which the test is judged by itself; None for others. measured_before: its response
+    is there, by `labpipe frf`, and its recordings are not looked at.
     """
 
     test: Test
@@ -208,14 +234,17 @@ class Job:
     def absolute(self) -> Job:
         """The same job, to be done by a process that works in another folder."""
         recordings = tuple(source.absolute() for source in self.test.recordings)
-        test = dataclasses.replace(self.test, recordings=recordings, frfs=tuple(frf.absolute() for frf in self.test.frfs))
+        test = dataclasses.replace(
+            self.test, recordings=recordings, frfs=tuple(frf.absolute() for frf in self.test.frfs)
+        )
         paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
         return dataclasses.replace(self, test=test, **paths)
 
 
 @dataclass(frozen=True)
 class Done:
-    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its *result* for a dataset.
+    """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its
+    *result* for a dataset.
 
     halts: it failed by a fault of the machine that other tests will meet as well, such as a full disk.
     """
@@ -236,7 +265,9 @@ def work(job: Job) -> Done:
             sources, result = _worked(near, remarks)
     except LabpipeError as error:
         failed = Failed(job.test.name, str(error))
-        return Done(job.test.name, failed=failed, remarks=tuple(remarks), halts=isinstance(error, StorageError))
+        return Done(
+            job.test.name, failed=failed, remarks=tuple(remarks), halts=isinstance(error, StorageError)
+        )
     except OSError as error:
         if error.errno is None:
             raise
@@ -250,7 +281,9 @@ def work(job: Job) -> Done:
 
 @contextmanager
 def brought(job: Job) -> Iterator[Job]:
-    """The job with recordings of this machine: those of an object storage lie in its scratch folder meanwhile."""
+    """The job with recordings of this machine: those of an object storage lie in its scratch folder
+    meanwhile.
+    """
     paths = [path for source in job.test.recordings for path in (source.path, *source.joined)]
     with fetched([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
@@ -286,12 +319,17 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
 
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
-    """The test measured from its raw files as they are read; their references. None where they need a calibrated recording, or where a
-    fault was met.
+    """The test measured from its raw files as they are read; their references. None where they need a
+    calibrated recording, or where a fault was met.
 
     A fault is told by the longer way, which looks at whole files before anything is measured from them.
     """
-    if job.frf is None or job.test.recorded or not job.test.recordings or any(source.joined for source in job.test.recordings):
+    if (
+        job.frf is None
+        or job.test.recorded
+        or not job.test.recordings
+        or any(source.joined for source in job.test.recordings)
+    ):
         return None
     n_remark = len(output.remarks)
     try:
@@ -314,14 +352,23 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
 
 
 def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
-    """The test measured from calibrated recordings, made where they are not there; the references of the raw files."""
+    """The test measured from calibrated recordings, made where they are not there.
+
+    The references of the raw files.
+    """
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        stored.append(ingest(source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by))
+        stored.append(
+            ingest(
+                source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by
+            )
+        )
     if stored:
         if job.frf is None:
-            raise ConfigError("frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs")
+            raise ConfigError(
+                "frf: is missing", where=str(job.pipeline_path), hint="say how the recordings become FRFs"
+            )
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
         conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
         measure_test(stored, job.frf, output, job.test.name, conditions)
@@ -329,10 +376,14 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
 
 
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
-    """The references of the raw files behind a response that is there, by the calibrated recordings beside it, or else its own."""
+    """The references of the raw files behind a response that is there, by the calibrated recordings beside
+    it, or else its own.
+    """
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():
-        raise DataError("no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages")
+        raise DataError(
+            "no such file", where=str(path), hint="run `labpipe frf` first, or `labpipe run` for all stages"
+        )
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
     if job.test.recordings and RIGS in (header := header_of(path)).parameters:
         recorded = list(header.inputs)
@@ -340,13 +391,19 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
         recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
     else:
         recorded = [source_ref(path, job.target)]
-    return (*recorded, *(source_ref(ready_path, job.folder) for ready in job.test.frfs for ready_path in ready.paths))
+    return (
+        *recorded,
+        *(source_ref(ready_path, job.folder) for ready in job.test.frfs for ready_path in ready.paths),
+    )
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
     """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
-    return [*measured, *(load_ready_measured(ready, job.test.name, job.test.conditions) for ready in job.test.frfs)]
+    return [
+        *measured,
+        *(load_ready_measured(ready, job.test.name, job.test.conditions) for ready in job.test.frfs),
+    ]
 
 
 def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:

@@ -25,26 +25,50 @@ from labpipe.sections import SECTIONS, PipelineSection, names_of, sections
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSettings, comparison_kind
 
-# Reading the section ``uncertainty:``: how uncertainties are propagated, and how tests scatter between repeats.
+# Reading the section ``uncertainty:``: how uncertainties are propagated, and how tests scatter between
+# repeats.
 
 
 @dataclass(frozen=True)
 class RepeatSettings(Settings):
-    """What changes a parameter between repeats of a test: as it is known, or as a repeatability test found it."""
+    """What changes a parameter between repeats of a test: as it is known, or as a repeatability test found
+    it.
+    """
 
     parameter: str = setting("text", "the coefficient that scatters, of every fit that has it: k", default="")
     size: str = setting("text", "its standard uncertainty, relative: 0.5 %, or 0.5 % (dof=4)", default="")
-    file: str = setting("file", "instead of parameter and size: identification.json of a comparison of kind repeatability", default="")
-    comparison: str = setting("text", "name of the comparison in that file; its scatter between settings is taken", default="")
-    per: str = setting("text", "condition; tests of one value of it have the error in common. Default: each test has its own", default="")
+    file: str = setting(
+        "file",
+        "instead of parameter and size: identification.json of a comparison of kind repeatability",
+        default="",
+    )
+    comparison: str = setting(
+        "text", "name of the comparison in that file; its scatter between settings is taken", default=""
+    )
+    per: str = setting(
+        "text",
+        "condition; tests of one value of it have the error in common. Default: each test has its own",
+        default="",
+    )
 
     def __post_init__(self) -> None:
         if self.file and (self.parameter or self.size):
-            raise ConfigError("'file' says which parameter scatters and by how much", hint="leave 'parameter' and 'size' out", field="file")
+            raise ConfigError(
+                "'file' says which parameter scatters and by how much",
+                hint="leave 'parameter' and 'size' out",
+                field="file",
+            )
         if not self.file and not (self.parameter and self.size):
-            raise ConfigError("'parameter' and 'size' are needed, or the 'file' of a repeatability test", hint="parameter: k, size: 0.5 %")
+            raise ConfigError(
+                "'parameter' and 'size' are needed, or the 'file' of a repeatability test",
+                hint="parameter: k, size: 0.5 %",
+            )
         if bool(self.file) != bool(self.comparison):
-            raise ConfigError("'file' and 'comparison' go together", hint="comparison: the name under `compare`", field="comparison")
+            raise ConfigError(
+                "'file' and 'comparison' go together",
+                hint="comparison: the name under `compare`",
+                field="comparison",
+            )
 
 
 METHODS = ("first-order", "monte-carlo")
@@ -52,11 +76,16 @@ METHODS = ("first-order", "monte-carlo")
 
 @dataclass(frozen=True)
 class UncertaintySettings(Settings):
-    """The ``uncertainty:`` section: how the uncertainties of given numbers are propagated, for all fits that do not say it themselves."""
+    """The ``uncertainty:`` section: how the uncertainties of given numbers are propagated, for all fits that
+    do not say it themselves.
+    """
 
     coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
     method: str = setting(
-        "choice", "first order, or draws of noise and all uncertainties beside it", choices=METHODS, default="first-order"
+        "choice",
+        "first order, or draws of noise and all uncertainties beside it",
+        choices=METHODS,
+        default="first-order",
     )
     draws: int = setting("integer", "draws of method monte-carlo", default=2000)
     repeatability: tuple[tuple[str, RepeatSettings], ...] = setting(
@@ -70,7 +99,11 @@ class UncertaintySettings(Settings):
         if not 0 < self.coverage < 1:
             raise ConfigError("'coverage' must lie between 0 and 100 %", field="coverage")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
-            raise ConfigError("'draws' are of method monte-carlo", hint="method: monte-carlo, or leave it out", field="draws")
+            raise ConfigError(
+                "'draws' are of method monte-carlo",
+                hint="method: monte-carlo, or leave it out",
+                field="draws",
+            )
 
     def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
         """A fit with these settings where it has none of its own, and with the scatter between *repeats*."""
@@ -101,31 +134,47 @@ def read_uncertainty(node: Marked, faults: Faults) -> Callable[[FitSettings], Fi
 def _known(name: str, settings: RepeatSettings) -> RepeatSource:
     size, _, _ = settings.size.partition("(")
     if not size.strip().endswith("%"):
-        raise UnitError(f"'{settings.size}' is not relative to the parameter", "for example 0.5 %, or 0.5 % (dof=4)")
+        raise UnitError(
+            f"'{settings.size}' is not relative to the parameter", "for example 0.5 %, or 0.5 % (dof=4)"
+        )
     number = parse_uncertain(f"1 +- {settings.size}", "1")
     return RepeatSource(name, settings.parameter, number.std_error, settings.per, number.dof)
 
 
 def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
-    """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom less than settings."""
+    """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom
+    less than settings.
+    """
     try:
         comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
-        repeatabilities: Mapping[str, Any] = {entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"}
+        repeatabilities: Mapping[str, Any] = {
+            entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"
+        }
     except DamagedError as error:
-        raise UnitError(f"'{settings.file}' is not a readable identification.json: {error.what}", error.hint) from None
+        raise UnitError(
+            f"'{settings.file}' is not a readable identification.json: {error.what}", error.hint
+        ) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{settings.file}' is not a readable identification.json") from None
     if settings.comparison not in repeatabilities:
-        hint = nearest(settings.comparison, repeatabilities) if repeatabilities else "it needs a comparison of kind: repeatability"
+        hint = (
+            nearest(settings.comparison, repeatabilities)
+            if repeatabilities
+            else ("it needs a comparison of kind: repeatability")
+        )
         raise UnitError(f"'{settings.file}' holds no repeatability '{settings.comparison}'", hint)
     comparison = repeatabilities[settings.comparison]
     try:
         amounts = {amount["name"]: float(amount["value"]) for amount in comparison["amounts"]}
         groups = {point["group"] for point in comparison["points"]}
         parameter = str(comparison["subject"]).split(",")[0].strip()
-        return RepeatSource(name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1))
+        return RepeatSource(
+            name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1)
+        )
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        raise UnitError(f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read") from None
+        raise UnitError(
+            f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
+        ) from None
 
 
 # Reading one fit of the ``identify:`` section: its settings and those of its model.
@@ -142,13 +191,25 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     if section:
         model, entry = section
         if entries["model"].text != model:
-            faults.add(entries[entry], join(key, entry), f"the section '{entry}' goes with model {model}", model_kind(model).example)
+            faults.add(
+                entries[entry],
+                join(key, entry),
+                f"the section '{entry}' goes with model {model}",
+                model_kind(model).example,
+            )
         else:
             presets["model_settings"] = _model_settings(entries[entry], join(key, entry), model, reading)
     rig = reading.rig
     if rig is not None and rig.mass is not None and _takes_mass(entries):
-        presets |= {"mass": rig.mass, "uncertainties": () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),)}
-    plain = Marked({entry: part for entry, part in entries.items() if not section or entry != section[1]}, node.where, node.key_where)
+        presets |= {
+            "mass": rig.mass,
+            "uncertainties": () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),),
+        }
+    plain = Marked(
+        {entry: part for entry, part in entries.items() if not section or entry != section[1]},
+        node.where,
+        node.key_where,
+    )
     return read_settings(FitSettings, plain, key, faults, **presets) if len(faults) == before else None
 
 
@@ -159,12 +220,16 @@ def _takes_mass(entries: dict[str, Marked]) -> bool:
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
-    """The entries with the settings of a model that needs no section, where they stand in the fit itself, moved into its section."""
+    """The entries with the settings of a model that needs no section, where they stand in the fit itself,
+    moved into its section.
+    """
     model = entries["model"].text if "model" in entries else ""
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
         return entries
-    moved = [key for key in settings_of(kind.settings) if key in entries and key not in settings_of(FitSettings)]
+    moved = [
+        key for key in settings_of(kind.settings) if key in entries and key not in settings_of(FitSettings)
+    ]
     if not moved:
         return entries
     first = entries[moved[0]]
@@ -173,11 +238,18 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of a model's section among the entries of a fit; other models are loaded for a key that no fit has without them."""
+    """(model, key) of a model's section among the entries of a fit.
+
+    Other models are loaded for a key that no fit has without them.
+    """
     if "model" not in entries:
         return None
     unknown = entries.keys() - settings_of(FitSettings).keys()
-    if unknown and (named := entries["model"].text) in MODELS and (owner := model_kind(named).settings) is not None:
+    if (
+        unknown
+        and (named := entries["model"].text) in MODELS
+        and (owner := model_kind(named).settings) is not None
+    ):
         if (section := model_kind(named).section) in entries:
             return named, section
         unknown -= settings_of(owner).keys()
@@ -195,7 +267,10 @@ def _model_settings(node: Marked, key: str, model: str, reading: Reading) -> Any
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
-    """The settings of a comparison; faults for a name that a fit has, for another kind's section, and for a fit that is not there."""
+    """The settings of a comparison.
+
+    Faults for a name that a fit has, for another kind's section, and for a fit that is not there.
+    """
     faults = reading.faults
     if name in reading.names:
         faults.add(node, key, "a fit or calibration has this name already", "rules could not tell them apart")
@@ -204,15 +279,28 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
     own = comparison_kind(kind) if kind in COMPARISONS else None
     presets: dict[str, Any] = {"name": name}
     if own is not None and own.settings is not None and own.section in entries:
-        presets["kind_settings"] = read_settings(own.settings, entries[own.section], join(key, own.section), faults)
-        node = Marked({entry: part for entry, part in entries.items() if entry != own.section}, node.where, node.key_where)
+        presets["kind_settings"] = read_settings(
+            own.settings, entries[own.section], join(key, own.section), faults
+        )
+        node = Marked(
+            {entry: part for entry, part in entries.items() if entry != own.section},
+            node.where,
+            node.key_where,
+        )
     for entry in sorted(set(node.content if own else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
-            faults.add(entries[entry], join(key, entry), f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}")
+            faults.add(
+                entries[entry], join(key, entry), f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}"
+            )
     settings = read_settings(CompareSettings, node, key, faults, **presets) if len(faults) == before else None
     if settings is not None and settings.fit and settings.fit not in reading.names:
-        faults.add(node.content["fit"], join(key, "fit"), f"there is no fit '{settings.fit}'", nearest(settings.fit, reading.names))
+        faults.add(
+            node.content["fit"],
+            join(key, "fit"),
+            f"there is no fit '{settings.fit}'",
+            nearest(settings.fit, reading.names),
+        )
     return settings
 
 
@@ -226,7 +314,12 @@ def read_matrix(node: Marked, key: str, name: str, reading: Reading) -> MatrixSe
         faults.add(node, key, f"the name '{name}' is taken already", "rules could not tell them apart")
     settings = read_settings(MatrixSettings, node, key, faults, name=name)
     if settings is not None and settings.fit not in reading.names:
-        faults.add(node.content["fit"], join(key, "fit"), f"there is no fit '{settings.fit}'", nearest(settings.fit, reading.names))
+        faults.add(
+            node.content["fit"],
+            join(key, "fit"),
+            f"there is no fit '{settings.fit}'",
+            nearest(settings.fit, reading.names),
+        )
     return settings
 
 
@@ -236,7 +329,8 @@ BEFORE = ("title", "rig", "recordings", "tests", "frfs", "conditions", "frf", "u
 AFTER = ("report", "accept", "expect")
 RECORDED = ("recordings", "tests", "frfs")
 REPORT_FORMATS = ("html", "md", "pdf")
-# How results are kept: all in identification.json, or as a dataset. What a result is does not depend on the number of tests.
+# How results are kept: all in identification.json, or as a dataset. What a result is does not depend on the
+# number of tests.
 RESULTS = ("whole", "dataset")
 
 
@@ -249,14 +343,18 @@ class ReportSettings(Settings):
     def __post_init__(self) -> None:
         for name in self.formats:
             if name not in REPORT_FORMATS:
-                raise ConfigError(f"unknown format '{name}'", hint=nearest(name, REPORT_FORMATS), field="formats")
+                raise ConfigError(
+                    f"unknown format '{name}'", hint=nearest(name, REPORT_FORMATS), field="formats"
+                )
 
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A pipeline file with everything it names; *sections*: settings by the key of their section, in the order in which they are run.
+    """A pipeline file with everything it names; *sections*: settings by the key of their section, in the
+    order in which they are run.
 
-    The settings of a section with named entries are a tuple, of others one dataclass. *results*: how those of many tests are kept.
+    The settings of a section with named entries are a tuple, of others one dataclass. *results*: how those of
+    many tests are kept.
     """
 
     path: Path
@@ -281,8 +379,15 @@ class Pipeline:
 
     @property
     def side_files(self) -> list[Path]:
-        """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and FRFs."""
-        owners = [owner for name, settings in self.sections.items() if name != "identify" for owner in _listed(settings)]
+        """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and
+        FRFs.
+        """
+        owners = [
+            owner
+            for name, settings in self.sections.items()
+            if name != "identify"
+            for owner in _listed(settings)
+        ]
         return list(dict.fromkeys(path for owner in owners for path in named_files(owner, self.folder)))
 
 
@@ -296,12 +401,18 @@ def section_names() -> tuple[str, ...]:
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a pipeline file, its rig files read along; ConfigErrors with every fault of all files at its place."""
+    """The pipeline of a pipeline file, its rig files read along.
+
+    ConfigErrors with every fault of all files at its place.
+    """
     return _loaded(path, overrides, TestReader.tests)
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
-    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes; errors as of `load_pipeline`."""
+    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes.
+
+    Errors as of `load_pipeline`.
+    """
     per_file: list[EachFile] = []
 
     def imagined(reader: TestReader) -> tuple[Test, ...]:
@@ -316,7 +427,9 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
     return replace(pipeline, tests=()), per_file[0]
 
 
-def _loaded(path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]) -> Pipeline:
+def _loaded(
+    path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]
+) -> Pipeline:
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
@@ -327,36 +440,61 @@ def _loaded(path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader
     rig = read_rig(entries.get("rig"), path.parent, faults, "rig")
     tests = tests_of(TestReader(entries, path.parent, rig, faults))
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
-    report = read_settings(ReportSettings, entries["report"], "report", faults) if "report" in entries else ReportSettings()
+    report = (
+        read_settings(ReportSettings, entries["report"], "report", faults)
+        if "report" in entries
+        else ReportSettings()
+    )
     settings, names = _sections(entries, rig, faults)
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
         if of_all is not None and "identify" in settings:
             settings["identify"] = tuple(of_all(fit) for fit in settings["identify"])
-    rules = tuple(rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names))
+    rules = tuple(
+        rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
+    )
     results = entries["results"].text if "results" in entries else "whole"
     if results == "auto":
         # Of files written before: by the number of tests.
         results = "whole"
     if results not in RESULTS:
-        faults.add(entries["results"], "results", f"no way '{results}' to keep results", nearest(results, RESULTS))
+        faults.add(
+            entries["results"], "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
+        )
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     faults.raise_any()
     assert report is not None
     return Pipeline(
-        path, title=_title(entries, path), tests=tests, frf=frf, report=report, rules=rules, rig=rig, sections=settings, results=results
+        path,
+        title=_title(entries, path),
+        tests=tests,
+        frf=frf,
+        report=report,
+        rules=rules,
+        rig=rig,
+        sections=settings,
+        results=results,
     )
 
 
-def _sections(entries: dict[str, Marked], rig: Rig | None, faults: Faults) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _sections(
+    entries: dict[str, Marked], rig: Rig | None, faults: Faults
+) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The settings of every section that the file has, and the names by which rules address them."""
     settings: dict[str, Any] = {}
     names: tuple[str, ...] = ()
     for name, entry in sections(entries):
         content = _section(entries[name], name, entry, Reading(faults, rig, names))
         # Names count even where their entries cannot be read, so that rules on them are no faults.
-        names = (*names, *(entries[name].content if entry.named and isinstance(entries[name].content, dict) else names_of(name, content)))
+        names = (
+            *names,
+            *(
+                entries[name].content
+                if entry.named and isinstance(entries[name].content, dict)
+                else names_of(name, content)
+            ),
+        )
         if content is not None:
             settings[name] = content
     return settings, names
@@ -380,19 +518,29 @@ def _title(entries: dict[str, Marked], path: Path) -> str:
     return entries["title"].text if "title" in entries and entries["title"].text else path.stem
 
 
-def _check_whole(tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults) -> None:
+def _check_whole(
+    tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
+) -> None:
     """Faults of the file as a whole: no work, missing sections."""
-    if not any(key in entries for key in RECORDED) and not any(entry.standalone for _, entry in sections(entries)):
+    if not any(key in entries for key in RECORDED) and not any(
+        entry.standalone for _, entry in sections(entries)
+    ):
         work = (*RECORDED, *(name for name, entry in sections() if entry.standalone))
         faults.add(tree, "", "nothing to work on", f"name {', '.join(work[:-1])} or {work[-1]}")
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
-        faults.add(tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed")
+        faults.add(
+            tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed"
+        )
 
 
 def _check_kinds(
-    entries: dict[str, Marked], fits: tuple[FitSettings, ...], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
+    entries: dict[str, Marked],
+    fits: tuple[FitSettings, ...],
+    tests: tuple[Test, ...],
+    frf: FrfSettings | None,
+    faults: Faults,
 ) -> None:
     """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
     if frf is None:

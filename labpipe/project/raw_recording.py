@@ -1,7 +1,8 @@
-"""A raw file that is measured as it is read: calibrated, screened and digested block by block, without a calibrated copy on disk.
+"""A raw file that is measured as it is read: calibrated, screened and digested block by block, without a
+calibrated copy on disk.
 
-For files of which a reading costs no more than reading that copy would, and of which single columns can be read. Others go through
-`ingest`.
+For files of which a reading costs no more than reading that copy would, and of which single columns can be
+read. Others go through `ingest`.
 """
 
 from __future__ import annotations
@@ -18,18 +19,27 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.recording_file import read_ahead
-from labpipe.project.ingest import Calibration, changed_while_read, channel_screen, check_table, is_recording, stated_rate
+from labpipe.project.ingest import (
+    Calibration,
+    changed_while_read,
+    channel_screen,
+    check_table,
+    is_recording,
+    stated_rate,
+)
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, as_quick, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig
 
-# A file younger than this [ns] may have been changed without another time of change: clocks of file systems tick.
+# A file younger than this [ns] may have been changed without another time of change: clocks of file systems
+# tick.
 YOUNG = 2_000_000_000
 
 
 def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
-    """The recording of a raw file that can be measured as it is read; None for one that needs `ingest`. Raises DataError as that does.
+    """The recording of a raw file that can be measured as it is read; None for one that needs `ingest`.
+    Raises DataError as that does.
 
     *base* is the folder to which the path in its reference is relative.
     """
@@ -40,7 +50,10 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource; *findings* and digest are those of the first whole reading."""
+    """The channels of a raw file [SI]. Satisfies SampleSource.
+
+    *findings* and digest are those of the first whole reading.
+    """
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:
         self.path, self.rig, self.n_sample, self.name = table.path, rig, table.n_row, table.path.stem
@@ -53,7 +66,9 @@ class RawRecording:
 
     @cached_property
     def sample_rate(self) -> float:
-        """Rate [Hz] as the rig file or the raw file states it, or by the time column, which is read first, by itself."""
+        """Rate [Hz] as the rig file or the raw file states it, or by the time column, which is read first, by
+        itself.
+        """
         if not self.rig.time:
             return stated_rate(self._table, self.rig)
         screen = TimeAxisScreen(self.rig.time)
@@ -85,7 +100,10 @@ class RawRecording:
         return self._table.column_chunks(self._columns)
 
     def _screened(self) -> Iterator[list[FloatArray]]:
-        """The same, looked at for faults and digested on the way; what comes of it holds when all was read."""
+        """The same, looked at for faults and digested on the way.
+
+        What comes of it holds when all was read.
+        """
         screen = channel_screen(self.rig)
         with DigestAlong(self.path) as digest:
             for columns in self._recorded():
@@ -97,10 +115,16 @@ class RawRecording:
             self._sha256 = self._sha256 or digest.hexdigest()
 
     def _screen(self, screen: ChannelScreen, columns: Sequence[FloatArray]) -> None:
-        """Look at the next columns, each (n,) [unit of the file]: at their extremes, which calibration keeps, then where those say so."""
+        """Look at the next columns, each (n,) [unit of the file]: at their extremes, which calibration keeps,
+        then where those say so.
+        """
         calibrated = self._calibration.of_channel
-        ends = np.array([[calibrated(n, end) for end in (column.min(), column.max())] for n, column in enumerate(columns)])
-        if not screen.add_between(ends.min(axis=1), ends.max(axis=1), columns[0].size, lambda n: calibrated(n, columns[n])):
+        ends = np.array(
+            [[calibrated(n, end) for end in (column.min(), column.max())] for n, column in enumerate(columns)]
+        )
+        if not screen.add_between(
+            ends.min(axis=1), ends.max(axis=1), columns[0].size, lambda n: calibrated(n, columns[n])
+        ):
             screen.add(self._calibration.in_rows(columns))
 
     def source_ref(self) -> SourceRef:

@@ -1,14 +1,13 @@
-"""Ready responses: labpipe's own files and those of other programs, as a path or an entry under ``frfs:`` names them."""
+"""Ready responses: labpipe's own files and those of other programs, as a path or an entry under ``frfs:``
+names them.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
 
-from labpipe.artefacts.measured_files import (
-    RESPONSE_SUFFIX,
-    read_response,
-)
+from labpipe.artefacts.measured_files import RESPONSE_SUFFIX, read_response
 from labpipe.errors import DataError
 from labpipe.project.tests import ReadyFrf
 from labpipe.raw_files.frf_csv import FREQUENCY, port_of
@@ -35,11 +34,16 @@ def is_response(path: Path) -> bool:
             return holds_response(path)
         if suffix in UFF_SUFFIXES:
             return all(record.function != TIME for record in read_uff(path))
-    return path.name.endswith(RESPONSE_SUFFIX) or (suffix in TEXT_SUFFIXES and FREQUENCY in open_table(path).columns)
+    return path.name.endswith(RESPONSE_SUFFIX) or (
+        suffix in TEXT_SUFFIXES and FREQUENCY in open_table(path).columns
+    )
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or another program's; name and conditions of its test take the place of its own."""
+    """A ready response: labpipe's own file, or another program's.
+
+    Name and conditions of its test take the place of its own.
+    """
     if path.is_dir():
         raise DataError("is a folder, a file is needed", where=str(path))
     if not path.exists():
@@ -83,5 +87,7 @@ def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespo
 def _renamed(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
     """The ports under the dofs of the entry, if it gives any."""
     if dofs and len(dofs) != len(ports):
-        raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", where=str(path))
+        raise DataError(
+            f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", where=str(path)
+        )
     return tuple(map(port_of, dofs)) or ports

@@ -20,8 +20,11 @@ from labpipe.spectra.shaft import shaft_motion
 SCATTER_UNITS = {"degC": "K"}
 
 
-def recorded_conditions(recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]) -> dict[str, str]:
-    """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the samples (of revolutions: speeds).
+def recorded_conditions(
+    recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]
+) -> dict[str, str]:
+    """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the
+    samples (of revolutions: speeds).
 
     ConfigError for a channel that a recording lacks; DataError for a tacho without pulses.
     """
@@ -30,7 +33,10 @@ def recorded_conditions(recordings: Sequence[StoredRecording], recorded: Mapping
 
 def _amount(recordings: Sequence[StoredRecording], source: RecordedCondition) -> tuple[float, float, str]:
     """Mean and standard deviation [SI], and the unit in which people read them."""
-    parts = [_speed(recording, source) if source.tacho else _level(recording, source.channel) for recording in recordings]
+    parts = [
+        _speed(recording, source) if source.tacho else _level(recording, source.channel)
+        for recording in recordings
+    ]
     mean = float(np.mean([part[0] for part in parts]))
     spread = float(np.sqrt(np.mean([part[1] ** 2 + (part[0] - mean) ** 2 for part in parts])))
     return mean, spread, parts[0][2]
@@ -57,7 +63,11 @@ def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
 def _speed(recording: StoredRecording, source: RecordedCondition) -> tuple[float, float, str]:
     motion = shaft_motion(recording, ShaftLines(tacho=source.tacho, pulses=source.pulses))
     turned = motion.revolutions[-1] - motion.revolutions[0]
-    return float(turned / (motion.times[-1] - motion.times[0])), float(np.std(motion.speeds)), QUANTITIES["speed"].display_unit
+    return (
+        float(turned / (motion.times[-1] - motion.times[0])),
+        float(np.std(motion.speeds)),
+        QUANTITIES["speed"].display_unit,
+    )
 
 
 def _text(mean: float, scatter: float, unit: str) -> str:

@@ -20,7 +20,8 @@ from labpipe.records.identification import Identification
 # The last line of a report: what it was drawn from, and the digest of all before it. A report of the same
 # result is not drawn again.
 
-# How a format writes what its readers pass over; a format of another package has no stamp and is always drawn.
+# How a format writes what its readers pass over; a format of another package has no stamp and is always
+# drawn.
 COMMENTS = {"html": (b"<!-- ", b" -->\n"), "md": (b"<!-- ", b" -->\n"), "pdf": (b"% ", b"\n")}
 LONGEST = 200
 _RESULT = re.compile(rb'^"' + DIGEST.encode() + rb'": "([0-9a-f]{64})"', re.MULTILINE)
@@ -28,14 +29,20 @@ _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{
 
 
 def drawn_from(result: Path) -> str:
-    """What the report of a result file depends on, as a digest: its content and the code that draws; empty where it carries no digest."""
+    """What the report of a result file depends on, as a digest: its content and the code that draws.
+
+    Empty where it carries no digest.
+    """
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
     return hashlib.sha256(match[1] + code_digest().encode()).hexdigest() if match else ""
 
 
 def stamped(content: bytes, source: str, report_format: str) -> bytes:
-    """The bytes of a report with its last line; as they are without a *source* or for a format that has no comments."""
+    """The bytes of a report with its last line.
+
+    As they are without a *source* or for a format that has no comments.
+    """
     if not source or report_format not in COMMENTS:
         return content
     begin, end = COMMENTS[report_format]
@@ -54,7 +61,9 @@ def is_drawn(path: Path, source: str) -> bool:
         return False
     start = content.rfind(b"\n", 0, matches[-1].start()) + 1
     line = content[start : matches[-1].start()], content[matches[-1].end() :]
-    return line in COMMENTS.values() and hashlib.sha256(content[:start]).hexdigest() == matches[-1][2].decode()
+    return (
+        line in COMMENTS.values() and hashlib.sha256(content[:start]).hexdigest() == matches[-1][2].decode()
+    )
 
 
 # report: identification, or several of them -> a document people read and sign, and its figures as files.
@@ -68,14 +77,23 @@ def format_of(path: Path) -> str:
     if path.exists() and not path.is_file():
         return "html"
     if suffix not in SUFFIX_FORMATS:
-        raise ConfigError(f"no report format for the ending '{suffix}'", where=str(path), hint=f"known: {', '.join(SUFFIX_FORMATS)}")
+        raise ConfigError(
+            f"no report format for the ending '{suffix}'",
+            where=str(path),
+            hint=f"known: {', '.join(SUFFIX_FORMATS)}",
+        )
     return SUFFIX_FORMATS[suffix]
 
 
 def write_report(
-    identification: Identification, path: Path, report_format: str = "", figures: Path | None = None, results: Path | None = None
+    identification: Identification,
+    path: Path,
+    report_format: str = "",
+    figures: Path | None = None,
+    results: Path | None = None,
 ) -> None:
-    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder for them as files.
+    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder
+    for them as files.
 
     *results*: the folder that the result was read from, by default that of the report.
     """
@@ -85,9 +103,15 @@ def write_report(
 
 
 def write_test_report(
-    identification: Identification, test: str, path: Path, figures: Path | None = None, results: Path | None = None
+    identification: Identification,
+    test: str,
+    path: Path,
+    figures: Path | None = None,
+    results: Path | None = None,
 ) -> None:
-    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the folder that it was read from."""
+    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the
+    folder that it was read from.
+    """
     from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
@@ -99,14 +123,19 @@ def write_test_report(
 
 
 def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
-    """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no report contradicts the result."""
+    """Reports of an earlier result go where a new one is about to take its place: should drawing fail, no
+    report contradicts the result.
+    """
     if (folder.staging / NAME).exists():
         for name in formats:
             folder.outdate(f"report.{name}")
 
 
-def write_reports(identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]) -> None:
-    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs the report and nothing else.
+def write_reports(
+    identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]
+) -> None:
+    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs
+    the report and nothing else.
 
     A report that was drawn from this very result, and is whole, stays as it is.
     """
@@ -117,7 +146,9 @@ def write_reports(identification: Identification, target: Path, formats: Sequenc
     with output_folder(target) as folder:
         for name in stale:
             tell(f"report    report.{name}")
-            folder.write_path(f"report.{name}").write_bytes(stamped(_drawn(identification, target, name), source, name))
+            folder.write_path(f"report.{name}").write_bytes(
+                stamped(_drawn(identification, target, name), source, name)
+            )
 
 
 def _drawn(identification: Identification, folder: Path, report_format: str) -> bytes:
@@ -145,8 +176,12 @@ def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
     return renderer
 
 
-def write_campaign(results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None) -> None:
-    """Write the report of many results (name, identification) together: trends, control limits, differences."""
+def write_campaign(
+    results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None
+) -> None:
+    """Write the report of many results (name, identification) together: trends, control limits,
+    differences.
+    """
     from labpipe.document.charts import figure_files
     from labpipe.report.campaign import campaign_document
 
@@ -159,7 +194,9 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
     from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
-    return figure_files(build(identification) if identification.dataset is None else _summary(identification, folder))
+    return figure_files(
+        build(identification) if identification.dataset is None else _summary(identification, folder)
+    )
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:

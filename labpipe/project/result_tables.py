@@ -1,4 +1,6 @@
-"""Results as tables for other programs: covariance of parameters, studies, plants for robust control design."""
+"""Results as tables for other programs: covariance of parameters, studies, plants for robust control
+design.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,9 @@ def write_covariance_parquet(artefact: Path, target: Path) -> None:
 def covariance_table(artefact: Path) -> pd.DataFrame:
     """One row per test, fit, source and pair of parameters: covariance [product of the parameters' SI units].
 
-    The sum over all sources is the covariance of the combined uncertainties. Sources of one name are one error in all fits: between two
-    fits they add the product of `change`, that of a parameter by one standard uncertainty of the source. DataError for another artefact.
+    The sum over all sources is the covariance of the combined uncertainties. Sources of one name are one
+    error in all fits: between two fits they add the product of `change`, that of a parameter by one standard
+    uncertainty of the source. DataError for another artefact.
     """
     if artefact.suffix != ".json":
         raise DataError("holds no parameters", where=str(artefact), hint="they stand in identification.json")
@@ -53,13 +56,26 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
     head = {"test": fit.test, "fit": fit.name, "term": fit.term, "band_low_hz": low, "band_high_hz": high}
     for source, matrix, changes in _by_source(fit):
         for row, column in zip(*np.nonzero(np.triu(np.isfinite(matrix) & (matrix != 0))), strict=True):
-            pair = {"parameter_1": names[row], "parameter_2": names[column], "covariance": matrix[row, column]}
+            pair = {
+                "parameter_1": names[row],
+                "parameter_2": names[column],
+                "covariance": matrix[row, column],
+            }
             yield {**head, "source": source, **pair, "change_1": changes[row], "change_2": changes[column]}
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]; noise has no change with a sign."""
-    errors = np.array([np.nan if (error := random_error(fit, parameter)) is None else error for parameter in fit.parameters], np.float64)
+    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units].
+
+    Noise has no change with a sign.
+    """
+    errors = np.array(
+        [
+            np.nan if (error := random_error(fit, parameter)) is None else error
+            for parameter in fit.parameters
+        ],
+        np.float64,
+    )
     correlation = np.eye(errors.size)
     n = min(fit.correlation.shape[0], errors.size)
     correlation[:n, :n] = fit.correlation[:n, :n]
@@ -97,7 +113,19 @@ def write_study_csv(path: Path, study: Study) -> None:
         for case in study.cases:
             head = (case.fit, case.estimator, case.noise, case.lines, case.repeats, case.failed)
             for p in case.parameters:
-                table.writerow((*map(cell, head), cell(p.name), p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage))
+                table.writerow(
+                    (
+                        *map(cell, head),
+                        cell(p.name),
+                        p.unit,
+                        p.truth,
+                        p.mean,
+                        p.rmse,
+                        p.bound,
+                        p.std_error,
+                        p.coverage,
+                    )
+                )
 
 
 # Plants for robust control design as files: the band over frequency as CSV, nominal model and weight as a
@@ -105,7 +133,9 @@ def write_study_csv(path: Path, study: Study) -> None:
 
 
 def write_band_csv(artefact: Path, target: Path) -> None:
-    """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its overbound."""
+    """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its
+    overbound.
+    """
     rows = []
     for fit in robust_fits(artefact):
         plant = fit.detail(RobustPlant)
@@ -115,16 +145,38 @@ def write_band_csv(artefact: Path, target: Path) -> None:
                 gain, zero, pole = plant.overbound[row, column]
                 bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
                 values = plant.nominal[:, row, column]
-                part = {"fit": fit.name, "test": fit.test, "output": output, "input": input_name, "unit": plant.unit}
-                lines = zip(plant.frequency, values, plant.radius[:, row, column], plant.weight[:, row, column], bound, strict=True)
+                part = {
+                    "fit": fit.name,
+                    "test": fit.test,
+                    "output": output,
+                    "input": input_name,
+                    "unit": plant.unit,
+                }
+                lines = zip(
+                    plant.frequency,
+                    values,
+                    plant.radius[:, row, column],
+                    plant.weight[:, row, column],
+                    bound,
+                    strict=True,
+                )
                 for frequency, value, radius, weight, over in lines:
-                    numbers = {"re": value.real, "im": value.imag, "radius": radius, "weight": weight, "overbound": over}
-                    rows.append({**part, "frequency_hz": frequency, **numbers, "confidence": plant.confidence})
+                    numbers = {
+                        "re": value.real,
+                        "im": value.imag,
+                        "radius": radius,
+                        "weight": weight,
+                        "overbound": over,
+                    }
+                    rows.append(
+                        {**part, "frequency_hz": frequency, **numbers, "confidence": plant.confidence}
+                    )
     write_table_csv(pd.DataFrame(rows), target)
 
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
-    """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the overbound's k, zero and pole [Hz].
+    """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
+    overbound's k, zero and pole [Hz].
 
     DataError for several such fits, of which a file holds one.
     """
@@ -133,7 +185,11 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     fits = robust_fits(artefact)
     if len(fits) > 1:
         named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
-        raise DataError(f"holds {len(fits)} plants ({named}), a MATLAB file holds one", where=str(artefact), hint="--to band writes all")
+        raise DataError(
+            f"holds {len(fits)} plants ({named}), a MATLAB file holds one",
+            where=str(artefact),
+            hint="--to band writes all",
+        )
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
     savemat(
@@ -158,8 +214,14 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
 def robust_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have a plant; DataError where there is none."""
     if artefact.suffix != ".json":
-        raise DataError("holds no plant", where=str(artefact), hint="plants stand in identification.json, of fits of the model magnet")
+        raise DataError(
+            "holds no plant",
+            where=str(artefact),
+            hint="plants stand in identification.json, of fits of the model magnet",
+        )
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(RobustPlant) is not None)
     if not fits:
-        raise DataError("holds no plant", where=str(artefact), hint="model: magnet, with one run per axis at least")
+        raise DataError(
+            "holds no plant", where=str(artefact), hint="model: magnet, with one run per axis at least"
+        )
     return fits

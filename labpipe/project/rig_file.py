@@ -21,7 +21,13 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
-from labpipe.records.uncertain import ChannelUncertainty, Uncertain, parse_uncertain, split_uncertainty, uncertainty_of
+from labpipe.records.uncertain import (
+    ChannelUncertainty,
+    Uncertain,
+    parse_uncertain,
+    split_uncertainty,
+    uncertainty_of,
+)
 from labpipe.registry import nearest
 
 # The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
@@ -29,16 +35,21 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class ChainUncertaintySettings(Settings):
-    """Standard uncertainties of a channel's chain beside those of its numbers; how else they are meant stands in brackets."""
+    """Standard uncertainties of a channel's chain beside those of its numbers.
 
-    gain: str = setting("text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default="")
+    How else they are meant stands in brackets.
+    """
+
+    gain: str = setting(
+        "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
+    )
     phase: str = setting("text", "of the whole chain, at every frequency alike: 0.5 deg", default="")
 
 
 @dataclass(frozen=True)
 class Written:
-    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as texts, *uncertainties* of its
-    numbers.
+    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as
+    texts, *uncertainties* of its numbers.
     """
 
     name: str
@@ -49,7 +60,9 @@ class Written:
     chain: ChainUncertaintySettings | None
 
 
-def channel_uncertainties(written: Written, node: Marked, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
+def channel_uncertainties(
+    written: Written, node: Marked, key: str, faults: Faults
+) -> tuple[ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
     readers: dict[str, Callable[[Written, Path], Iterator[ChannelUncertainty]]] = {
         "sensitivity": _of_sensitivity,
@@ -68,13 +81,17 @@ def channel_uncertainties(written: Written, node: Marked, key: str, faults: Faul
 
 
 def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:
-    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it names."""
+    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
+    names.
+    """
     text, uncertainty = split_uncertainty(written.sensitivity)
     if "#" in text:
         slope = calibrated_slope(text, folder)
         if slope.std_error:
             number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
+            yield ChannelUncertainty(
+                "gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1")
+            )
     if uncertainty:
         number = _relative(text, uncertainty)
         yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
@@ -84,7 +101,9 @@ def _relative(text: str, uncertainty: str) -> Uncertain:
     """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
     number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
-    return Uncertain(1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source)
+    return Uncertain(
+        1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
+    )
 
 
 def _of_delay(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001 (one signature for all readers)
@@ -98,7 +117,8 @@ def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty
     _, uncertainty = split_uncertainty(written.dof)
     if uncertainty:
         yield ChannelUncertainty(
-            "direction", uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad")
+            "direction",
+            uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad"),
         )
 
 
@@ -106,16 +126,25 @@ def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  
     if written.chain is None:
         return
     if written.chain.gain:
-        yield ChannelUncertainty("gain", uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"))
+        yield ChannelUncertainty(
+            "gain",
+            uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"),
+        )
     if written.chain.phase:
         yield ChannelUncertainty(
-            "phase", uncertainty_of(parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad")
+            "phase",
+            uncertainty_of(
+                parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"
+            ),
         )
 
 
 @dataclass(frozen=True)
 class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom; no error where the fit has none."""
+    """Slope of a calibration fit [unit] with its standard error and degrees of freedom.
+
+    No error where the fit has none.
+    """
 
     value: float
     unit: str
@@ -124,15 +153,26 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file. UnitError where there is none."""
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file.
+
+    UnitError where there is none.
+    """
     file, _, fit_name = reference.partition("#")
     try:
-        fits: dict[str, Mapping[str, Any]] = {fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]}
-        slopes = [parameter for parameter in fits.get(fit_name, {"parameters": ()})["parameters"] if parameter["name"] == "slope"]
+        fits: dict[str, Mapping[str, Any]] = {
+            fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]
+        }
+        slopes = [
+            parameter
+            for parameter in fits.get(fit_name, {"parameters": ()})["parameters"]
+            if parameter["name"] == "slope"
+        ]
         if slopes:
             return _slope(slopes[0], fits[fit_name].get("dof"))
     except DamagedError as error:
-        raise UnitError(f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint) from None
+        raise UnitError(
+            f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint
+        ) from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
     raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
@@ -155,11 +195,16 @@ COLUMNS = ("frequency_hz", "gain", "phase_deg")
 def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
     """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
 
-    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a file that cannot be
-    read, other columns, what is no number, fewer than two rows, a gain not above zero, or frequencies that do not increase.
+    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a
+    file that cannot be read, other columns, what is no number, fewer than two rows, a gain not above zero, or
+    frequencies that do not increase.
     """
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+        lines = [
+            line
+            for line in path.read_text(encoding="utf-8-sig").splitlines()
+            if line.strip() and not line.startswith("#")
+        ]
     except OSError:
         raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
     except UnicodeDecodeError:
@@ -188,7 +233,17 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
 # Beside the plain entries of a rig file.
 PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.
-RECORDED_ONLY = ("unit", "column", "sensitivity", "invert", "delay", "response", "range", "uncertainty", "doubt")
+RECORDED_ONLY = (
+    "unit",
+    "column",
+    "sensitivity",
+    "invert",
+    "delay",
+    "response",
+    "range",
+    "uncertainty",
+    "doubt",
+)
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
 
@@ -198,7 +253,9 @@ class RigSettings(Settings):
 
     name: str = setting("text", "name of the rig, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rig", default="")
-    sample_rate: float | None = setting("value", "sampling rate, where no time column or file gives it", unit="Hz", default=None)
+    sample_rate: float | None = setting(
+        "value", "sampling rate, where no time column or file gives it", unit="Hz", default=None
+    )
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
     uncertainties: Uncertainties = ()
@@ -211,18 +268,35 @@ class ChannelSettings(Settings):
     quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
     unit: str = setting("text", "unit of the recorded numbers; default: SI", default="")
     column: str = setting("text", "column of the file; default: the channel's key", default="")
-    role: str = setting("choice", "input (force), output (response) or reference, as members of sums are", choices=ROLES, default="")
+    role: str = setting(
+        "choice",
+        "input (force), output (response) or reference, as members of sums are",
+        choices=ROLES,
+        default="",
+    )
     dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
-    position: float | None = setting("value", "place along the axis, where magnets and sensors are apart", unit="m", default=None)
+    position: float | None = setting(
+        "value", "place along the axis, where magnets and sensors are apart", unit="m", default=None
+    )
     sensitivity: str = setting("text", "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'", default="")
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
-    response: str = setting("text", "CSV table of the sensor's frequency response, taken out of the FRF", default="")
-    range: tuple[float, float] | None = setting("text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None)
-    uncertainty: ChainUncertaintySettings | None = setting(
-        "section", "uncertainty of the whole chain", section=ChainUncertaintySettings, default=None, before="doubt"
+    response: str = setting(
+        "text", "CSV table of the sensor's frequency response, taken out of the FRF", default=""
     )
-    derived: str = setting("text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default="")
+    range: tuple[float, float] | None = setting(
+        "text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None
+    )
+    uncertainty: ChainUncertaintySettings | None = setting(
+        "section",
+        "uncertainty of the whole chain",
+        section=ChainUncertaintySettings,
+        default=None,
+        before="doubt",
+    )
+    derived: str = setting(
+        "text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default=""
+    )
     uncertainties: Uncertainties = ()
 
 
@@ -244,14 +318,20 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
     for name, node in faults.mapping(entry, key).items():
         channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
         if channel is None:
-            faults.add(node, join(key, name), "the rig has no such channel", nearest(name, tree.content["channels"].content))
+            faults.add(
+                node,
+                join(key, name),
+                "the rig has no such channel",
+                nearest(name, tree.content["channels"].content),
+            )
         else:
             channel.content.update(faults.mapping(node, join(key, name)))
     return read_rig(tree, faults)
 
 
 def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
-    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of that role.
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of
+    that role.
 
     ConfigError for a name that is no channel of the rig.
     """
@@ -260,11 +340,22 @@ def moved(rig: Rig, dofs: Mapping[str, str]) -> Rig:
         of_role = [channel.name for channel in rig.all_channels if channel.role == name]
         names = [channel.name for channel in rig.all_channels]
         if name not in names and len(of_role) != 1:
-            what = f"'{name}' is no channel of the rig" if not of_role else f"the rig has {len(of_role)} channels of the role {name}"
+            what = (
+                f"'{name}' is no channel of the rig"
+                if not of_role
+                else (f"the rig has {len(of_role)} channels of the role {name}")
+            )
             raise ConfigError(what, hint=nearest(name, names))
         places[name if name in names else of_role[0]] = dof
-    channels = tuple(replace(recorded, channel=_at(recorded.channel, places.get(recorded.channel.name))) for recorded in rig.channels)
-    return replace(rig, channels=channels, derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived))
+    channels = tuple(
+        replace(recorded, channel=_at(recorded.channel, places.get(recorded.channel.name)))
+        for recorded in rig.channels
+    )
+    return replace(
+        rig,
+        channels=channels,
+        derived=tuple(_at(channel, places.get(channel.name)) for channel in rig.derived),
+    )
 
 
 def _at(channel: Channel, dof: str | None) -> Channel:
@@ -277,9 +368,16 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     entries = faults.mapping(tree, "")
     plain = Marked({k: v for k, v in entries.items() if k not in PARTS}, tree.where)
     settings = read_settings(RigSettings, plain, "", faults)
-    channels, derived = _read_channels(_with_listed_sums(entries, faults), entries.get("constants"), tree, faults)
+    channels, derived = _read_channels(
+        _with_listed_sums(entries, faults), entries.get("constants"), tree, faults
+    )
     if settings is not None and settings.sample_rate is not None and settings.time is not None:
-        faults.add(entries["time"], "sample_rate", "one of sample_rate and time is needed, not both", "leave one of them out")
+        faults.add(
+            entries["time"],
+            "sample_rate",
+            "one of sample_rate and time is needed, not both",
+            "leave one of them out",
+        )
     if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
         faults.add(entries["sample_rate"], "sample_rate", "must be positive")
     if len(faults) > before or settings is None:
@@ -298,7 +396,9 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
 
 
 def time_scale(column: str | None) -> float:
-    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without one)."""
+    """Seconds per unit of the time column, from the unit in brackets behind its name (seconds without
+    one).
+    """
     match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
     if match is None:
         return 1.0
@@ -309,7 +409,9 @@ def time_scale(column: str | None) -> float:
 
 
 def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
-    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force}."""
+    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg},
+    quantity: force}.
+    """
     channels = entries.get("channels")
     if channels is None or "derived" not in entries or not isinstance(channels.content, dict):
         return channels
@@ -321,11 +423,19 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
         if name in together:
             faults.add(node, key, "is a channel already", "give it another name")
         elif listed is None or not isinstance(listed.content, dict):
-            faults.add(listed or node, join(key, "sum"), "a mapping of channels to factors is needed", "sum: {f: 1, a: -30 kg +- 0.1 kg}")
+            faults.add(
+                listed or node,
+                join(key, "sum"),
+                "a mapping of channels to factors is needed",
+                "sum: {f: 1, a: -30 kg +- 0.1 kg}",
+            )
         else:
             text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
             as_text = Marked(text, listed.where, listed.key_where, text)
-            content = {**{entry: value for entry, value in parts.items() if entry != "sum"}, "derived": as_text}
+            content = {
+                **{entry: value for entry, value in parts.items() if entry != "sum"},
+                "derived": as_text,
+            }
             together[name] = Marked(content, node.where, node.key_where)
     return Marked(together, channels.where, channels.key_where, channels.text)
 
@@ -338,14 +448,22 @@ def _read_channels(
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
     entries = faults.mapping(node, "channels")
-    sums = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict) and "derived" in entry.content}
+    sums = {
+        name: entry
+        for name, entry in entries.items()
+        if isinstance(entry.content, dict) and "derived" in entry.content
+    }
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
     derived = _read_sums(sums, entries, read_constants(constants, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
     # A force in a sum is no force of its own unless the file says so.
-    free = [channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content]
+    free = [
+        channel.channel.name for channel in channels if "role" not in entries[channel.channel.name].content
+    ]
     channels = [
-        replace(recorded, channel=replace(recorded.channel, role="reference")) if recorded.channel.name in members & set(free) else recorded
+        replace(recorded, channel=replace(recorded.channel, role="reference"))
+        if recorded.channel.name in members & set(free)
+        else recorded
         for recorded in channels
     ]
     return channels, derived
@@ -359,24 +477,45 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
         if channel is None:
             continue
         if channel.column in columns:
-            faults.add(entry, join("channels", name), f"takes the column '{channel.column}' of channel '{columns[channel.column]}'")
+            faults.add(
+                entry,
+                join("channels", name),
+                f"takes the column '{channel.column}' of channel '{columns[channel.column]}'",
+            )
         columns[channel.column] = name
         channels.append(channel)
     return channels
 
 
 def _read_sums(
-    sums: dict[str, Marked], entries: dict[str, Marked], constants: dict[str, Factor], recorded: list[RigChannel], faults: Faults
+    sums: dict[str, Marked],
+    entries: dict[str, Marked],
+    constants: dict[str, Factor],
+    recorded: list[RigChannel],
+    faults: Faults,
 ) -> tuple[Channel, ...]:
-    """The channels that are sums of others, written out in recorded channels; a channel that could not be read is no second fault."""
-    quantities = {name: entry.content["quantity"].text for name, entry in entries.items() if _has_quantity(entry)}
+    """The channels that are sums of others, written out in recorded channels.
+
+    A channel that could not be read is no second fault.
+    """
+    quantities = {
+        name: entry.content["quantity"].text for name, entry in entries.items() if _has_quantity(entry)
+    }
     reader = SumReader(quantities, constants)
-    settings = {name: read_settings(ChannelSettings, entry, join("channels", name), faults) for name, entry in sums.items()}
+    settings = {
+        name: read_settings(ChannelSettings, entry, join("channels", name), faults)
+        for name, entry in sums.items()
+    }
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():
         for key in RECORDED_ONLY:
             if key in entry.content:
-                faults.add(entry.content[key], join("channels", name, key), "belongs to a recorded channel, this is a sum", "leave it out")
+                faults.add(
+                    entry.content[key],
+                    join("channels", name, key),
+                    "belongs to a recorded channel, this is a sum",
+                    "leave it out",
+                )
         setting = settings[name]
         if setting is None:
             continue
@@ -391,7 +530,11 @@ def _read_sums(
 
 
 def _has_quantity(entry: Marked) -> bool:
-    return isinstance(entry.content, dict) and "quantity" in entry.content and entry.content["quantity"].text in QUANTITIES
+    return (
+        isinstance(entry.content, dict)
+        and "quantity" in entry.content
+        and entry.content["quantity"].text in QUANTITIES
+    )
 
 
 def _sum_channel(
@@ -402,7 +545,10 @@ def _sum_channel(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:
-    """A sum with the delay and response that all its members have; none where they differ, which the FRF refuses."""
+    """A sum with the delay and response that all its members have.
+
+    None where they differ, which the FRF refuses.
+    """
     key = join("channels", name)
     assert settings is not None
     try:
@@ -411,7 +557,11 @@ def _sum_channel(
         faults.add_unit(entry.content["derived"], join(key, "derived"), error)
         return None
     by_name = {channel.channel.name: channel.channel for channel in recorded}
-    chains = {(by_name[term.channel].delay, by_name[term.channel].response) for term in terms if term.channel in by_name}
+    chains = {
+        (by_name[term.channel].delay, by_name[term.channel].response)
+        for term in terms
+        if term.channel in by_name
+    }
     delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
     dof, angle = _direction(settings.dof or name, entry, key, faults)
     member = any(term.channel == name for other in sums.values() for term in other)
@@ -428,7 +578,9 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     limits = _limits(settings, node, key, faults)
     dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults)
-    written = Written(name, node.content, settings.sensitivity, settings.dof, settings.uncertainties, settings.uncertainty)
+    written = Written(
+        name, node.content, settings.sensitivity, settings.dof, settings.uncertainties, settings.uncertainty
+    )
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
     uncertainties = channel_uncertainties(written, node, key, faults) if len(faults) == before else ()
     if len(faults) > before:
@@ -436,9 +588,19 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     sign = -1.0 if settings.invert else 1.0
     role = settings.role or DEFAULT_ROLES.get(settings.quantity, "reference")
     channel = Channel(
-        name, settings.quantity, role, dof, angle, settings.delay, response, uncertainties=uncertainties, position=settings.position
+        name,
+        settings.quantity,
+        role,
+        dof,
+        angle,
+        settings.delay,
+        response,
+        uncertainties=uncertainties,
+        position=settings.position,
     )
-    return RigChannel(channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits)
+    return RigChannel(
+        channel, settings.column or name, settings.unit or channel.unit, sign * scale, sign * offset, limits
+    )
 
 
 def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, float | None]:
@@ -453,7 +615,9 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
     return dof, None
 
 
-def _response(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[tuple[float, float, float], ...]:
+def _response(
+    settings: ChannelSettings, node: Marked, key: str, faults: Faults
+) -> tuple[tuple[float, float, float], ...]:
     """The sensor's frequency response; its table stands beside the rig file."""
     if not settings.response:
         return ()
@@ -477,14 +641,19 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
     try:
-        return unit.factor / _sensitivity(split_uncertainty(settings.sensitivity)[0], unit, si_unit, node), 0.0
+        return unit.factor / _sensitivity(
+            split_uncertainty(settings.sensitivity)[0], unit, si_unit, node
+        ), 0.0
     except UnitError as error:
         faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
         return 1.0, 0.0
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
-    """Recorded SI unit per SI unit of the quantity; "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration."""
+    """Recorded SI unit per SI unit of the quantity.
+
+    "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
+    """
     if "#" in text:
         slope = calibrated_slope(text, Path(node.where.rsplit(":", 2)[0]).parent)
         text = f"{slope.value!r} {slope.unit}"
@@ -500,7 +669,10 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
             return number * reading.factor
         if reading.dimension == tuple(-w for w in wanted):
             return 1.0 / (number * reading.factor)
-    raise UnitError(f"'{match[2]}' does not lead from the channel's unit to {si_unit}", "write recorded unit per quantity, e.g. 'V/mm'")
+    raise UnitError(
+        f"'{match[2]}' does not lead from the channel's unit to {si_unit}",
+        "write recorded unit per quantity, e.g. 'V/mm'",
+    )
 
 
 def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float] | None:

@@ -15,10 +15,12 @@ _ADDRESS = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<which>[^\]]*)\])?\.(?P<item>
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), or '=' (a word or flag).
+    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), or
+    '=' (a word or flag).
 
-    *which* selects among fits of one name: a test's name or the centre of a sliding band ("72.5 Hz"). *bound* is the text behind
-    the comparison, read in the unit of what it is compared with; *place* is where the rule stands.
+    *which* selects among fits of one name: a test's name or the centre of a sliding band ("72.5 Hz"). *bound*
+    is the text behind the comparison, read in the unit of what it is compared with; *place* is where the rule
+    stands.
     """
 
     section: str
@@ -44,11 +46,24 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
     for address, entry in faults.mapping(node, section).items():
         match = _ADDRESS.match(address)
         if match is None:
-            faults.add(entry, f"{section}.{address}", "is not an address", "write fit.parameter, for example direct.k")
+            faults.add(
+                entry,
+                f"{section}.{address}",
+                "is not an address",
+                "write fit.parameter, for example direct.k",
+            )
         elif match["fit"] not in fits:
-            faults.add(entry, f"{section}.{address}", f"there is no fit '{match['fit']}'", f"known: {', '.join(fits)}")
+            faults.add(
+                entry,
+                f"{section}.{address}",
+                f"there is no fit '{match['fit']}'",
+                f"known: {', '.join(fits)}",
+            )
         else:
-            rules.extend(_rule(section, address, entry, match, text) for text in _rule_texts(entry, f"{section}.{address}", faults))
+            rules.extend(
+                _rule(section, address, entry, match, text)
+                for text in _rule_texts(entry, f"{section}.{address}", faults)
+            )
     return tuple(rules)
 
 

@@ -1,6 +1,7 @@
 """A whole pipeline: the stages in their order, what is fresh left as it is.
 
-A single test is all or nothing. Of several tests each is all or nothing: one that fails is named and the others are finished.
+A single test is all or nothing. Of several tests each is all or nothing: one that fails is named and the
+others are finished.
 """
 
 from __future__ import annotations
@@ -18,7 +19,18 @@ from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identified, keeps_dataset
 from labpipe.project.measured import MeasuredTest
-from labpipe.project.one_test import Done, Job, Tell, brought, finished_fits, measure, measured_of, measured_refs, silent, work
+from labpipe.project.one_test import (
+    Done,
+    Job,
+    Tell,
+    brought,
+    finished_fits,
+    measure,
+    measured_of,
+    measured_refs,
+    silent,
+    work,
+)
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.rules import Rule
 from labpipe.project.work import check_tested
@@ -48,7 +60,9 @@ class Manner:
 
 @dataclass(frozen=True)
 class Measured:
-    """The responses or decays of all tests, the files behind them, the fits made on the way, the tests that failed, digests of *tests*."""
+    """The responses or decays of all tests, the files behind them, the fits made on the way, the tests that
+    failed, digests of *tests*.
+    """
 
     tests: tuple[MeasuredTest, ...]
     sources: tuple[SourceRef, ...]
@@ -79,13 +93,16 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
 
 
 def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
-    """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError for a test that there is not.
+    """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError
+    for a test that there is not.
 
     Several tests may be worked on at once, each by its own process, as schedulers of jobs do.
     """
     names = [declared.name for declared in pipeline.tests]
     if test not in names or len(names) < MANY:
-        raise ConfigError(f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names))
+        raise ConfigError(
+            f"no test '{test}' among several", where=str(pipeline.path), hint=nearest(test, names)
+        )
     with staging_folder(existing_home(target)) as scratch:
         return work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
 
@@ -93,11 +110,20 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> Done:
 def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:
     """The fits of responses that are there, where so many tests are kept as a dataset; None for fewer."""
     independent = independent_fits(pipeline)
-    return _run_many(pipeline, output, manner, independent, measured_before=True) if keeps_dataset(pipeline, independent) else None
+    return (
+        _run_many(pipeline, output, manner, independent, measured_before=True)
+        if keeps_dataset(pipeline, independent)
+        else None
+    )
 
 
 def _run_many(
-    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str], *, measured_before: bool = False
+    pipeline: Pipeline,
+    output: OutputFolder,
+    manner: Manner,
+    fits: Sequence[str],
+    *,
+    measured_before: bool = False,
 ) -> Identification:
     """All stages of so many tests that their results are kept as a dataset, or those after the responses."""
     with staging_folder(existing_home(output.target)) as scratch:
@@ -110,8 +136,13 @@ def _run_many(
     return identified(pipeline, gathered, output)
 
 
-def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()) -> Measured:
-    """ingest and frf of every test, and of several tests the fits named in *fits*; ready responses are read as they are."""
+def measure_tests(
+    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
+) -> Measured:
+    """ingest and frf of every test, and of several tests the fits named in *fits*.
+
+    Ready responses are read as they are.
+    """
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) >= MANY else ())
         if len(jobs) > 1:
@@ -120,9 +151,13 @@ def measure_tests(pipeline: Pipeline, output: OutputFolder, manner: Manner, fits
             done = {job.test.name: _measured(job, output, manner) for job in jobs}
     output.remarks.extend(remark for outcome in done.values() for remark in outcome.remarks)
     finished = [job for job in jobs if done[job.test.name].failed is None]
-    failed = tuple(outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None)
+    failed = tuple(
+        outcome.failed for outcome in (done[job.test.name] for job in jobs) if outcome.failed is not None
+    )
     if failed and not finished:
-        raise DataError(f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)")
+        raise DataError(
+            f"{failed[0].message} (and none of the other {len(failed) - 1} tests could be evaluated)"
+        )
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     tests = [part for job in finished for part in measured_of(job, output)]
@@ -141,15 +176,30 @@ def independent_fits(pipeline: Pipeline) -> list[str]:
     return [settings.name for settings in pipeline.fits if not settings.kind.earlier(settings)]
 
 
-def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str], rules: tuple[Rule, ...] | None = None) -> list[Job]:
-    """One job for each test; ConfigError when two would write the same file, or a fit names a test that there is not."""
+def _jobs(
+    pipeline: Pipeline,
+    target: Path,
+    scratch: Path,
+    fits: Sequence[str],
+    rules: tuple[Rule, ...] | None = None,
+) -> list[Job]:
+    """One job for each test.
+
+    ConfigError when two would write the same file, or a fit names a test that there is not.
+    """
     files: dict[str, str] = {}
     for test in pipeline.tests:
         other = files.setdefault(frf_file_name(test.name), test.name)
         if other != test.name:
-            raise ConfigError(f"tests '{other}' and '{test.name}' would write the same file", where=str(pipeline.path), hint="rename one")
+            raise ConfigError(
+                f"tests '{other}' and '{test.name}' would write the same file",
+                where=str(pipeline.path),
+                hint="rename one",
+            )
     test_names = [
-        name for test in pipeline.tests for name in ([test.name] if test.recordings else [test.name or ready.name for ready in test.frfs])
+        name
+        for test in pipeline.tests
+        for name in ([test.name] if test.recordings else [test.name or ready.name for ready in test.frfs])
     ]
     for settings in pipeline.fits:
         check_tested(settings, test_names)
@@ -160,7 +210,9 @@ def _jobs(pipeline: Pipeline, target: Path, scratch: Path, fits: Sequence[str], 
             tuple(next(names) for _ in test.recordings),
             frf=test.frf or pipeline.frf,
             fits=tuple(
-                settings for settings in pipeline.fits if settings.name in fits and (not settings.test or test.name in settings.test)
+                settings
+                for settings in pipeline.fits
+                if settings.name in fits and (not settings.test or test.name in settings.test)
             ),
             pipeline_path=pipeline.path,
             target=target,
@@ -179,7 +231,10 @@ def _outcomes(jobs: Sequence[Job], manner: Manner) -> Iterator[Done]:
             count += 1
             manner.progress(count, len(jobs), outcome.test)
             if outcome.halts and outcome.failed is not None:
-                raise DataError(outcome.failed.message, hint=f"{count - 1} of {len(jobs)} tests are finished and kept; {AGAIN}")
+                raise DataError(
+                    outcome.failed.message,
+                    hint=f"{count - 1} of {len(jobs)} tests are finished and kept; {AGAIN}",
+                )
             yield outcome
     except KeyboardInterrupt:
         remark = f"{count} of {len(jobs)} tests are finished and kept"

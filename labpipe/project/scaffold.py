@@ -1,4 +1,7 @@
-"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide; and the shipped examples."""
+"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide.
+
+And the shipped examples.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,16 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
-from labpipe.project.first_guess import GuessedChannel, GuessedFrf, copies, first_rows, guess_channels, guessed_frf, step_of, time_columns
+from labpipe.project.first_guess import (
+    GuessedChannel,
+    GuessedFrf,
+    copies,
+    first_rows,
+    guess_channels,
+    guessed_frf,
+    step_of,
+    time_columns,
+)
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
@@ -34,15 +46,23 @@ _VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
 
 
 def shipped() -> Path:
-    """Where pipelines, configs and sample data are: in the checkout, or beside the installed package; ConfigError when nowhere."""
+    """Where pipelines, configs and sample data are: in the checkout, or beside the installed package.
+
+    ConfigError when nowhere.
+    """
     for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
         if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
             return root
-    raise ConfigError("the examples are not installed", hint="they come with the repository: pipelines, configs and sample_data")
+    raise ConfigError(
+        "the examples are not installed",
+        hint="they come with the repository: pipelines, configs and sample_data",
+    )
 
 
 def examples() -> dict[str, list[Path]]:
-    """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it has none."""
+    """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it
+    has none.
+    """
     by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
         by_rig.setdefault(_rig_of(path), []).append(path)
@@ -59,7 +79,8 @@ def _rig_of(path: Path) -> str:
 
 
 def copy_example(name: str, output: OutputFolder) -> list[str]:
-    """Copy an example's pipelines with all they name, in the folders that they are in; the names of the pipelines.
+    """Copy an example's pipelines with all they name, in the folders that they are in; the names of the
+    pipelines.
 
     ConfigError when there is none of that name.
     """
@@ -68,7 +89,11 @@ def copy_example(name: str, output: OutputFolder) -> list[str]:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
     root = shipped()
     files = [*pipelines[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
-    samples = {sample for pipeline in pipelines[name] for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))}
+    samples = {
+        sample
+        for pipeline in pipelines[name]
+        for sample in _SAMPLE.findall(pipeline.read_text(encoding="utf-8"))
+    }
     for sample in sorted(samples):
         files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
     for path in files:
@@ -95,12 +120,20 @@ class Scaffold:
     def decisions(self) -> list[str]:
         """The marked lines, with the file that they stand in."""
         files = (("rig.yaml", self.rig), ("pipeline.yaml", self.pipeline))
-        return [f"{name}:{n}" for name, text in files for n, line in enumerate(text.splitlines(), 1) if MARK in line]
+        return [
+            f"{name}:{n}"
+            for name, text in files
+            for n, line in enumerate(text.splitlines(), 1)
+            if MARK in line
+        ]
 
 
 @dataclass(frozen=True)
 class FirstLook:
-    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it; rows (n_sample, n_channel) as recorded."""
+    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it.
+
+    Rows (n_sample, n_channel) as recorded.
+    """
 
     channels: tuple[GuessedChannel, ...]
     rate: float
@@ -113,7 +146,10 @@ class FirstLook:
 
 
 def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
-    """The project in *folder* for recordings, or for FRFs, which need no rig file; DataError for a file that cannot be read."""
+    """The project in *folder* for recordings, or for FRFs, which need no rig file.
+
+    DataError for a file that cannot be read.
+    """
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
@@ -152,23 +188,33 @@ def _rig(first: FirstLook, path: Path) -> str:
     if first.time:
         lines.append(f"time: {json.dumps(first.time, ensure_ascii=False)}")
     elif not first.rate:
-        lines.append(f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does not state it")
+        lines.append(
+            f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does "
+            "not state it"
+        )
     lines.append("channels:                      # key = the name used everywhere else")
     lines.extend(_channel_line(channel) for channel in first.channels)
     lines.extend(f"# not used: {unused}" for unused in first.unused)
-    lines.append("# mass: 1 kg                   # that moves with the response; without it the mass is estimated")
+    lines.append(
+        "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"
+    )
     return "\n".join(lines) + "\n"
 
 
 def _channel_line(channel: GuessedChannel) -> str:
-    entries = {"column": json.dumps(channel.column, ensure_ascii=False), "quantity": channel.quantity, "unit": json.dumps(channel.unit)}
+    entries = {
+        "column": json.dumps(channel.column, ensure_ascii=False),
+        "quantity": channel.quantity,
+        "unit": json.dumps(channel.unit),
+    }
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
     if channel.sensitivity:
         entries["sensitivity"] = channel.sensitivity
     if channel.invert:
         entries["invert"] = "true"
     decisions = f"  {MARK} {'; '.join(channel.decisions)}" if channel.decisions else ""
-    return f"  {channel.key}: {{{', '.join(f'{key}: {text}' for key, text in entries.items())}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
+    listed = ", ".join(f"{key}: {text}" for key, text in entries.items())
+    return f"  {channel.key}: {{{listed}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
 
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
@@ -185,24 +231,37 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "identify:",
     ]
     peaks = _peaks(first, inputs[:1], outputs, excitation) if excitation is not None and first.rate else {}
-    force = first.channels[inputs[0]].key if inputs else f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
+    force = (
+        first.channels[inputs[0]].key
+        if inputs
+        else (f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one")
+    )
     if not outputs:
-        lines.extend(_fit_lines("fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None))
+        lines.extend(
+            _fit_lines(
+                "fit", force, f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one", None
+            )
+        )
     for output in (first.channels[number].key for number in outputs):
         lines.extend(_fit_lines(f"fit_{output}", force, output, peaks.get(output)))
-    lines.append("# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md.")
+    lines.append(
+        "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
+    )
     return "\n".join(lines) + "\n"
 
 
 def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
-    """Whether displacements and accelerations were recorded together, which one response matrix cannot hold."""
+    """Whether displacements and accelerations were recorded together, which one response matrix cannot
+    hold.
+    """
     return {"displacement", "acceleration"} <= {first.channels[number].quantity for number in outputs}
 
 
 def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
     """A pipeline for all channels side by side, as of a stator that floats around its shaft."""
     lines = [
-        "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths are relative to this file.",
+        "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths "
+        "are relative to this file.",
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
         "title: Dynamic stiffness of my rig",
         "rig: rig.yaml",
@@ -213,7 +272,8 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "  film:",
         "    model: dynamic-stiffness",
         "    dynamic_stiffness:",
-        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its uncertainty: 60 kg +- 0.1 kg",
+        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its uncertainty: "
+        "60 kg +- 0.1 kg",
     ]
     return "\n".join(lines) + "\n"
 
@@ -222,7 +282,8 @@ def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str
     if len(paths) == 1:
         return [f"{kind}: {json.dumps(paths[0], ensure_ascii=False)}"]
     entries = (
-        f"  - {{name: {json.dumps(file.stem, ensure_ascii=False)}, {kind}: {json.dumps(path, ensure_ascii=False)}}}"
+        f"  - {{name: {json.dumps(file.stem, ensure_ascii=False)}, {kind}: "
+        f"{json.dumps(path, ensure_ascii=False)}}}"
         for file, path in zip(files, paths, strict=True)
     )
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
@@ -232,7 +293,8 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
         return [
             "frf:",
-            f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 s), decay (no force)",
+            f"  excitation: {DECIDE}    {MARK} periodic (with period: 1 s), random or impact (with block: 1 "
+            "s), decay (no force)",
         ]
     remark = {
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
@@ -240,7 +302,11 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "impact": f"{excitation.repeats} hits",
     }[excitation.kind]
     low, high = excitation.band
-    length = f"{excitation.length / rate:.12g} s" if rate else f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
+    length = (
+        f"{excitation.length / rate:.12g} s"
+        if rate
+        else (f"{DECIDE}    {MARK} the time that {excitation.length} samples take")
+    )
     lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
     lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
     if excitation.kind == "periodic":
@@ -253,14 +319,25 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
 
 
 def _fit_lines(name: str, force: str, output: str, band: tuple[float, float] | None) -> list[str]:
-    lines = [f"  {name}:", "    model: sdof", "    estimator: ml", f"    input: {force}", f"    output: {output}"]
+    lines = [
+        f"  {name}:",
+        "    model: sdof",
+        "    estimator: ml",
+        f"    input: {force}",
+        f"    output: {output}",
+    ]
     if band is not None:
         lines.append(f"    band: {band[0]:.6g}-{band[1]:.6g} Hz".ljust(31) + "# around the highest peak")
     return lines
 
 
-def _peaks(first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation) -> dict[str, tuple[float, float]]:
-    """A band around the highest peak of the mobility of each response, by its channel; none where nothing can be measured."""
+def _peaks(
+    first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation
+) -> dict[str, tuple[float, float]]:
+    """A band around the highest peak of the mobility of each response, by its channel.
+
+    None where nothing can be measured.
+    """
     chosen = [*inputs, *outputs]
     channels = tuple(_as_channel(first.channels[number]) for number in chosen)
     kinds = {channel.quantity for channel in channels if channel.role == "output"}
@@ -279,17 +356,24 @@ def _peaks(first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], exci
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:
         return {}
-    return {port.label: _around(response.frequency, _mobility(response)[:, row]) for row, port in enumerate(response.outputs)}
+    return {
+        port.label: _around(response.frequency, _mobility(response)[:, row])
+        for row, port in enumerate(response.outputs)
+    }
 
 
 def _as_channel(channel: GuessedChannel) -> Channel:
     """The channel for a look at the spectra; what is not known counts as a displacement, in any unit."""
-    quantity = channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
+    quantity = (
+        channel.quantity if channel.quantity in ("force", "velocity", "acceleration") else "displacement"
+    )
     return Channel(channel.key, quantity, channel.role, channel.dof)
 
 
 def _mobility(response: FrequencyResponse) -> FloatArray:
-    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end outweighs a resonance."""
+    """|velocity / force| (n_frequency, n_output) of the first force: neither the low nor the high end
+    outweighs a resonance.
+    """
     order = {"receptance": 1, "mobility": 0, "accelerance": -1}.get(response.form, 0)
     weight = np.maximum(response.frequency, response.frequency[response.frequency > 0].min()) ** order
     return np.abs(response.matrix[:, :, 0]) * weight[:, None]
@@ -300,14 +384,19 @@ def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
     peak = int(np.argmax(mobility))
     reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
     lowest = float(frequency[frequency > 0][0])
-    return max(float(frequency[peak]) - reach, lowest), min(float(frequency[peak]) + reach, float(frequency[-1]))
+    return max(float(frequency[peak]) - reach, lowest), min(
+        float(frequency[peak]) + reach, float(frequency[-1])
+    )
 
 
 def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs: one fit for each response, to the first force."""
     files = [Path(path) for path in paths]
     estimator = "ml" if response.covariance is not None else "ls"
-    lines = ["# What to do with the FRFs. Paths are relative to this file.", "title: Stiffness and damping from measured FRFs"]
+    lines = [
+        "# What to do with the FRFs. Paths are relative to this file.",
+        "title: Stiffness and damping from measured FRFs",
+    ]
     lines.extend(_sources(files, paths, "frfs"))
     lines.append("identify:")
     for row, port in enumerate(response.outputs):
@@ -319,16 +408,25 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
 
 def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs in tables of another program: one file, or one for each point."""
-    columns = ", ".join(f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in guessed.columns.items())
+    columns = ", ".join(
+        f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in guessed.columns.items()
+    )
     unit = (
         json.dumps(guessed.unit, ensure_ascii=False)
         if guessed.unit
         else f"{DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"
     )
-    lines = ["# What to do with the FRFs. Paths are relative to this file.", "title: Stiffness and damping from measured FRFs", "frfs:"]
+    lines = [
+        "# What to do with the FRFs. Paths are relative to this file.",
+        "title: Stiffness and damping from measured FRFs",
+        "frfs:",
+    ]
     if len(paths) > 1:
         lines.append(f"  each: {json.dumps(list(paths), ensure_ascii=False)}")
-        lines.append(f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example 'H_{{output}}_{{input}}'")
+        lines.append(
+            f"  pattern: {DECIDE}    {MARK} where the dofs stand in the files' names, for example "
+            "'H_{output}_{input}'"
+        )
     else:
         lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
     lines += [f"  columns: {{{columns}}}", f"  unit: {unit}"]
@@ -337,6 +435,8 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         lines.append(f"  input: {DECIDE}    {MARK} the dof of the force, for example f")
     moving = guessed.frequency > 0
     band = _around(guessed.frequency[moving], guessed.size[moving, None]) if moving.sum() > 1 else None
-    fit = _fit_lines("fit", f"{DECIDE}    {MARK} the dof of the force", f"{DECIDE}    {MARK} the dof of the response", band)
+    fit = _fit_lines(
+        "fit", f"{DECIDE}    {MARK} the dof of the force", f"{DECIDE}    {MARK} the dof of the response", band
+    )
     lines += ["identify:", *(line.replace("estimator: ml", "estimator: ls") for line in fit)]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,6 @@
-"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, made from the same settings that read them."""
+"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, made from the same settings that read
+them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ SCHEMAS = Registry(
 def rig_schema() -> dict[str, Any]:
     """The schema of a rig file."""
     schema = object_schema(RigSettings)
-    schema["properties"]["channels"] = {"type": "object", "additionalProperties": object_schema(ChannelSettings)}
+    schema["properties"]["channels"] = {
+        "type": "object",
+        "additionalProperties": object_schema(ChannelSettings),
+    }
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     schema["properties"]["constants"] = {
         **constants,
@@ -45,53 +50,99 @@ def rig_schema() -> dict[str, Any]:
     }
     factors = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     listed = object_schema(ChannelSettings)
-    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {"sum": factors}
+    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")} | {
+        "sum": factors
+    }
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
-    schema["properties"]["derived"] = {"type": "object", "additionalProperties": listed, "description": described}
+    schema["properties"]["derived"] = {
+        "type": "object",
+        "additionalProperties": listed,
+        "description": described,
+    }
     schema["required"] = ["channels"]
     return {"$schema": DRAFT, "title": "labpipe rig", **schema}
 
 
-def pipeline_schema() -> dict[str, Any]:
-    """The schema of a pipeline file."""
+def _recordings() -> dict[str, Any]:
+    """`recordings:`: files by name or glob, or with a rig, channels and a pattern of their own."""
     entry = {
         "type": "object",
         "properties": {
             "file": {"type": "string", "description": "a file or a glob"},
             "each": {**_TEXTS, "description": "files, of which each is a recording"},
             "join": {**_TEXTS, "description": "files that hold channels of one run"},
-            "by": {"enum": list(BY), "description": "how files are joined; default: on time where all have the rig's time column"},
-            "pattern": {"type": "string", "description": "dofs in the files' names, by channel, input or output: point_{output}_{input}"},
+            "by": {
+                "enum": list(BY),
+                "description": "how files are joined; default: on time where all have the rig's time column",
+            },
+            "pattern": {
+                "type": "string",
+                "description": "dofs in the files' names, by channel, input or "
+                "output: point_{output}_{input}",
+            },
             "rig": {"type": "string"},
             "channels": {"type": "object"},
         },
         "additionalProperties": False,
     }
-    recordings = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    return {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+
+
+def _frfs() -> dict[str, Any]:
+    """`frfs:`: files of frequency responses, by name or with their layout."""
     described = object_schema(FrfLayout)
-    frfs = {"anyOf": [{"type": "string"}, described, {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}}]}
+    return {
+        "anyOf": [
+            {"type": "string"},
+            described,
+            {"type": "array", "items": {"anyOf": [{"type": "string"}, described]}},
+        ]
+    }
+
+
+def pipeline_schema() -> dict[str, Any]:
+    """The schema of a pipeline file."""
+    recordings, frfs = _recordings(), _frfs()
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
         "name": {"type": "string"},
         "recordings": recordings,
         "frfs": frfs,
-        "each": {**recordings, "description": "files of which each is a test of its own, under the file's name"},
-        "together": {**_TEXTS, "description": "parts of the pattern in which the recordings of one test differ"},
-        "pattern": {"type": "string", "description": "conditions in the file's name, for example {preload}-{direction}"},
+        "each": {
+            **recordings,
+            "description": "files of which each is a test of its own, under the file's name",
+        },
+        "together": {
+            **_TEXTS,
+            "description": "parts of the pattern in which the recordings of one test differ",
+        },
+        "pattern": {
+            "type": "string",
+            "description": "conditions in the file's name, for example {preload}-{direction}",
+        },
         "conditions": conditions,
         "frf": {**object_schema(FrfSettings), "description": "in place of the pipeline's, for this test"},
     }
-    rules = {"type": "object", "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]}}
+    rules = {
+        "type": "object",
+        "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]},
+    }
     properties = {
         "title": {"type": "string"},
         "rig": {"type": "string", "description": "rig file, relative to this file"},
         "recordings": recordings,
-        "tests": {"type": "array", "items": {"type": "object", "properties": test, "additionalProperties": False}},
+        "tests": {
+            "type": "array",
+            "items": {"type": "object", "properties": test, "additionalProperties": False},
+        },
         "frfs": frfs,
         "conditions": conditions,
         "frf": object_schema(FrfSettings),
         "uncertainty": object_schema(UncertaintySettings),
-        "results": {"enum": list(RESULTS), "description": "How results of many tests are kept: whole, or as a dataset."},
+        "results": {
+            "enum": list(RESULTS),
+            "description": "How results of many tests are kept: whole, or as a dataset.",
+        },
         **{name: _section(entry) for name, entry in sections()},
         "report": object_schema(ReportSettings),
         "accept": rules,
@@ -111,8 +162,13 @@ def bearing_schema() -> dict[str, Any]:
     return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
 
 
-def of_kinds(title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others; *above*: further entries."""
+def of_kinds(
+    title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others.
+
+    *above*: further entries.
+    """
     options = []
     for name, owner in kinds.items():
         schema = object_schema(owner)
@@ -122,7 +178,10 @@ def of_kinds(title: str, key: str, kinds: Mapping[str, type], above: Mapping[str
 
 
 def _section(entry: PipelineSection) -> dict[str, Any]:
-    """A section, or a mapping of names to entries; of fits and comparisons with the sections that their kinds have."""
+    """A section, or a mapping of names to entries.
+
+    Of fits and comparisons with the sections that their kinds have.
+    """
     owner = entry.settings
     schema = object_schema(owner)
     if owner in OWN_SECTIONS:
@@ -132,7 +191,9 @@ def _section(entry: PipelineSection) -> dict[str, Any]:
         plain = [parts[kind.section]["properties"] for kind in kinds() if getattr(kind, "optional", False)]
         for name, described in schema["properties"].items():
             described["description"] += text(name)
-        schema["properties"] = {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
+        schema["properties"] = (
+            {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
+        )
     return {"type": "object", "additionalProperties": schema} if entry.named else schema
 
 
@@ -146,7 +207,10 @@ OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] =
 def object_schema(owner: type) -> dict[str, Any]:
     """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
-    properties = {name: {**_kind(setting), "description": _described(setting)} for name, (setting, _) in settings.items()}
+    properties = {
+        name: {**_kind(setting), "description": _described(setting)}
+        for name, (setting, _) in settings.items()
+    }
     required = [name for name, (_, needed) in settings.items() if needed]
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
 

@@ -1,4 +1,6 @@
-"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as tables."""
+"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as
+tables.
+"""
 
 from __future__ import annotations
 
@@ -48,16 +50,19 @@ if TYPE_CHECKING:
 
 # Bearings, rotors and virtual rigs by the name of their kind or by their file.
 
-# Readers of text files that say themselves what they are: from a path to a record, or None for a file of another kind.
+# Readers of text files that say themselves what they are: from a path to a record, or None for a file of
+# another kind.
 TEXT_FILES = Registry("text file", {})
 SETTINGS_SUFFIXES = (".yaml", ".yml")
 
 
 def bearing(kind: str | Path, **settings: Any) -> BearingCoefficients:
-    """Stiffness and damping of a bearing: of a bearing file, or of a *kind* with the entries of its file as keywords.
+    """Stiffness and damping of a bearing: of a bearing file, or of a *kind* with the entries of its file as
+    keywords.
 
-    ``bearing("journal-bearing", diameter="31 mm", length="18 mm", clearance="90 um", viscosity=0.1044, speed="50 Hz", load="58.8 N")``;
-    texts carry their unit, numbers are SI. ConfigError for an unknown kind or entry.
+    ``bearing("journal-bearing", diameter="31 mm", length="18 mm", clearance="90 um", viscosity=0.1044,
+    speed="50 Hz", load="58.8 N")``; texts carry their unit, numbers are SI. ConfigError for an unknown kind
+    or entry.
     """
     if _is_file(kind):
         file = open_bearing(Path(kind), [f"{name}={value}" for name, value in settings.items()])
@@ -90,22 +95,33 @@ def _is_file(kind: str | Path) -> bool:
 
 
 def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd.DataFrame:
-    """Parameters of a fit or of a whole result, one row each; a response over frequency [Hz]; a recording over time [s]. SI units.
+    """Parameters of a fit or of a whole result, one row each; a response over frequency [Hz]; a recording
+    over time [s]. SI units.
 
-    A response has for every element the columns ``o/i``, complex, and ``o/i:std``, its standard deviation, where the noise is known.
+    A response has for every element the columns ``o/i``, complex, and ``o/i:std``, its standard deviation,
+    where the noise is known.
     """
     if isinstance(record, Fit):
         return pd.DataFrame([_row(listed) for listed in of_fit(record)])
     if isinstance(record, Identification) and record.dataset is not None:
-        raise ConfigError("the numbers of so many tests stand in a dataset", hint="pandas.read_parquet('OUT/dataset') reads it")
+        raise ConfigError(
+            "the numbers of so many tests stand in a dataset",
+            hint="pandas.read_parquet('OUT/dataset') reads it",
+        )
     if isinstance(record, Identification):
         return pd.DataFrame([_row(listed) for listed in listed_parameters(record)])
     if isinstance(record, FrequencyResponse):
         return _response_frame(record)
     if isinstance(record, Recording):
         time = pd.Index(np.arange(record.n_sample) / record.sample_rate, name="time [s]")
-        return pd.DataFrame(record.samples, index=time, columns=[f"{channel.name} [{channel.unit}]" for channel in record.channels])
-    raise ConfigError(f"a {type(record).__name__} has no table", hint="a fit, a result, a response or a recording has")
+        return pd.DataFrame(
+            record.samples,
+            index=time,
+            columns=[f"{channel.name} [{channel.unit}]" for channel in record.channels],
+        )
+    raise ConfigError(
+        f"a {type(record).__name__} has no table", hint="a fit, a result, a response or a recording has"
+    )
 
 
 def _row(listed: ListedParameter) -> dict[str, Any]:
@@ -114,8 +130,18 @@ def _row(listed: ListedParameter) -> dict[str, Any]:
     return {
         **{name: getattr(listed, name) for name in ("fit", "test", "term", "model", "estimator")},
         **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
-        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit, "std_error": parameter.std_error},
-        **{"ci_low": low, "ci_high": high, "significant": parameter.significant, "derived": parameter.derived},
+        **{
+            "parameter": parameter.name,
+            "value": parameter.value,
+            "unit": parameter.unit,
+            "std_error": parameter.std_error,
+        },
+        **{
+            "ci_low": low,
+            "ci_high": high,
+            "significant": parameter.significant,
+            "derived": parameter.derived,
+        },
         "warnings": ", ".join(listed.warnings),
     }
 
@@ -147,7 +173,9 @@ def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
         "input": [port.label for port in response.inputs],
     }
     present = {name: (dims, values) for name, values in variables.items() if values is not None}
-    return xarray.Dataset(present, coords, {"form": response.form, "name": response.name, **response.conditions})
+    return xarray.Dataset(
+        present, coords, {"form": response.form, "name": response.name, **response.conditions}
+    )
 
 
 # Read every file of measurements or results by one function.
@@ -156,19 +184,25 @@ HEAD = 4096
 
 
 def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
-    """The content of a file, in SI units: a recording, a frequency response, spectra, a run-up table, or a result.
+    """The content of a file, in SI units: a recording, a frequency response, spectra, a run-up table, or a
+    result.
 
-    Raw recordings (CSV, TDMS, UFF 58, MAT, HDF5, WAV, Parquet) are calibrated as a *rig* file says; without one by the units and names that
-    the file itself states. FRFs come from CSV, UFF 58, MAT, HDF5 and ``*.frf.parquet``, free decays from ``*.decay.parquet``, spectra
-    of all channels from ``*.spectra.parquet``, results from identification.json or its folder.
-    LabpipeError names the file, and the channels that only a rig file can describe.
+    Raw recordings (CSV, TDMS, UFF 58, MAT, HDF5, WAV, Parquet) are calibrated as a *rig* file says; without
+    one by the units and names that the file itself states. FRFs come from CSV, UFF 58, MAT, HDF5 and
+    ``*.frf.parquet``, free decays from ``*.decay.parquet``, spectra of all channels from
+    ``*.spectra.parquet``, results from identification.json or its folder. LabpipeError names the file, and
+    the channels that only a rig file can describe.
     """
     path = Path(path)
     if path.is_dir():
         return read_identification(path / "identification.json")
     suffix = plain_suffix(path)
     if suffix in SETTINGS_SUFFIXES:
-        raise ConfigError("is a settings file", where=str(path), hint="labpipe.run, bearing, rotor and virtual_rig read these")
+        raise ConfigError(
+            "is a settings file",
+            where=str(path),
+            hint="labpipe.run, bearing, rotor and virtual_rig read these",
+        )
     if suffix == ".json":
         return read_identification(path)
     if path.name.endswith(DECAY_SUFFIX):
@@ -179,7 +213,11 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
         return load_response(path)
     if path.is_file() and is_recording(path):
         return open_recording(path).in_memory()
-    records = (TEXT_FILES.load(name)(path) for name in TEXT_FILES.names()) if suffix in TEXT_SUFFIXES and path.is_file() else ()
+    records = (
+        (TEXT_FILES.load(name)(path) for name in TEXT_FILES.names())
+        if suffix in TEXT_SUFFIXES and path.is_file()
+        else ()
+    )
     known = next((record for record in records if record is not None), None)
     if known is not None or rig is None:
         return known or _by_itself(path)
@@ -200,11 +238,21 @@ def _by_itself(path: Path) -> Recording:
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []
     if table.sample_rate is None and not time:
-        raise DataError("states no sampling rate and has no time column", where=str(path), hint="read it with rig='rig.yaml'")
+        raise DataError(
+            "states no sampling rate and has no time column",
+            where=str(path),
+            hint="read it with rig='rig.yaml'",
+        )
     guessed = guess_channels([name for name in names if name not in time], table.units)
-    undecided = [channel.column for channel in guessed if DECIDE in (channel.quantity, channel.unit, channel.sensitivity)]
+    undecided = [
+        channel.column
+        for channel in guessed
+        if DECIDE in (channel.quantity, channel.unit, channel.sensitivity)
+    ]
     if undecided:
-        what = f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
+        what = (
+            f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
+        )
         raise DataError(what, where=str(path), hint="read it with rig='rig.yaml'; labpipe init proposes one")
     return _recording(table, guessed, time)
 
@@ -218,7 +266,9 @@ def _recording(table: Table, guessed: list[GuessedChannel], time: list[str]) -> 
         screen = TimeAxisScreen(time[0])
         screen.add(samples[:, 0] * time_scale(time[0]))
         rate = screen.sample_rate()
-    return Recording(tuple(_channel(channel) for channel in guessed), calibrated, float(rate or 0.0), table.path.stem)
+    return Recording(
+        tuple(_channel(channel) for channel in guessed), calibrated, float(rate or 0.0), table.path.stem
+    )
 
 
 def _channel(guessed: GuessedChannel) -> Channel:
@@ -230,20 +280,27 @@ def _channel(guessed: GuessedChannel) -> Channel:
 # A pipeline from a script, as `labpipe run` does it.
 
 
-def run(pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1) -> Identification:
-    """The result of a pipeline file; with an *output* folder also its files and reports, where fresh results are reused.
+def run(
+    pipeline: str | Path, output: str | Path | None = None, overrides: Iterable[str] = (), jobs: int = 1
+) -> Identification:
+    """The result of a pipeline file; with an *output* folder also its files and reports, where fresh results
+    are reused.
 
-    The output may be of an object storage, s3://bucket/prefix.
-    *overrides*: as --set takes them, "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more
-    than one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail are in the result.
-    Without a folder the result is whole, however many tests it has; in a folder that of very many is a dataset, read with pandas.
+    The output may be of an object storage, s3://bucket/prefix. *overrides*: as --set takes them,
+    "identify.support.band=60-70 Hz". *jobs*: processes for several tests; a script that asks for more than
+    one needs the usual ``if __name__ == "__main__"``. LabpipeError as on the command line; rules that fail
+    are in the result. Without a folder the result is whole, however many tests it has; in a folder that of
+    very many is a dataset, read with pandas.
     """
     settings = load_pipeline(Path(pipeline), overrides)
     if output is None:
         settings = replace(settings, results="whole")
     manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
     if output is None:
-        with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as folder:
+        with (
+            tempfile.TemporaryDirectory(prefix="labpipe-") as scratch,
+            output_folder(Path(scratch)) as folder,
+        ):
             return run_pipeline(settings, folder, manner)
     with results_made(path_of(str(output))) as here:
         with output_folder(here) as folder:

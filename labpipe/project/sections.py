@@ -1,4 +1,7 @@
-"""The sections identify, compare and matrix: how each is read, judged and shown. What computes is loaded by a run."""
+"""The sections identify, compare and matrix: how each is read, judged and shown.
+
+What computes is loaded by a run.
+"""
 
 from __future__ import annotations
 
@@ -45,16 +48,26 @@ def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
-            yield ListedParameter(fit=comparison.name, parameter=amount, model=comparison.kind, warnings=codes)
+            yield ListedParameter(
+                fit=comparison.name, parameter=amount, model=comparison.kind, warnings=codes
+            )
 
 
 def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
-    """Every coefficient at every point under the name of its matrix, as of the test "speed 3000 rpm, load 1 kN"."""
+    """Every coefficient at every point under the name of its matrix, as of the test "speed 3000 rpm, load 1
+    kN".
+    """
     for matrix in matrices:
         for point in matrix.points:
             place = matrix.text_of(point)
             for value in point.values:
-                yield ListedParameter(fit=matrix.name, parameter=value.parameter, test=place, model="matrix", warnings=point.warnings)
+                yield ListedParameter(
+                    fit=matrix.name,
+                    parameter=value.parameter,
+                    test=place,
+                    model="matrix",
+                    warnings=point.warnings,
+                )
 
 
 def comparison_lines(comparisons: Comparisons) -> Iterator[str]:
@@ -91,7 +104,8 @@ COMPARE = PipelineSection(
     terminal=comparison_lines,
 )
 MATRIX = PipelineSection(
-    words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a name of your choice.",
+    words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a "
+    "name of your choice.",
     settings=MatrixSettings,
     named=True,
     read=read_matrix,

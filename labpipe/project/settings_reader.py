@@ -1,4 +1,7 @@
-"""From a YAML mapping to a settings dataclass, by its declared settings alone; every fault at its place, all in one pass."""
+"""From a YAML mapping to a settings dataclass, by its declared settings alone.
+
+Every fault at its place, all in one pass.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ from labpipe.registry import Registry, nearest
 
 
 class Faults:
-    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files that it names are relative."""
+    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files
+    that it names are relative.
+    """
 
     def __init__(self, folder: Path = Path()) -> None:
         self.folder = folder
@@ -39,9 +44,13 @@ class Faults:
         self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
-        """A fault of the settings that a mapping holds, at the entry that the error names, else at the mapping itself."""
+        """A fault of the settings that a mapping holds, at the entry that the error names, else at the
+        mapping itself.
+        """
         entry = node.content.get(error.field) if isinstance(node.content, dict) else None
-        self.add(entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
+        self.add(
+            entry or node, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint
+        )
 
     def add_missing_file(self, node: Marked, key: str) -> None:
         """A fault for the name of a file that is not there."""
@@ -51,8 +60,12 @@ class Faults:
         """Add the faults of a referenced file."""
         self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
 
-    def unknown_keys(self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None) -> None:
-        """A fault for every key that is not *allowed*, with the nearest allowed one, or the one whose meaning names it."""
+    def unknown_keys(
+        self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None
+    ) -> None:
+        """A fault for every key that is not *allowed*, with the nearest allowed one, or the one whose meaning
+        names it.
+        """
         for name, entry in node.content.items():
             if name not in allowed:
                 self.add(entry, join(key, name), "unknown key", _meant(name, allowed, meanings or {}))
@@ -78,9 +91,15 @@ TYPED = 0.75
 
 
 def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
-    """The hint for an unknown key: the allowed one that is spelt nearly so, else the only one whose meaning begins with the word."""
+    """The hint for an unknown key: the allowed one that is spelt nearly so, else the only one whose meaning
+    begins with the word.
+    """
     stem = name.lower().rstrip("s")
-    by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)] if len(stem) > 3 else []
+    by_meaning = (
+        [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
+        if len(stem) > 3
+        else []
+    )
     if len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
         return nearest(name, allowed)
     return f"did you mean '{by_meaning[0]}' ({meanings[by_meaning[0]]})?"
@@ -94,7 +113,8 @@ def join(*keys: str) -> str:
 # From a YAML node to what the converters of settings take: texts with their units, whole numbers, flags,
 # lists, mappings.
 
-# Kinds whose scalars are read as YAML has them; of all others the text counts, so that a number without its unit is seen.
+# Kinds whose scalars are read as YAML has them; of all others the text counts, so that a number without its
+# unit is seen.
 BY_CONTENT = ("integer", "flag")
 
 
@@ -119,7 +139,9 @@ def _plain(node: Marked, by_content: bool) -> Any:
 
 @dataclass(frozen=True)
 class Reading:
-    """A pass over a pipeline file; *names*: those of the sections that were read before, by which rules address them."""
+    """A pass over a pipeline file; *names*: those of the sections that were read before, by which rules
+    address them.
+    """
 
     faults: Faults
     rig: Rig | None
@@ -146,7 +168,9 @@ PATH = FileKind(lambda path: path)
 
 
 def named_files(settings: Any, folder: Path) -> Iterator[Path]:
-    """Every file that settings name, nested settings too, and the files that those name; *folder*: of the file that holds the settings."""
+    """Every file that settings name, nested settings too, and the files that those name; *folder*: of the
+    file that holds the settings.
+    """
     for name, (setting, _) in settings_of(type(settings)).items():
         value = getattr(settings, name)
         if setting.kind == "file" and value:
@@ -163,7 +187,8 @@ def named_files(settings: Any, folder: Path) -> Iterator[Path]:
 
 Owner = TypeVar("Owner")
 
-# Kinds of settings that may be given in the long form of a number with its uncertainty, and the entries of that form.
+# Kinds of settings that may be given in the long form of a number with its uncertainty, and the entries of
+# that form.
 LONG_KINDS = ("value", "mass", "uncertain", "text")
 SIZES = ("std", "limits", "expanded")
 LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
@@ -173,23 +198,31 @@ DECIDE = "DECIDE"
 
 
 def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
-    """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot be read.
+    """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot
+    be read.
 
-    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of missing entries.
+    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of
+    missing entries.
     """
     before = len(faults)
     settings = settings_of(owner)
     node = _under_new_keys(node, key, settings)
     entries = faults.mapping(node, key)
     if entries:
-        faults.unknown_keys(node, key, tuple(settings), {name: declared.help for name, (declared, _) in settings.items()})
+        faults.unknown_keys(
+            node, key, tuple(settings), {name: declared.help for name, (declared, _) in settings.items()}
+        )
     fields: dict[str, Any] = dict(presets)
     unread: set[str] = set()
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
             node_of = in_one_line(entries[name], setting)
-            read = _read_uncertain if takes_uncertainty(owner, setting) and is_uncertain(node_of.text) else read_setting
+            read = (
+                _read_uncertain
+                if takes_uncertainty(owner, setting) and is_uncertain(node_of.text)
+                else read_setting
+            )
             fields[name] = read(node_of, setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
@@ -197,24 +230,46 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
             faults.add(node, join(key, name), "is missing", setting.help)
         if len(faults) > count:
             unread |= {name, setting.into}
-    instance = _instance(owner, {name: value for name, value in fields.items() if name not in unread}, node, key, faults, unread)
+    instance = _instance(
+        owner,
+        {name: value for name, value in fields.items() if name not in unread},
+        node,
+        key,
+        faults,
+        unread,
+    )
     return instance if len(faults) == before else None
 
 
 def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
-    """The mapping with the keys of this version; a note for each that it holds under the name of the version before."""
+    """The mapping with the keys of this version.
+
+    A note for each that it holds under the name of the version before.
+    """
     if not isinstance(node.content, dict):
         return node
     new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}
     names = {old: new[old] for old in node.content if old in new}
     for old, name in names.items():
-        note = f"{node.content[old].place}: {join(key, old)} is called '{name}' now; the old key is read in this version for the last time"
+        note = (
+            f"{node.content[old].place}: {join(key, old)} is called '{name}' now; the old key is read in "
+            "this version for the last time"
+        )
         warnings.warn(note, FutureWarning, stacklevel=2)
-    return replace(node, content={names.get(name, name): entry for name, entry in node.content.items()}) if names else node
+    return (
+        replace(node, content={names.get(name, name): entry for name, entry in node.content.items()})
+        if names
+        else node
+    )
 
 
-def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]) -> Owner | None:
-    """The dataclass, its faults added to those of its fields; None without a second fault for unread entries."""
+def _instance(
+    owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]
+) -> Owner | None:
+    """The dataclass, its faults added to those of its fields.
+
+    None without a second fault for unread entries.
+    """
     if any(field.default is MISSING and field.name not in fields for field in dataclasses.fields(owner)):  # type: ignore[arg-type]
         return None
     try:
@@ -228,21 +283,34 @@ def _instance(owner: type[Owner], fields: dict[str, Any], node: Marked, key: str
 
 
 def in_one_line(node: Marked, setting: Setting) -> Marked:
-    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that stands for it."""
+    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that
+    stands for it.
+    """
     if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
     size = next((parts[name] for name in SIZES if name in parts), "")
     shape = parts.get("shape", "rectangular" if "limits" in parts else "")
     expanded = [f"k={parts.get('k', '2')}"] if "expanded" in parts or "k" in parts else []
-    qualities = [*([shape] if shape else []), *expanded, *(f"{name}={parts[name]}" for name in ("dof", "source") if name in parts)]
+    qualities = [
+        *([shape] if shape else []),
+        *expanded,
+        *(f"{name}={parts[name]}" for name in ("dof", "source") if name in parts),
+    ]
     unknown = [f"{name}={parts[name]}" for name in parts if name not in LONG_FORM]
-    text = f"{parts['value']} +- {size} ({', '.join([*qualities, *unknown])})" if qualities or unknown else f"{parts['value']} +- {size}"
+    text = (
+        f"{parts['value']} +- {size} ({', '.join([*qualities, *unknown])})"
+        if qualities or unknown
+        else f"{parts['value']} +- {size}"
+    )
     return Marked(text, node.where, node.key_where, text)
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    """The text of a number with its uncertainty, which the settings take apart; None and a fault where it cannot be read."""
+    """The text of a number with its uncertainty, which the settings take apart.
+
+    None and a fault where it cannot be read.
+    """
     try:
         parse_uncertain(node.text, setting.unit)
     except UnitError as error:
@@ -270,18 +338,27 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
 
 
 def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
-    """A section, sections by name (pairs), or a list of sections; None and faults where one cannot be read."""
+    """A section, sections by name (pairs), or a list of sections.
+
+    None and faults where one cannot be read.
+    """
     assert setting.section is not None
     if setting.kind == "section":
         return read_settings(setting.section, node, key, faults)
     before = len(faults)
     if setting.kind == "sections":
-        named = {name: read_settings(setting.section, entry, join(key, name), faults) for name, entry in faults.mapping(node, key).items()}
+        named = {
+            name: read_settings(setting.section, entry, join(key, name), faults)
+            for name, entry in faults.mapping(node, key).items()
+        }
         return None if len(faults) > before else tuple(named.items())
     if not isinstance(node.content, list):
         faults.add(node, key, "a list is needed", "each entry begins with '- '")
         return None
-    listed = [read_settings(setting.section, entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1)]
+    listed = [
+        read_settings(setting.section, entry, f"{key}.{number}", faults)
+        for number, entry in enumerate(node.content, 1)
+    ]
     return None if len(faults) > before else tuple(listed)
 
 

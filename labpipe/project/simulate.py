@@ -39,13 +39,28 @@ def _suffix(content: LoggedTable | FrequencyResponse | LoggedFile) -> str:
 
 
 def _write_table(path: Path, table: LoggedTable) -> None:
-    """Text with six significant digits, which is what a 16-bit logger holds and more; Parquet as the table says."""
+    """Text with six significant digits, which is what a 16-bit logger holds and more.
+
+    Parquet as the table says.
+    """
     if table.text:
-        rounded = {title: arrow_array(np.array([float(f"{value:.6g}") for value in values])) for title, values in table.columns.items()}
+        rounded = {
+            title: arrow_array(np.array([float(f"{value:.6g}") for value in values]))
+            for title, values in table.columns.items()
+        }
         pc.write_csv(pa.table(rounded), path, pc.WriteOptions(quoting_style="none"))
         return
-    packing: dict[str, Any] = {"compression_level": table.level, "use_dictionary": table.dictionary, "use_byte_stream_split": table.split}
-    pq.write_table(pa.table({title: arrow_array(values) for title, values in table.columns.items()}), path, compression="zstd", **packing)
+    packing: dict[str, Any] = {
+        "compression_level": table.level,
+        "use_dictionary": table.dictionary,
+        "use_byte_stream_split": table.split,
+    }
+    pq.write_table(
+        pa.table({title: arrow_array(values) for title, values in table.columns.items()}),
+        path,
+        compression="zstd",
+        **packing,
+    )
 
 
 WRITERS: dict[type, Callable[[Path, Any], None]] = {

@@ -44,25 +44,41 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 
 
 def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level; threshold is the noise level of the success limit."""
+    """A rule on "fit[noise].item", or "fit.item" for every noise level.
+
+    Threshold is the noise level of the success limit.
+    """
     match = _STUDIED.match(rule.item)
     if match is None:
-        raise ConfigError(f"{rule.section}.{rule.address}: is no address", where=rule.place, hint="write study.fit[1 %].coverage")
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: is no address",
+            where=rule.place,
+            hint="write study.fit[1 %].coverage",
+        )
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:
-        cases = [case for study in studies for case in study.cases if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)]
+        cases = [
+            case
+            for study in studies
+            for case in study.cases
+            if case.fit == match["fit"] and _is_noise(match["noise"], case.noise)
+        ]
         values = [_studied(rule, case, match["item"]) for case in cases]
     if not values:
         raise ConfigError(f"{rule.section}.{rule.address}: no such case in the study", where=rule.place)
     outcomes = [compare_number(rule, value, "1") for value in values]
-    return RuleOutcome(rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
+    return RuleOutcome(
+        rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
+    )
 
 
 def _studied(rule: Rule, case: StudyCase, item: str) -> float | None:
     if item not in _CASE_VALUES:
         hint = nearest(item, [*_CASE_VALUES, "threshold"])
-        raise ConfigError(f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint)
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: the study has no '{item}'", where=rule.place, hint=hint
+        )
     return _CASE_VALUES[item](case)
 
 
@@ -71,13 +87,21 @@ def _is_noise(text: str | None, noise: float) -> bool:
 
 
 def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
-    """Mean error, success, RMSE over bound and coverage of every fit at every noise level, as "study.FIT" of test "NOISE %, N lines"."""
+    """Mean error, success, RMSE over bound and coverage of every fit at every noise level, as "study.FIT" of
+    test "NOISE %, N lines".
+    """
     for study in studies:
         for case in study.cases:
             test = f"{100 * case.noise:g} %, {case.lines} lines"
             for name, value in _figures(case).items():
                 parameter = Parameter(name, value, "1", derived=True)
-                yield ListedParameter(fit=f"study.{case.fit}", parameter=parameter, test=test, model="study", estimator=case.estimator)
+                yield ListedParameter(
+                    fit=f"study.{case.fit}",
+                    parameter=parameter,
+                    test=test,
+                    model="study",
+                    estimator=case.estimator,
+                )
 
 
 def _figures(case: StudyCase) -> dict[str, float]:
@@ -98,14 +122,18 @@ def study_lines(studies: Studies) -> Iterator[str]:
 
 def _study_lines(study: Study) -> Iterator[str]:
     yield f"study on {study.rig}, seed {study.seed}"
-    columns = f"{'noise':>8}{'lines':>7}{'mean error':>12}{'median':>10}{'failed':>12}{'success':>9}{'RMSE/CRLB':>11}{'coverage':>10}"
+    columns = (
+        f"{'noise':>8}{'lines':>7}{'mean error':>12}{'median':>10}"
+        f"{'failed':>12}{'success':>9}{'RMSE/CRLB':>11}{'coverage':>10}"
+    )
     yield f"  {'fit':<10}{columns}"
     for case in study.cases:
         bound = "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}"
         coverage = "" if case.coverage is None else f"{100 * case.coverage:.1f} %"
+        failed = f"{case.failed} of {case.repeats}"
         yield (
-            f"  {case.fit:<10}{100 * case.noise:>6.3g} %{case.lines:>7}{case.mean_error:>12.4g}{case.median_error:>10.4g}"
-            f"{f'{case.failed} of {case.repeats}':>12}{100 * case.success[0]:>7.1f} %{bound:>11}{coverage:>10}"
+            f"  {case.fit:<10}{100 * case.noise:>6.3g} %{case.lines:>7}{case.mean_error:>12.4g}"
+            f"{case.median_error:>10.4g}{failed:>12}{100 * case.success[0]:>7.1f} %{bound:>11}{coverage:>10}"
         )
     for threshold in study.thresholds:
         yield f"  {threshold_text(threshold, study.share)}"

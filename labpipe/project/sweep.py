@@ -29,15 +29,19 @@ class Sweep:
 
 
 def parse_sweep(text: str, owner: type) -> Sweep:
-    """The sweep of an entry of the settings dataclass *owner*; numbers without a unit have the last one's, or the entry's SI unit.
+    """The sweep of an entry of the settings dataclass *owner*; numbers without a unit have the last one's, or
+    the entry's SI unit.
 
-    Raises ConfigError for an entry that is unknown or has no unit, unreadable numbers, and a step that does not lead from start to stop.
+    Raises ConfigError for an entry that is unknown or has no unit, unreadable numbers, and a step that does
+    not lead from start to stop.
     """
     where = f"--sweep {text}"
     key, equals, span = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in span.split(":")]
     if not equals or len(parts) != 3:
-        raise ConfigError("not a sweep", where=where, hint="write --sweep loads.z=0:2000:50 (start, stop, step)")
+        raise ConfigError(
+            "not a sweep", where=where, hint="write --sweep loads.z=0:2000:50 (start, stop, step)"
+        )
     unit = _setting(key, owner, where).unit
     try:
         start, stop, step = (parse_value(_with_unit(part, parts[-1], unit), unit) for part in parts)

@@ -23,7 +23,9 @@ from labpipe.spectra.settings import FrfSettings
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
-    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be objects of a storage, by URL."""
+    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be
+    objects of a storage, by URL.
+    """
     if not node.text:
         faults.add(node, key, "a file name is needed")
         return []
@@ -47,7 +49,9 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
 
 
 def _only_here(node: Marked, key: str, faults: Faults) -> list[Path]:
-    faults.add(node, key, "is read from this machine only", "recordings may be named by URL; copy this file here")
+    faults.add(
+        node, key, "is read from this machine only", "recordings may be named by URL; copy this file here"
+    )
     return []
 
 
@@ -61,15 +65,26 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
     else:
         plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
         folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
-        objects = [status_of_object.path for status_of_object in below(folder) if _matches(status_of_object.path.parts[plain:], pattern)]
+        objects = [
+            status_of_object.path
+            for status_of_object in below(folder)
+            if _matches(status_of_object.path.parts[plain:], pattern)
+        ]
     if not objects:
-        what = f"no object matches '{node.text}'" if glob.has_magic(node.text) else f"no such object '{node.text}'"
+        what = (
+            f"no object matches '{node.text}'"
+            if glob.has_magic(node.text)
+            else f"no such object '{node.text}'"
+        )
         faults.add(node, key, what, "names are those that the storage lists, capitals included")
     return objects
 
 
 def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a path is of a glob, both part by part: '**' stands for any folders; what begins with a point is hidden, as on a disk."""
+    """Whether a path is of a glob, both part by part: '**' stands for any folders.
+
+    What begins with a point is hidden, as on a disk.
+    """
     if not pattern or not names:
         return not names and all(part == "**" for part in pattern)
     hidden = names[0].startswith(".") and not pattern[0].startswith(".")
@@ -90,14 +105,17 @@ def listed(node: Marked) -> list[Marked]:
 
 
 def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
-    """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up; None where it differs.
+    """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
+    None where it differs.
 
     '{}' stands for a part that is no condition.
     """
     parts = re.split(r"\{(\w*)\}", pattern)
     wanted = [part for part in parts[1::2] if part]
     groups = iter(parts[1::2])
-    expression = "".join(re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]) + re.escape(parts[-1])
+    expression = "".join(
+        re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]
+    ) + re.escape(parts[-1])
     match = re.fullmatch(expression, name)
     return None if match is None else dict(zip(wanted, match.groups(), strict=True))
 
@@ -110,7 +128,8 @@ def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
 class ReadyFrf:
     """Files of one ready FRF matrix: one file, or one for each element, row or column.
 
-    *layout* describes files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that its name or the entry gives.
+    *layout* describes files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that
+    its name or the entry gives.
     """
 
     paths: tuple[Path, ...]
@@ -122,7 +141,10 @@ class ReadyFrf:
     def name(self) -> str:
         """What the names of the files have in common."""
         stems = [path.stem for path in self.paths]
-        common = next((n for n, letters in enumerate(zip(*stems, strict=False)) if len(set(letters)) > 1), min(map(len, stems)))
+        common = next(
+            (n for n, letters in enumerate(zip(*stems, strict=False)) if len(set(letters)) > 1),
+            min(map(len, stems)),
+        )
         return stems[0][:common].strip("-_ .") or stems[0]
 
     def absolute(self) -> ReadyFrf:
@@ -131,7 +153,10 @@ class ReadyFrf:
 
 
 def read_ready_frfs(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list of them; faults for those that cannot be read."""
+    """The responses of the entry *key*: a file, a description, or a list of them.
+
+    Faults for those that cannot be read.
+    """
     frfs: list[ReadyFrf] = []
     for entry in listed(node):
         if isinstance(entry.content, dict):
@@ -150,7 +175,13 @@ def _described(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     if layout.file:
         files = [(path,) for path in files_of(node.content["file"], join(key, "file"), faults)]
     else:
-        files = [tuple(path for item in listed(node.content["each"]) for path in files_of(item, join(key, "each"), faults))]
+        files = [
+            tuple(
+                path
+                for item in listed(node.content["each"])
+                for path in files_of(item, join(key, "each"), faults)
+            )
+        ]
     frfs = []
     for paths in filter(None, files):
         before = len(faults)
@@ -164,7 +195,9 @@ def _described(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     return frfs
 
 
-def _dofs(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _dofs(
+    path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The dofs of a file's rows and columns: from its name, else from the entry."""
     named = _named(path, layout, node, key, faults) if layout.pattern else {}
     outputs = (named["output"],) if "output" in named else layout.output
@@ -177,12 +210,23 @@ def _named(path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults
     matched = conditions_in(plain_stem(path), layout.pattern)
     if matched is not None and set(matched) <= {"output", "input"}:
         return matched
-    what = f"does not match '{plain_stem(path)}'" if matched is None else "holds more than {output} and {input}"
-    faults.add(node.content["pattern"], join(key, "pattern"), what, "for example 'H_{output}_{input}'; {} stands for any other part")
+    what = (
+        f"does not match '{plain_stem(path)}'"
+        if matched is None
+        else ("holds more than {output} and {input}")
+    )
+    faults.add(
+        node.content["pattern"],
+        join(key, "pattern"),
+        what,
+        "for example 'H_{output}_{input}'; {} stands for any other part",
+    )
     return {"output": "?", "input": "?"}
 
 
-def _check_dofs(word: str, names: tuple[str, ...], layout: FrfLayout, node: Marked, key: str, faults: Faults) -> None:
+def _check_dofs(
+    word: str, names: tuple[str, ...], layout: FrfLayout, node: Marked, key: str, faults: Faults
+) -> None:
     """A fault where the dofs of a described file are not as many as its description needs."""
     assert layout.table is not None
     # An element named o/i has both dofs, one named o has its input from the entry.
@@ -191,7 +235,12 @@ def _check_dofs(word: str, names: tuple[str, ...], layout: FrfLayout, node: Mark
         hint = f"name the dof, or its place in the files' names by pattern: '{{{word}}}'"
         faults.add(node, join(key, word), "is missing", hint)
     elif len(names) > 1 and not layout.table.matrix:
-        faults.add(node.content[word], join(key, word), "one dof is needed", "several are the rows or columns of a matrix")
+        faults.add(
+            node.content[word],
+            join(key, word),
+            "one dof is needed",
+            "several are the rows or columns of a matrix",
+        )
 
 
 # Reading the entries under ``recordings:``: files, the rig that recorded each, and dofs that the names of
@@ -205,8 +254,8 @@ BY = ("time", "sample")
 class SourceFile:
     """One recorded file and the rig that recorded it.
 
-    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*: joined on time or by sample, by
-    default on time where all have it.
+    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*:
+    joined on time or by sample, by default on time where all have it.
     """
 
     path: Path
@@ -220,7 +269,11 @@ class SourceFile:
 
     def at(self, places: Mapping[Path, Path]) -> SourceFile:
         """The same, of files that lie at other places."""
-        return replace(self, path=places.get(self.path, self.path), joined=tuple(places.get(path, path) for path in self.joined))
+        return replace(
+            self,
+            path=places.get(self.path, self.path),
+            joined=tuple(places.get(path, path) for path in self.joined),
+        )
 
 
 def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig | None:
@@ -239,7 +292,9 @@ def read_rig(node: Marked | None, folder: Path, faults: Faults, key: str) -> Rig
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reads the entries of recordings: *rig* is the rig that the pipeline names for all of them in *rig_node*."""
+    """Reads the entries of recordings: *rig* is the rig that the pipeline names for all of them in
+    *rig_node*.
+    """
 
     rig: Rig | None
     rig_node: Marked | None
@@ -263,16 +318,30 @@ class RecordingReader:
         self.faults.unknown_keys(entry, key, KEYS)
         named = [word for word in ("file", "each", "join") if word in entry.content]
         if len(named) > 1:
-            self.faults.add(entry.content[named[1]], join(key, named[1]), f"'{named[0]}' and '{named[1]}' are both named", "leave one out")
+            self.faults.add(
+                entry.content[named[1]],
+                join(key, named[1]),
+                f"'{named[0]}' and '{named[1]}' are both named",
+                "leave one out",
+            )
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
         paths = [path for item in listed(file) for path in files_of(item, key, self.faults, elsewhere=True)]
         if rig is None or not paths:
             return []
         if named == ["join"]:
-            return [SourceFile(paths[0], self._moved(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key))]
+            return [
+                SourceFile(
+                    paths[0], self._moved(rig, paths[0], entry, key), tuple(paths[1:]), self._by(entry, key)
+                )
+            ]
         if "by" in entry.content:
-            self.faults.add(entry.content["by"], join(key, "by"), "belongs to files that are joined", "write join: [a.csv, b.csv]")
+            self.faults.add(
+                entry.content["by"],
+                join(key, "by"),
+                "belongs to files that are joined",
+                "write join: [a.csv, b.csv]",
+            )
         sources = []
         before = len(self.faults)
         for path in paths:
@@ -295,7 +364,12 @@ class RecordingReader:
             return rig
         dofs = conditions_in(plain_stem(path), node.text)
         if dofs is None:
-            self.faults.add(node, join(key, "pattern"), f"does not match '{plain_stem(path)}'", "for example '{}_{output}_{input}'")
+            self.faults.add(
+                node,
+                join(key, "pattern"),
+                f"does not match '{plain_stem(path)}'",
+                "for example '{}_{output}_{input}'",
+            )
             return rig
         try:
             return moved(rig, dofs)
@@ -310,9 +384,15 @@ class RecordingReader:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
             return None
         if "channels" not in entry.content:
-            return self.rig if "rig" not in entry.content else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
+            return (
+                self.rig
+                if "rig" not in entry.content
+                else read_rig(rig_node, self.folder, self.faults, join(key, "rig"))
+            )
         try:
-            return override_channels(self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels"))
+            return override_channels(
+                self.folder / rig_node.text, entry.content["channels"], self.faults, join(key, "channels")
+            )
         except ConfigError as error:
             self.faults.merge(error)
             return None
@@ -327,10 +407,11 @@ EACH = ("each", "pattern", "together", "conditions", "frf")
 
 @dataclass(frozen=True)
 class Test:
-    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the file.
+    """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the
+    file.
 
-    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made, where it differs from the
-    pipeline's.
+    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made,
+    where it differs from the pipeline's.
     """
 
     name: str
@@ -343,7 +424,9 @@ class Test:
 
 @dataclass(frozen=True)
 class EachFile:
-    """What a file becomes that is a test by itself: conditions that all have, those from its name by the *pattern*, how it is measured."""
+    """What a file becomes that is a test by itself: conditions that all have, those from its name by the
+    *pattern*, how it is measured.
+    """
 
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
@@ -355,11 +438,21 @@ class EachFile:
         return (conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
-        """The test of a recording, by default named after its file; ConfigError for a name that does not match the pattern."""
+        """The test of a recording, by default named after its file.
+
+        ConfigError for a name that does not match the pattern.
+        """
         stem = _stem(source.path)
         if self.pattern and conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
-        return Test(name or stem, (source,), (), {**self.conditions, **self.named(source.path)}, self.recorded, self.frf)
+        return Test(
+            name or stem,
+            (source,),
+            (),
+            {**self.conditions, **self.named(source.path)},
+            self.recorded,
+            self.frf,
+        )
 
 
 def _stem(path: Path) -> str:
@@ -369,7 +462,9 @@ def _stem(path: Path) -> str:
 
 @dataclass(frozen=True)
 class TestReader:
-    """Reads the tests of one pipeline file: *top* are its entries, *rig* the rig that it names for all recordings."""
+    """Reads the tests of one pipeline file: *top* are its entries, *rig* the rig that it names for all
+    recordings.
+    """
 
     top: dict[str, Marked]
     folder: Path
@@ -419,9 +514,14 @@ class TestReader:
             except ConfigError as error:
                 self.faults.add(entries["pattern"], join(key, "pattern"), error.what, error.hint)
                 test = Test(source.path.name)
-            conditions = {part: text for part, text in per_file.named(source.path).items() if part not in together}
+            conditions = {
+                part: text for part, text in per_file.named(source.path).items() if part not in together
+            }
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
-            first = tests.get(place, replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()))
+            first = tests.get(
+                place,
+                replace(test, name="-".join(conditions.values()) if together else test.name, recordings=()),
+            )
             common = {name: text for name, text in test.conditions.items() if name not in together}
             tests[place] = replace(first, recordings=(*first.recordings, source), conditions=common)
         yield from tests.values()
@@ -434,13 +534,22 @@ class TestReader:
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
         node = self.top.get("tests", Marked(None, "", ""))
-        entries = node.content[0].content if isinstance(node.content, list) and len(node.content) == 1 else None
+        entries = (
+            node.content[0].content if isinstance(node.content, list) and len(node.content) == 1 else None
+        )
         if not isinstance(entries, dict) or "each" not in entries:
-            self.faults.add(node, "tests", "cannot be of recordings to come", "write one entry: - {each: '*.parquet'}")
+            self.faults.add(
+                node, "tests", "cannot be of recordings to come", "write one entry: - {each: '*.parquet'}"
+            )
             return EachFile()
         self.faults.unknown_keys(node.content[0], "tests.1", EACH)
         if "together" in entries:
-            self.faults.add(entries["together"], "tests.1.together", "recordings to come are tests of their own", "leave it out")
+            self.faults.add(
+                entries["together"],
+                "tests.1.together",
+                "recordings to come are tests of their own",
+                "leave it out",
+            )
         return self._each(entries, "tests.1")
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
@@ -451,34 +560,59 @@ class TestReader:
         parts = [node.text for node in listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
-                self.faults.add(entries["together"], join(key, "together"), f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}")
+                self.faults.add(
+                    entries["together"],
+                    join(key, "together"),
+                    f"the pattern has no part '{{{part}}}'",
+                    f"pattern: {pattern}",
+                )
         return parts
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
         entries = node.content if isinstance(node.content, dict) else {}
-        recordings = self._recordings(entries["recordings"], join(key, "recordings")) if "recordings" in entries else []
+        recordings = (
+            self._recordings(entries["recordings"], join(key, "recordings"))
+            if "recordings" in entries
+            else []
+        )
         frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults) if "frfs" in entries else []
         if not recordings and not frfs and not len(self.faults):
-            self.faults.add(node if node.place else next(iter(self.top.values())), key, "neither recordings nor frfs")
+            self.faults.add(
+                node if node.place else next(iter(self.top.values())), key, "neither recordings nor frfs"
+            )
         conditions, recorded = self._conditions(entries, key)
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
-            self.faults.add(entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN")
+            self.faults.add(
+                entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN"
+            )
         return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key))
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the entries that the test itself gives; an entry without a value takes that of the pipeline away."""
+        """The pipeline's frf: with the entries that the test itself gives.
+
+        An entry without a value takes that of the pipeline away.
+        """
         if "frf" not in entries or key == "":
             return None
-        common = self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
+        common = (
+            self.top["frf"].content if "frf" in self.top and isinstance(self.top["frf"].content, dict) else {}
+        )
         frf_entries = self.faults.mapping(entries["frf"], join(key, "frf"))
         whole = {name: node for name, node in {**common, **frf_entries}.items() if node.content is not None}
-        return read_settings(FrfSettings, Marked(whole, entries["frf"].where, entries["frf"].key_where), join(key, "frf"), self.faults)
+        return read_settings(
+            FrfSettings,
+            Marked(whole, entries["frf"].where, entries["frf"].key_where),
+            join(key, "frf"),
+            self.faults,
+        )
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
 
-    def _conditions(self, entries: dict[str, Marked], key: str) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
+    def _conditions(
+        self, entries: dict[str, Marked], key: str
+    ) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
         """Conditions as they are written, and those that are recorded: {channel: NAME} or {tacho: NAME}."""
         written: dict[str, str] = {}
         recorded: dict[str, RecordedCondition] = {}

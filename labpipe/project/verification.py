@@ -1,4 +1,6 @@
-"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from are still the same."""
+"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from
+are still the same.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from labpipe.artefacts.dataset_file import Part, read_part
 from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
-from labpipe.artefacts.measured_files import DECAY_SUFFIX, RESPONSE_SUFFIX, SPECTRA_SUFFIX, read_decays, read_response, read_spectra
+from labpipe.artefacts.measured_files import (
+    DECAY_SUFFIX,
+    RESPONSE_SUFFIX,
+    SPECTRA_SUFFIX,
+    read_decays,
+    read_response,
+    read_spectra,
+)
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.places import fetched, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
@@ -30,7 +39,9 @@ ABOVE = 3
 
 @dataclass(frozen=True)
 class Verified:
-    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs: found the same."""
+    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs:
+    found the same.
+    """
 
     path: Path
     faults: tuple[str, ...] = ()
@@ -40,7 +51,9 @@ class Verified:
 
 @dataclass(frozen=True)
 class _Kind:
-    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with paths from the pipeline."""
+    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with
+    paths from the pipeline.
+    """
 
     read: Callable[[Path], Any]
     digest: Callable[[Path], str]
@@ -84,14 +97,25 @@ def _read_part(path: Path) -> Any:
 
 
 KINDS: Mapping[str, _Kind] = {
-    NAME: _Kind(read_identification, _json_digest, lambda path: _entries("sources", path), lambda path: _entries("inputs", path)),
+    NAME: _Kind(
+        read_identification,
+        _json_digest,
+        lambda path: _entries("sources", path),
+        lambda path: _entries("inputs", path),
+    ),
     RESULTS_SUFFIX: _Kind(_read_part, lambda path: header_of(path).digest, _nothing, _nothing),
-    RECORDING_SUFFIX: _Kind(lambda path: open_recording(path).in_memory(), lambda path: header_of(path).digest, _header_inputs, _nothing),
+    RECORDING_SUFFIX: _Kind(
+        lambda path: open_recording(path).in_memory(),
+        lambda path: header_of(path).digest,
+        _header_inputs,
+        _nothing,
+    ),
     RESPONSE_SUFFIX: _measured(read_response),
     DECAY_SUFFIX: _measured(read_decays),
     SPECTRA_SUFFIX: _measured(read_spectra),
 }
-# Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a damaged one.
+# Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
+# damaged one.
 ARTEFACTS = Registry("artefact", {})
 FITS = _Kind(read_fits, _json_digest, _nothing, lambda path: _entries("responses", path))
 
@@ -101,20 +125,33 @@ def _kind(path: Path) -> _Kind | None:
         return FITS
     if path.name in ARTEFACTS.names():
         return _Kind(ARTEFACTS.load(path.name), _json_digest, _nothing, _nothing)
-    return next((kind for suffix, kind in KINDS.items() if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix))), None)
+    return next(
+        (
+            kind
+            for suffix, kind in KINDS.items()
+            if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix))
+        ),
+        None,
+    )
 
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
-    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of raw files are relative; by
-    default that in or above the results which holds a file of the pipeline's name.
+    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of
+    raw files are relative; by default that in or above the results which holds a file of the pipeline's name.
 
     DataError for no folder, or one without artefacts.
     """
     if not folder.is_dir():
-        raise DataError("no such folder", where=str(folder), hint="name the folder that holds the results of your runs")
+        raise DataError(
+            "no such folder", where=str(folder), hint="name the folder that holds the results of your runs"
+        )
     artefacts = artefacts_below(folder)
     if not artefacts:
-        raise DataError("holds no artefact of labpipe", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`")
+        raise DataError(
+            "holds no artefact of labpipe",
+            where=str(folder),
+            hint="results appear with `labpipe run PIPELINE -o FOLDER`",
+        )
     for path in artefacts:
         kind = _kind(path)
         assert kind is not None
@@ -139,7 +176,10 @@ def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
     faults: list[str] = []
     same = 0
     base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
-    for (name, sha256), folders in [*((source, [base] if base else []) for source in sources), *((file, _near(path)) for file in inputs)]:
+    for (name, sha256), folders in [
+        *((source, [base] if base else []) for source in sources),
+        *((file, _near(path)) for file in inputs),
+    ]:
         actual = _digest(name, folders)
         if actual is None:
             remarks.append(f"'{name}' is not there to be compared")
@@ -151,7 +191,10 @@ def _verified(path: Path, kind: _Kind, base: Path | None) -> Verified:
 
 
 def _digest(name: str, folders: Sequence[Path]) -> str | None:
-    """The digest of a file that an artefact names, in one of some folders or by its URL; None where it is not there."""
+    """The digest of a file that an artefact names, in one of some folders or by its URL.
+
+    None where it is not there.
+    """
     address = Path(name)
     if not is_remote(address):
         here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
@@ -163,13 +206,23 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
 
 
 def pipeline_folder(path: Path) -> Path | None:
-    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or beside it; None elsewhere."""
+    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or
+    beside it; None elsewhere.
+    """
     try:
         name = read_identification(path / NAME if path.is_dir() else path).pipeline
     except DataError:
         return None
     above = list(path.resolve().parents)[:ABOVE]
-    return next((folder for place in above for folder in (place, place / "pipelines") if name and (folder / name).is_file()), None)
+    return next(
+        (
+            folder
+            for place in above
+            for folder in (place, place / "pipelines")
+            if name and (folder / name).is_file()
+        ),
+        None,
+    )
 
 
 def _near(path: Path) -> list[Path]:
@@ -178,7 +231,9 @@ def _near(path: Path) -> list[Path]:
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """The artefacts in two folders of results that are not the same byte for byte, and those of the first that the second lacks."""
+    """The artefacts in two folders of results that are not the same byte for byte, and those of the first
+    that the second lacks.
+    """
     lines = []
     for path in filter(Path.is_file, artefacts_below(first)):
         name = path.relative_to(first)

@@ -13,7 +13,10 @@ from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKi
 
 
 def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
-    """The settings of a virtual rig file, of the class of its kind; ConfigErrors with every fault at its place."""
+    """The settings of a virtual rig file, of the class of its kind.
+
+    ConfigErrors with every fault at its place.
+    """
     tree = load_marked(path)
     for assignment in overrides:
         set_entry(tree, assignment)
@@ -23,7 +26,9 @@ def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> VirtualRig:
     if not kind:
         faults.add(tree, "kind", "is missing", f"known: {', '.join(VIRTUAL_RIGS.names())}")
     elif kind not in VIRTUAL_RIGS.names():
-        faults.add(entries["kind"], "kind", f"unknown virtual rig '{kind}'", nearest(kind, VIRTUAL_RIGS.names()))
+        faults.add(
+            entries["kind"], "kind", f"unknown virtual rig '{kind}'", nearest(kind, VIRTUAL_RIGS.names())
+        )
     faults.raise_any()
     chosen: VirtualRigKind = VIRTUAL_RIGS.load(kind)
     rig: VirtualRig | None = read_settings(chosen.settings, tree, "", faults)

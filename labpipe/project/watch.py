@@ -2,8 +2,9 @@
 
 Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
 
-The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is done again after a kill, from
-the artefacts on disk, which gives the same rows; a part of the dataset appears whole or not at all.
+The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is
+done again after a kill, from the artefacts on disk, which gives the same rows; a part of the dataset appears
+whole or not at all.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ from labpipe.records.identification import Failed
 
 @dataclass(frozen=True)
 class Arrived:
-    """A recording in the watched folder, with what shows whether it still changes; *marked*: a file beside it says that it is complete."""
+    """A recording in the watched folder, with what shows whether it still changes; *marked*: a file beside it
+    says that it is complete.
+    """
 
     path: Path
     size: int
@@ -46,9 +49,13 @@ class Arrived:
 
 
 def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
-    """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of the files that mark others."""
+    """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of
+    the files that mark others.
+    """
     for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
-        if plain_suffix(arrival.path) in READERS and not any(part.startswith(".") for part in arrival.path.relative_to(folder).parts):
+        if plain_suffix(arrival.path) in READERS and not any(
+            part.startswith(".") for part in arrival.path.relative_to(folder).parts
+        ):
             yield arrival
 
 
@@ -59,14 +66,24 @@ def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
         except FileNotFoundError:
             continue
         if path.is_file():
-            yield Arrived(path, status.st_size, status.st_mtime, bool(marker) and path.with_name(path.name + marker).exists())
+            yield Arrived(
+                path,
+                status.st_size,
+                status.st_mtime,
+                bool(marker) and path.with_name(path.name + marker).exists(),
+            )
 
 
 def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     objects = {status.path: status for status in below(folder)}
     for path, status in objects.items():
         if path.match(names):
-            yield Arrived(path, status.size, status.changed, bool(marker) and path.with_name(path.name + marker) in objects)
+            yield Arrived(
+                path,
+                status.size,
+                status.changed,
+                bool(marker) and path.with_name(path.name + marker) in objects,
+            )
 
 
 # Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
@@ -78,9 +95,9 @@ PART_TESTS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class WatchSettings:
-    """How a folder is watched. settle, every, append: seconds that a file must not have changed, between two looks, until results that
-    wait are appended to the dataset. marker: ending of a file beside a recording that says it is complete, '' for none. names: glob of
-    recordings.
+    """How a folder is watched. settle, every, append: seconds that a file must not have changed, between two
+    looks, until results that wait are appended to the dataset. marker: ending of a file beside a recording
+    that says it is complete, '' for none. names: glob of recordings.
     """
 
     settle: float = 5.0
@@ -103,10 +120,12 @@ class Counts:
 
 @dataclass
 class Watch:
-    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in seconds since 1970.
+    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in
+    seconds since 1970.
 
-    folder: may be of an object storage. home: where the results are kept, by default *results* itself; another place gets them by
-    *publish*, after which *forget* frees the disk of them. logs: the folder of log and metrics, by default *results*.
+    folder: may be of an object storage. home: where the results are kept, by default *results* itself;
+    another place gets them by *publish*, after which *forget* frees the disk of them. logs: the folder of log
+    and metrics, by default *results*.
     """
 
     pipeline: Pipeline
@@ -136,7 +155,10 @@ class Watch:
         self._summary = DatasetSummary()
 
     def run(self) -> DatasetSummary:
-        """Watch until stopped, or once: what all tests say. ConfigError for results of other settings, DataError for damaged ones."""
+        """Watch until stopped, or once: what all tests say.
+
+        ConfigError for results of other settings, DataError for damaged ones.
+        """
         self._resume()
         while True:
             complete = list(self._complete())
@@ -157,7 +179,10 @@ class Watch:
             self.sleep(min(0.2, self.settings.every))
 
     def _resume(self) -> None:
-        """What earlier watches did, by the dataset; the move of a bad recording that a kill cut short is finished."""
+        """What earlier watches did, by the dataset.
+
+        The move of a bad recording that a kill cut short is finished.
+        """
         before = self.results / NAME
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
@@ -176,13 +201,17 @@ class Watch:
             self._write_index()
 
     def _complete(self) -> Iterator[Arrived]:
-        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and old enough."""
+        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and
+        old enough.
+        """
         seen: dict[Path, Arrived] = {}
         self.counts.arriving = 0
         for arrived in self._arrived():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
-            is_complete = self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            is_complete = (
+                self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            )
             if arrived.marked or (still and is_complete):
                 yield arrived
             else:
@@ -193,7 +222,11 @@ class Watch:
         """Recordings that have no results yet, the oldest first."""
         home = self.home or self.results
         arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
-        new = (arrival for arrival in arrivals if home not in arrival.path.parents and self.name_of(arrival.path) not in self._done)
+        new = (
+            arrival
+            for arrival in arrivals
+            if home not in arrival.path.parents and self.name_of(arrival.path) not in self._done
+        )
         return iter(sorted(new, key=lambda arrived: (arrived.changed, arrived.path)))
 
     def name_of(self, path: Path) -> str:
@@ -201,7 +234,10 @@ class Watch:
         return path.relative_to(self.folder).as_posix()
 
     def _worked(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
-        """The outcomes of recordings as they end; those that are not finished when the watch is stopped are left for the next one."""
+        """The outcomes of recordings as they end.
+
+        Those that are not finished when the watch is stopped are left for the next one.
+        """
         if not complete:
             return
         with output_folder(self.results) as folder:
@@ -220,14 +256,21 @@ class Watch:
                     return
 
     def _job(self, path: Path, scratch: Path) -> Job:
-        """The work on a recording; LabpipeError for one that is no test, or whose results would take the place of another one's."""
+        """The work on a recording.
+
+        LabpipeError for one that is no test, or whose results would take the place of another one's.
+        """
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
         frf = test.frf or self.pipeline.frf
         name = Path(fits_file_name(test.name)).stem
         other = self._files.setdefault(name, test.name)
         if other != test.name:
-            raise DataError(f"its results would have the file name of those of '{other}'", where=test.name, hint="rename the recording")
+            raise DataError(
+                f"its results would have the file name of those of '{other}'",
+                where=test.name,
+                hint="rename the recording",
+            )
         return Job(
             test,
             (name,),
@@ -248,7 +291,11 @@ class Watch:
 
     def _take(self, done: Done, job: Job) -> None:
         if done.halts and done.failed is not None:
-            raise DataError(done.failed.message, where=str(self.results), hint="what was worked on is kept; start the watch again")
+            raise DataError(
+                done.failed.message,
+                where=str(self.results),
+                hint="what was worked on is kept; start the watch again",
+            )
         self._keep(outcome_of(done, job.test))
         for remark in done.remarks:
             self._log("damaged", done.test, remark=remark)
@@ -264,7 +311,13 @@ class Watch:
         self.counts.evaluated += 1
         self.counts.failed += row.failed is not None
         self.tell(f"{row.test}: {row.failed or row.warnings or 'done'}")
-        self._log("failed" if row.failed else "evaluated", row.test, failed=row.failed, accepted=row.accepted, warnings=row.warnings)
+        self._log(
+            "failed" if row.failed else "evaluated",
+            row.test,
+            failed=row.failed,
+            accepted=row.accepted,
+            warnings=row.warnings,
+        )
         if len(self._waiting) >= PART_TESTS:
             self._append(whole=True)
 
@@ -291,7 +344,8 @@ class Watch:
     def _quarantine(self, test: str, reason: str) -> None:
         """Move a bad recording aside, its reason first; nothing where it has gone already.
 
-        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it from being looked at again.
+        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it
+        from being looked at again.
         """
         path = self._paths.get(test)
         if path is None or (not self._stays and not path.exists()):
@@ -309,26 +363,64 @@ class Watch:
         return is_remote(self.folder) or self.home not in (None, self.results)
 
     def _log(self, event: str, test: str, **entries: object) -> None:
-        line = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())), "event": event, "test": test, **entries}
+        line = {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock())),
+            "event": event,
+            "test": test,
+            **entries,
+        }
         logs = self.logs or self.results
         logs.mkdir(parents=True, exist_ok=True)
         with (logs / LOG).open("a") as log:
-            log.write(json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n")
+            log.write(
+                json.dumps({name: entry for name, entry in line.items() if entry not in (None, "")}) + "\n"
+            )
 
     def _write_metrics(self) -> None:
         """Counters for Prometheus, as a text file of the node exporter's collector."""
         index = self._summary.index
         values = {
-            "labpipe_watch_recordings_evaluated_total": ("counter", "Recordings worked on since the watch began", self.counts.evaluated),
-            "labpipe_watch_recordings_failed_total": ("counter", "Recordings that could not be evaluated since then", self.counts.failed),
-            "labpipe_watch_results_waiting": ("gauge", "Results not yet appended to the dataset", self.counts.waiting),
-            "labpipe_watch_recordings_arriving": ("gauge", "Recordings that are not complete yet", self.counts.arriving),
+            "labpipe_watch_recordings_evaluated_total": (
+                "counter",
+                "Recordings worked on since the watch began",
+                self.counts.evaluated,
+            ),
+            "labpipe_watch_recordings_failed_total": (
+                "counter",
+                "Recordings that could not be evaluated since then",
+                self.counts.failed,
+            ),
+            "labpipe_watch_results_waiting": (
+                "gauge",
+                "Results not yet appended to the dataset",
+                self.counts.waiting,
+            ),
+            "labpipe_watch_recordings_arriving": (
+                "gauge",
+                "Recordings that are not complete yet",
+                self.counts.arriving,
+            ),
             "labpipe_dataset_tests": ("gauge", "Tests with a result in the dataset", index.tests),
             "labpipe_dataset_tests_failed": ("gauge", "Tests without a result in the dataset", index.failed),
-            "labpipe_dataset_tests_not_accepted": ("gauge", "Tests in the dataset whose rules do not all hold", index.not_accepted),
-            "labpipe_watch_cpu_seconds_total": ("counter", "Processor time of the watch", sum(os.times()[:4])),
-            "labpipe_watch_last_look_seconds": ("gauge", "Time of the last look, seconds since 1970", self.clock()),
+            "labpipe_dataset_tests_not_accepted": (
+                "gauge",
+                "Tests in the dataset whose rules do not all hold",
+                index.not_accepted,
+            ),
+            "labpipe_watch_cpu_seconds_total": (
+                "counter",
+                "Processor time of the watch",
+                sum(os.times()[:4]),
+            ),
+            "labpipe_watch_last_look_seconds": (
+                "gauge",
+                "Time of the last look, seconds since 1970",
+                self.clock(),
+            ),
         }
-        lines = (f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n" for name, (kind, text, value) in values.items())
+        lines = (
+            f"# HELP {name} {text}\n# TYPE {name} {kind}\n{name} {value}\n"
+            for name, (kind, text, value) in values.items()
+        )
         with output_file((self.logs or self.results) / METRICS) as file:
             file.write_text("".join(lines))

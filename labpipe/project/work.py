@@ -30,10 +30,10 @@ COMPARE_PREFIX = "compare."
 class Work:
     """A pipeline whose recordings have been measured.
 
-    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by test, by their name in the
-    pipeline.
-    fits: those of the sections so far. failed: tests that are missing, and comparisons that cannot do without them; *go_on* then.
-    *jobs*: processes of a study, 0 for one per processor.
+    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by
+    test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are missing,
+    and comparisons that cannot do without them; *go_on* then. *jobs*: processes of a study, 0 for one per
+    processor.
     """
 
     pipeline: Pipeline
@@ -64,7 +64,10 @@ class Work:
 
 # The section identify: the fits of every test.
 
-SINGULAR = "record more periods or blocks, look for channels that are silent or alike, or choose another band or fewer parameters"
+SINGULAR = (
+    "record more periods or blocks, look for channels that are silent or alike, or choose another "
+    "band or fewer parameters"
+)
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
@@ -76,7 +79,9 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
             made = list(work.test_fits[fit.name])
         else:
             # A test that failed is named among the failures.
-            check_tested(fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)])
+            check_tested(
+                fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)]
+            )
             made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path)
         from labpipe.estimation.levels import with_level_findings
 
@@ -85,7 +90,10 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
 
 
 def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
-    """The settings with the result of the earlier fit that they begin with; LabpipeError names the fit, and why the earlier one failed."""
+    """The settings with the result of the earlier fit that they begin with.
+
+    LabpipeError names the fit, and why the earlier one failed.
+    """
     where = f"{work.pipeline.path}: identify.{settings.name}"
     earlier = settings.kind.earlier(settings)
     if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):
@@ -103,7 +111,10 @@ def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
 
 
 def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
-    """The fits of the responses or decays whose test the settings name, or of all; LabpipeError names fit and test."""
+    """The fits of the responses or decays whose test the settings name, or of all.
+
+    LabpipeError names fit and test.
+    """
     # What fits is not imported by a run that finds all its fits fresh.
     from labpipe.estimation.budget import with_repeat_sources
     from labpipe.estimation.fitting import identify
@@ -114,14 +125,20 @@ def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path:
             continue
         try:
             test_fits = [
-                with_repeat_sources(fit, settings.repeats, measured.name, measured.conditions, settings.coverage)
+                with_repeat_sources(
+                    fit, settings.repeats, measured.name, measured.conditions, settings.coverage
+                )
                 for fit in identify(measured, settings)
             ]
         except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""
             where = f"{pipeline_path}: identify.{settings.name}{test}"
             if not isinstance(error, LabpipeError):
-                raise FitError(f"the data leave a matrix of the fit without a solution ({error})", where=where, hint=SINGULAR) from error
+                raise FitError(
+                    f"the data leave a matrix of the fit without a solution ({error})",
+                    where=where,
+                    hint=SINGULAR,
+                ) from error
             error.where = error.where or where
             raise
         fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
@@ -132,4 +149,6 @@ def check_tested(settings: FitSettings, test_names: Sequence[str]) -> None:
     """ConfigError when a fit names a test that is not *test_names*."""
     for name in settings.test:
         if name not in test_names:
-            raise ConfigError(f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names))
+            raise ConfigError(
+                f"identify.{settings.name}.test: no test '{name}'", hint=nearest(name, test_names)
+            )

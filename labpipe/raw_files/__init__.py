@@ -1,1 +1,3 @@
-"""Raw files and what they hold: readers and writers of other programs' formats, screening of samples, test signals."""
+"""Raw files and what they hold: readers and writers of other programs' formats, screening of samples, test
+signals.
+"""

@@ -20,14 +20,26 @@ from labpipe.errors import DataError
 # as fs or dt their rate.
 
 CHUNK_ROWS = 1 << 17
-RATES = ("fs", "f_s", "fsamp", "rate", "samplerate", "sample_rate", "sampling_rate", "samplingrate", "sampling_frequency")
+RATES = (
+    "fs",
+    "f_s",
+    "fsamp",
+    "rate",
+    "samplerate",
+    "sample_rate",
+    "sampling_rate",
+    "samplingrate",
+    "sampling_frequency",
+)
 STEPS = ("dt", "delta_t", "deltat", "time_step", "timestep", "sample_interval")
 _SAME = 1e-4
 
 
 @dataclass(frozen=True)
 class Column:
-    """A vector in an array (or HDF5 data set): whole, or row or column *index* of a matrix with samples along *axis*."""
+    """A vector in an array (or HDF5 data set): whole, or row or column *index* of a matrix with samples along
+    *axis*.
+    """
 
     array: Any
     axis: int
@@ -47,7 +59,9 @@ class Column:
 def is_numeric(array: Any) -> bool:
     """True for an array of real numbers in one or two dimensions that is not sparse."""
     kind = getattr(array, "dtype", np.dtype(object)).kind
-    return kind in "iuf" and not hasattr(array, "tocsr") and len(array.shape) in (1, 2) and min(array.shape) > 0
+    return (
+        kind in "iuf" and not hasattr(array, "tocsr") and len(array.shape) in (1, 2) and min(array.shape) > 0
+    )
 
 
 def columns_of(name: str, array: Any) -> dict[str, Column]:
@@ -63,14 +77,21 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
     """The columns of the greatest length; DataError when none has two values."""
     length = max((column.n_value for column in columns.values()), default=0)
     if length < 2:
-        raise DataError("holds no vector of numbers", where=str(where), hint="equally long vectors make a recording")
+        raise DataError(
+            "holds no vector of numbers", where=str(where), hint="equally long vectors make a recording"
+        )
     return {name: column for name, column in columns.items() if column.n_value == length}
 
 
 def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
-    """The sampling rate [Hz] from scalars such as fs or dt; DataError when they contradict each other or are not positive."""
+    """The sampling rate [Hz] from scalars such as fs or dt.
+
+    DataError when they contradict each other or are not positive.
+    """
     rates_by_name = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
-    rates_by_name |= {name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)}
+    rates_by_name |= {
+        name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)
+    }
     rates = list(rates_by_name.values())
     if not rates:
         return None
@@ -86,12 +107,20 @@ def _is_named(name: str, names: tuple[str, ...]) -> bool:
 
 
 class ArraysTable:
-    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of values."""
+    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of
+    values.
+    """
 
-    def __init__(self, path: Path, columns: Mapping[str, Column], units: dict[str, str], sample_rate: float | None) -> None:
+    def __init__(
+        self, path: Path, columns: Mapping[str, Column], units: dict[str, str], sample_rate: float | None
+    ) -> None:
         self.path = path
         self._columns = longest(columns, path)
-        self.unused = {name: column.n_value for name, column in columns.items() if name not in self._columns and column.n_value > 1}
+        self.unused = {
+            name: column.n_value
+            for name, column in columns.items()
+            if name not in self._columns and column.n_value > 1
+        }
         self.columns = tuple(self._columns)
         self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}
         self.sample_rate = sample_rate
@@ -101,7 +130,9 @@ class ArraysTable:
         length = self._columns[self.columns[0]].n_value
         for start in range(0, length, CHUNK_ROWS):
             try:
-                yield np.column_stack([self._columns[name].part(start, start + CHUNK_ROWS) for name in columns])
+                yield np.column_stack(
+                    [self._columns[name].part(start, start + CHUNK_ROWS) for name in columns]
+                )
             except OSError as error:
                 raise DataError(f"cannot be read: {error}", where=str(self.path)) from None
 
@@ -109,19 +140,25 @@ class ArraysTable:
 # NumPy's .npy and .npz files; nothing in them is unpickled.
 
 _BROKEN = (
-    ValueError, TypeError, OSError, EOFError, KeyError, SyntaxError, OverflowError, MemoryError, NotImplementedError,
+    ValueError, TypeError, OSError, EOFError, KeyError, SyntaxError, OverflowError, MemoryError,
+    NotImplementedError,
     tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of a .npz file by name, that of a .npy file under ''; DataError for a damaged file or one of pickled objects."""
+    """The arrays of a .npz file by name, that of a .npy file under ''.
+
+    DataError for a damaged file or one of pickled objects.
+    """
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            stored = np.load(path, allow_pickle=False, mmap_mode="r" if path.suffix.lower() == ".npy" else None)
+            stored = np.load(
+                path, allow_pickle=False, mmap_mode="r" if path.suffix.lower() == ".npy" else None
+            )
             if isinstance(stored, np.ndarray):
                 return {"": stored}
             with stored:
@@ -132,7 +169,10 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
 
 def numpy_table(path: Path) -> ArraysTable:
-    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file; fields of a structured array by name."""
+    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file.
+
+    Fields of a structured array by name.
+    """
     arrays: dict[str, Any] = {}
     for name, array in load_arrays(path).items():
         if array.dtype.names:
@@ -140,6 +180,12 @@ def numpy_table(path: Path) -> ArraysTable:
         else:
             arrays[name] = array
     numeric = {name: array for name, array in arrays.items() if is_numeric(array)}
-    columns = {part.strip("_") or "1": column for name, array in numeric.items() for part, column in columns_of(name, array).items()}
-    scalars = {name: float(array) for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "iuf"}
+    columns = {
+        part.strip("_") or "1": column
+        for name, array in numeric.items()
+        for part, column in columns_of(name, array).items()
+    }
+    scalars = {
+        name: float(array) for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "iuf"
+    }
     return ArraysTable(path, columns, {}, rate_of(scalars, path))

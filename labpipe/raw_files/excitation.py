@@ -18,14 +18,17 @@ from labpipe.errors import ConfigError
 
 # Periodic test signals: sums of harmonics with equal amplitudes and chosen phases. PHASES by name.
 
-# The search for phases looks at peaks between samples: the grid is this many times finer than the highest line needs.
+# The search for phases looks at peaks between samples: the grid is this many times finer than the highest
+# line needs.
 OVERSAMPLING = 16
 OPTIMISING_STEPS = 400
 
 
 @dataclass(frozen=True)
 class Multisine:
-    """A designed test signal: *lines* [multiples of spacing], *phases* [rad] (n_line,), spacing [Hz], rms amplitude."""
+    """A designed test signal: *lines* [multiples of spacing], *phases* [rad] (n_line,), spacing [Hz], rms
+    amplitude.
+    """
 
     lines: IntArray
     phases: FloatArray
@@ -40,18 +43,22 @@ class Multisine:
     def samples(self, sample_rate: float, periods: int) -> FloatArray:
         """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].
 
-        ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the highest line.
-        Equation (spec-multisine).
+        ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the
+        highest line. Equation (spec-multisine).
         """
         exact = sample_rate / self.spacing
         n_sample = round(exact)
         if abs(exact - n_sample) > 1e-9 * exact:
             near = n_sample * self.spacing
             hint = f"the nearest sampling rate is {near:g} Hz"
-            raise ConfigError(f"a period of {1 / self.spacing:g} s holds {exact:g} samples, not a whole number", hint=hint)
+            raise ConfigError(
+                f"a period of {1 / self.spacing:g} s holds {exact:g} samples, not a whole number", hint=hint
+            )
         if 2 * int(self.lines[-1]) >= n_sample:
             highest = self.lines[-1] * self.spacing
-            raise ConfigError(f"lines up to {highest:g} Hz need more than {2 * highest:g} Hz of sampling rate")
+            raise ConfigError(
+                f"lines up to {highest:g} Hz need more than {2 * highest:g} Hz of sampling rate"
+            )
         period = _period(self.lines, self.phases, n_sample)
         return np.tile(period * self.rms * np.sqrt(2 / self.lines.size), periods)
 
@@ -66,13 +73,17 @@ def design_multisine(
     leave_out: int = 0,
     seed: int = 0,
 ) -> Multisine:
-    """A multisine with lines every *spacing* [Hz] in *band* [Hz]; ConfigError for an empty band or unknown phases.
+    """A multisine with lines every *spacing* [Hz] in *band* [Hz]; ConfigError for an empty band or unknown
+    phases.
 
-    *odd_only* keeps the odd multiples of the spacing: even lines then show even distortion. *leave_out* removes one line, drawn
-    with *seed*, from every group of that many: these show odd distortion (Pintelon and Schoukens, System Identification, sec. 4.3.2).
+    *odd_only* keeps the odd multiples of the spacing: even lines then show even distortion. *leave_out*
+    removes one line, drawn with *seed*, from every group of that many: these show odd distortion (Pintelon
+    and Schoukens, System Identification, sec. 4.3.2).
     """
     if leave_out == 1 or leave_out < 0:
-        raise ConfigError(f"leaving one of {leave_out} lines out leaves none", hint="one of 3 or 4 is usual; 0 keeps all")
+        raise ConfigError(
+            f"leaving one of {leave_out} lines out leaves none", hint="one of 3 or 4 is usual; 0 keeps all"
+        )
     if spacing <= 0 or rms <= 0:
         raise ConfigError("spacing and level must be positive")
     first, last = int(np.ceil(band[0] / spacing - 1e-9)), int(np.floor(band[1] / spacing + 1e-9))
@@ -82,14 +93,20 @@ def design_multisine(
     if leave_out:
         lines = np.delete(lines, _left_out(lines.size, leave_out, seed))
     if not lines.size:
-        raise ConfigError(f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz", hint="widen the band or narrow the spacing")
+        raise ConfigError(
+            f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz",
+            hint="widen the band or narrow the spacing",
+        )
     if phases not in PHASES:
         raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
 def _left_out(n_line: int, group: int, seed: int) -> IntArray:
-    """Indices of one line in every complete group of *group* lines; the first and the last line stay, so that the band is kept."""
+    """Indices of one line in every complete group of *group* lines.
+
+    The first and the last line stay, so that the band is kept.
+    """
     starts = np.arange(1, n_line - group, group)
     return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
 
@@ -100,7 +117,8 @@ def crest_factor(signal: FloatArray) -> float:
 
 
 def schroeder_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001 (one signature for the table)
-    """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder 1970).
+    """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder
+    1970).
 
     Equation (spec-schroeder).
     """
@@ -114,10 +132,12 @@ def random_phases(lines: IntArray, seed: int = 0) -> FloatArray:
 
 
 def optimised_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001
-    """Phases of low crest factor, (n_line,) [rad], by alternate clipping (Van der Ouderaa, Schoukens and Renneboog 1988).
+    """Phases of low crest factor, (n_line,) [rad], by alternate clipping (Van der Ouderaa, Schoukens and
+    Renneboog 1988).
 
-    From Schroeder's phases each step clips the peaks, keeps the phases of the clipped signal and restores the amplitudes; the clipping
-    level rises from step to step. The best step is returned, so the result is never worse than the start.
+    From Schroeder's phases each step clips the peaks, keeps the phases of the clipped signal and restores the
+    amplitudes; the clipping level rises from step to step. The best step is returned, so the result is never
+    worse than the start.
     """
     n_sample = OVERSAMPLING * int(lines[-1]) * 2
     phases = schroeder_phases(lines)
@@ -157,7 +177,9 @@ FADE = 0.01
 
 @dataclass(frozen=True)
 class Sweep:
-    """A designed sweep: *band* low and high [Hz], *duration* and *pause* after it [s], rms amplitude while it runs, *law*, *direction*."""
+    """A designed sweep: *band* low and high [Hz], *duration* and *pause* after it [s], rms amplitude while it
+    runs, *law*, *direction*.
+    """
 
     band: tuple[float, float]
     duration: float
@@ -177,23 +199,32 @@ class Sweep:
                 raise ConfigError(f"unknown {name} '{value}'", hint=f"known: {', '.join(names)}")
 
     def samples(self, sample_rate: float, count: int) -> FloatArray:
-        """*count* sweeps with their pauses sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]; up-down goes up first, then down.
+        """*count* sweeps with their pauses sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]; up-down
+        goes up first, then down.
 
         ConfigError when the sampling rate is too low for the band.
         """
         if 2 * self.band[1] >= sample_rate:
-            raise ConfigError(f"a sweep up to {self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate")
+            raise ConfigError(
+                f"a sweep up to {self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate"
+            )
         n_sample = round(self.duration * sample_rate)
         time = np.arange(n_sample) / sample_rate
         size = np.sqrt(2) * self.rms * _fade(time / self.duration)
         quiet = np.zeros(round(self.pause * sample_rate))
-        falls = [self.direction == "down" or (self.direction == "up-down" and number % 2 == 1) for number in range(count)]
-        return np.concatenate([part for fall in falls for part in (size * np.sin(self.phase(time, fall)), quiet)])
+        falls = [
+            self.direction == "down" or (self.direction == "up-down" and number % 2 == 1)
+            for number in range(count)
+        ]
+        return np.concatenate(
+            [part for fall in falls for part in (size * np.sin(self.phase(time, fall)), quiet)]
+        )
 
     def phase(self, time: FloatArray, falling: bool = False) -> FloatArray:
         """2 pi times the integral of the frequency [rad] at *time* (n,) [s] after the start of one sweep.
 
-        Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5). Equation (spec-sweep).
+        Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5).
+        Equation (spec-sweep).
         """
         first, last = self.band[::-1] if falling else self.band
         if self.law == "linear":
@@ -213,18 +244,22 @@ STATED = 192
 
 
 def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
-    """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at lines (n_line,) [multiples].
+    """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at
+    lines (n_line,) [multiples].
 
-    Of all times, whatever the sampling rate: never below the true one, and above it by 0.013 % at most. Equation (plan-highest).
+    Of all times, whatever the sampling rate: never below the true one, and above it by 0.013 % at most.
+    Equation (plan-highest).
     """
     signals = one_period(lines, amplitudes, STATED)
-    # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no farther than half a step.
+    # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no
+    # farther than half a step.
     between = np.cos(np.pi * int(lines.max()) / signals.shape[1])
     return np.asarray(np.abs(signals).max(axis=1) / between)
 
 
 def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> FloatArray:
-    """Signals over a period, (n_signal, n_sample) [unit of amplitudes], with *oversampling* samples or more per period of the highest line.
+    """Signals over a period, (n_signal, n_sample) [unit of amplitudes], with *oversampling* samples or more
+    per period of the highest line.
 
     Arguments as of `peaks`.
     """

@@ -18,13 +18,17 @@ ALIKE = 0.9
 HIT_CREST, RESTING = 8.0, 0.7
 # Least power of an excited line relative to the strongest one: -30 dB.
 EXCITED = 1e-3
-# A random recording is cut into about this many blocks, so that its averages number some thirty with 50 % overlap.
+# A random recording is cut into about this many blocks, so that its averages number some thirty with 50 %
+# overlap.
 BLOCKS = 16
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact); band with power [Hz]."""
+    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact).
+
+    Band with power [Hz].
+    """
 
     kind: str
     length: int
@@ -49,7 +53,8 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
 
 
 def find_period(signal: FloatArray) -> int:
-    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0 when it is not periodic.
+    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0
+    when it is not periodic.
 
     A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE and is a local maximum.
     """
@@ -60,22 +65,30 @@ def find_period(signal: FloatArray) -> int:
     product = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[: n // 2 + 1]
     power = np.concatenate([[0.0], np.cumsum(signal**2)])
     lags = np.arange(product.size)
-    correlation = product / np.sqrt(np.maximum(power[n - lags] * (power[n] - power[lags]), np.finfo(float).tiny))
+    correlation = product / np.sqrt(
+        np.maximum(power[n - lags] * (power[n] - power[lags]), np.finfo(float).tiny)
+    )
     # A slow signal also correlates with itself at short lags: lags count from the first low correlation on.
     uncorrelated = np.flatnonzero(correlation < 0.5)
     if not uncorrelated.size:
         return 0
     later = correlation[uncorrelated[0] :]
-    peaks = np.flatnonzero((later[1:-1] >= ALIKE) & (later[1:-1] >= later[:-2]) & (later[1:-1] >= later[2:])) + 1
+    peaks = (
+        np.flatnonzero((later[1:-1] >= ALIKE) & (later[1:-1] >= later[:-2]) & (later[1:-1] >= later[2:])) + 1
+    )
     if not peaks.size:
         return 0
-    # Noise lowers the correlation at all multiples of the period equally; the period is the shortest lag close to the maximum.
+    # Noise lowers the correlation at all multiples of the period equally; the period is the shortest lag
+    # close to the maximum.
     near = peaks[later[peaks] >= later[peaks].max() - (1 - ALIKE) / 2]
     return int(uncorrelated[0] + near[0])
 
 
 def hit_starts(force: FloatArray) -> IntArray:
-    """Samples at which hammer hits begin, (n_hit,); none where the force (n_sample,) [N] is not near zero most of the time."""
+    """Samples at which hammer hits begin, (n_hit,).
+
+    None where the force (n_sample,) [N] is not near zero most of the time.
+    """
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
     if rms == 0 or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
         return np.empty(0, np.intp)
@@ -120,7 +133,10 @@ BLOCK = 4096
 
 
 class EnvelopeTrack:
-    """Minima and maxima over intervals of equal length; pairs of intervals are merged when there are too many."""
+    """Minima and maxima over intervals of equal length.
+
+    Pairs of intervals are merged when there are too many.
+    """
 
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
         self._most = stretches + stretches % 2
@@ -140,7 +156,11 @@ class EnvelopeTrack:
             if self._low.shape[0] < self._most:
                 break
             # The number of intervals is even here, so that they merge in pairs.
-            self._low, self._high, self._step = _extremes(self._low, 2)[0], _extremes(self._high, 2)[1], 2 * self._step
+            self._low, self._high, self._step = (
+                _extremes(self._low, 2)[0],
+                _extremes(self._high, 2)[1],
+                2 * self._step,
+            )
         self._rest = pending
 
     def envelopes(self) -> tuple[Envelope, ...]:
@@ -160,7 +180,10 @@ def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
 
 
 class SpectrumTrack:
-    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted); blocks with missing numbers are skipped."""
+    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted).
+
+    Blocks with missing numbers are skipped.
+    """
 
     def __init__(self, n_channel: int, block: int = BLOCK) -> None:
         self._block = block
@@ -196,7 +219,9 @@ class SpectrumTrack:
 
 
 def _density(rows: FloatArray) -> FloatArray:
-    """One-sided power density per cycle and sample of rows (n, n_channel): its sum over n lines / n is the mean square."""
+    """One-sided power density per cycle and sample of rows (n, n_channel): its sum over n lines / n is the
+    mean square.
+    """
     n = rows.shape[0]
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     power = np.abs(fft.rfft((rows - rows.mean(axis=0)) * window[:, None], axis=0)) ** 2 / np.sum(window**2)

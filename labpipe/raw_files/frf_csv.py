@@ -1,4 +1,6 @@
-"""Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, if available, ``o/i:var``, ``o/i:coh``."""
+"""Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, if available, ``o/i:var``,
+``o/i:coh``.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,11 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     check_columns(table, [FREQUENCY])
     pairs = [match for column in table.columns if (match := _COLUMN.match(column))]
     if not pairs:
-        raise DataError("no columns 'output/input:re' and 'output/input:im'", where=str(path), hint="for example 'x/f:re', 'x/f:im'")
+        raise DataError(
+            "no columns 'output/input:re' and 'output/input:im'",
+            where=str(path),
+            hint="for example 'x/f:re', 'x/f:im'",
+        )
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
     required = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
@@ -62,23 +68,32 @@ def port_of(label: str) -> Port:
 
 def _form(path: Path) -> str:
     """The form named in the comment lines above the table; receptance by default."""
-    with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
+    with (
+        open_unpacked(path) as stream,
+        io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines,
+    ):
         for line in lines:
             if not line.startswith("#"):
                 break
             match = re.match(r"#\s*form:\s*(\S+)", line)
             if match and match[1] not in FORMS:
-                raise DataError(f"unknown form '{match[1]}'", where=f"{path}:1", hint=nearest(match[1], FORMS))
+                raise DataError(
+                    f"unknown form '{match[1]}'", where=f"{path}:1", hint=nearest(match[1], FORMS)
+                )
             if match:
                 return match[1]
     return "receptance"
 
 
-def _cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray:
+def _cube(
+    columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
+) -> FloatArray:
     return np.stack([np.stack([columns[f"{o}/{i}:{part}"] for i in inputs], -1) for o in outputs], 1)
 
 
-def _optional_cube(columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str) -> FloatArray | None:
+def _optional_cube(
+    columns: dict[str, FloatArray], outputs: tuple[str, ...], inputs: tuple[str, ...], part: str
+) -> FloatArray | None:
     """The cube where every element has the column, else None."""
     complete = all(f"{o}/{i}:{part}" in columns for o in outputs for i in inputs)
     return _cube(columns, outputs, inputs, part) if complete else None

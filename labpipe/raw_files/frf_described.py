@@ -31,7 +31,9 @@ VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
 
 class DescribedColumns:
-    """*names* of columns or variables, their *units* where the file states them, and what reads one by its place among the names."""
+    """*names* of columns or variables, their *units* where the file states them, and what reads one by its
+    place among the names.
+    """
 
     def __init__(
         self,
@@ -58,7 +60,11 @@ class DescribedColumns:
             if 1 <= int(described) <= len(self.names):
                 return int(described) - 1
             raise DataError(f"no column {described}: the table has {len(self.names)}", where=str(self.path))
-        raise DataError(f"no {self.word} '{described}'", where=str(self.path), hint=nearest(described, [n for n in self.names if n]))
+        raise DataError(
+            f"no {self.word} '{described}'",
+            where=str(self.path),
+            hint=nearest(described, [n for n in self.names if n]),
+        )
 
     def unit(self, described: str) -> str:
         """The unit that the file states, '' for none or an unknown one."""
@@ -70,7 +76,10 @@ class DescribedColumns:
         return unit
 
     def values(self, described: str) -> Any:
-        """The numbers [unit of the file], complex, (n_value,) or of any shape; DataError with the place of the first that is missing."""
+        """The numbers [unit of the file], complex, (n_value,) or of any shape.
+
+        DataError with the place of the first that is missing.
+        """
         numbers = np.asarray(self._read(self._index(described)))
         if numbers.dtype.kind not in "iufc" or not numbers.size:
             raise DataError(f"{self.word} '{described}' holds no numbers", where=str(self.path))
@@ -78,7 +87,9 @@ class DescribedColumns:
         numbers = numbers.ravel() if numbers.size == max(numbers.shape, default=1) else numbers
         if not np.all(np.isfinite(numbers)):
             row = int(np.argmax(~np.isfinite(numbers.ravel())))
-            raise DataError(f"{self.word} '{described}' has no number at value {row + 1}", where=self.place(row))
+            raise DataError(
+                f"{self.word} '{described}' has no number at value {row + 1}", where=self.place(row)
+            )
         return numbers
 
     def real(self, described: str) -> FloatArray:
@@ -86,14 +97,19 @@ class DescribedColumns:
         numbers = self.values(described)
         if np.any(numbers.imag):
             row = int(np.argmax(numbers.imag.ravel() != 0))
-            raise DataError(f"{self.word} '{described}' holds complex numbers, real ones are needed", where=self.place(row))
+            raise DataError(
+                f"{self.word} '{described}' holds complex numbers, real ones are needed",
+                where=self.place(row),
+            )
         return np.asarray(numbers.real, np.float64)
 
 
 def columns_of_table(path: Path) -> DescribedColumns:
     """The columns of a text or another table; DataError where the file holds variables."""
     if plain_suffix(path) in VARIABLE_SUFFIXES:
-        raise DataError("holds variables, no columns", where=str(path), hint="write 'variables' in place of 'columns'")
+        raise DataError(
+            "holds variables, no columns", where=str(path), hint="write 'variables' in place of 'columns'"
+        )
     if plain_suffix(path) in TEXT_SUFFIXES:
         if not path.is_file():
             raise DataError("is a folder, a file is needed", where=str(path))
@@ -103,14 +119,20 @@ def columns_of_table(path: Path) -> DescribedColumns:
 
     def read(index: int) -> FloatArray:
         if table.columns.count(table.columns[index]) > 1:
-            raise DataError(f"the column '{table.columns[index]}' appears several times", where=str(path), hint="rename one of them")
+            raise DataError(
+                f"the column '{table.columns[index]}' appears several times",
+                where=str(path),
+                hint="rename one of them",
+            )
         return np.concatenate(list(table.chunks([table.columns[index]])))[:, 0]
 
     return DescribedColumns(path, table.columns, table.units, read, lambda row: f"{path}: row {row + 1}")
 
 
 def columns_of_variables(path: Path) -> DescribedColumns:
-    """The variables of a MATLAB, HDF5 or .npz file; fields of structures are named with dots: FRF.y_values.values."""
+    """The variables of a MATLAB, HDF5 or .npz file; fields of structures are named with dots:
+    FRF.y_values.values.
+    """
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
         raise DataError(what, where=str(path), hint="write 'columns' in place of 'variables'")
@@ -152,7 +174,8 @@ class Dofs:
 def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     """The response of a file by the description of its columns or variables, in SI units.
 
-    DataError names file and, in a text, the line: for a missing column, a cell without a number, a unit that the file contradicts.
+    DataError names file and, in a text, the line: for a missing column, a cell without a number, a unit that
+    the file contradicts.
     """
     table = layout.table
     assert table is not None
@@ -161,7 +184,11 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
     if table.matrix:
         frequency = _frequency(source, table, None)
         matrix = _whole(
-            source.values(table.matrix), (frequency.size, len(dofs.outputs), len(dofs.inputs)), layout.axes, source, table.matrix
+            source.values(table.matrix),
+            (frequency.size, len(dofs.outputs), len(dofs.inputs)),
+            layout.axes,
+            source,
+            table.matrix,
         )
         coherence = _whole_coherence(source, table, matrix.shape, layout.axes)
         outputs, inputs = dofs.outputs, dofs.inputs
@@ -176,7 +203,12 @@ def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespon
         if all(columns.coherence for columns in elements.values()):
             coherence = _cube(outputs, inputs, lambda pair: source.real(elements[pair].coherence))
     return FrequencyResponse(
-        frequency, matrix * scale, tuple(map(port_of, outputs)), tuple(map(port_of, inputs)), form=form, coherence=coherence
+        frequency,
+        matrix * scale,
+        tuple(map(port_of, outputs)),
+        tuple(map(port_of, inputs)),
+        form=form,
+        coherence=coherence,
     )
 
 
@@ -191,11 +223,15 @@ def _elements(layout: FrfLayout, table: FrfColumns, dofs: Dofs) -> dict[tuple[st
     return elements
 
 
-def _labels(elements: dict[tuple[str, str], Any], source: DescribedColumns) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _labels(
+    elements: dict[tuple[str, str], Any], source: DescribedColumns
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     outputs, inputs = (tuple(dict.fromkeys(pair[side] for pair in elements)) for side in (0, 1))
     missing = [f"{o}/{i}" for o in outputs for i in inputs if (o, i) not in elements]
     if missing:
-        raise DataError(f"'elements' do not name {missing[0]}", where=str(source.path), hint="a full matrix is required")
+        raise DataError(
+            f"'elements' do not name {missing[0]}", where=str(source.path), hint="a full matrix is required"
+        )
     return outputs, inputs
 
 
@@ -212,7 +248,9 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
         values = source.values(first)
         if not np.any(values.imag):
             what = f"{source.word} '{first}' has no imaginary part anywhere"
-            raise DataError(what, where=str(source.path), hint="an amplitude needs its phase: amplitude and phase_deg")
+            raise DataError(
+                what, where=str(source.path), hint="an amplitude needs its phase: amplitude and phase_deg"
+            )
         return values
     size, other = source.real(first), source.real(second[0])
     if columns.given == ("re", "im"):
@@ -235,7 +273,10 @@ def _check_stated(source: DescribedColumns, column: str, layout: FrfLayout) -> N
         return
     described = layout.unit or FORMS[layout.form]
     if not set(readings(stated)) & set(readings(described)):
-        what = f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the entry under frfs"
+        what = (
+            f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
+            "entry under frfs"
+        )
         raise DataError(what, where=str(source.path), hint=f"write unit: {stated}")
 
 
@@ -245,7 +286,11 @@ def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
     described = part.removeprefix("phase_")
     if stated in ("deg", "°", "rad") and (stated == "rad") != (described == "rad"):
         other = "phase_rad" if stated == "rad" else "phase_deg"
-        raise DataError(f"{source.word} '{column}' is in {stated} by the file's own header", where=str(source.path), hint=f"write {other}")
+        raise DataError(
+            f"{source.word} '{column}' is in {stated} by the file's own header",
+            where=str(source.path),
+            hint=f"write {other}",
+        )
 
 
 def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:
@@ -263,12 +308,19 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
         what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
         raise DataError(what, where=str(source.path)) from None
     if table.omega and stated and not unit.dimension[5]:
-        raise DataError(f"{source.word} '{column}' is in {stated} by the file's own header", where=str(source.path), hint="write frequency")
+        raise DataError(
+            f"{source.word} '{column}' is in {stated} by the file's own header",
+            where=str(source.path),
+            hint="write frequency",
+        )
     frequency = numbers * unit.factor / ((2 * np.pi) if unit.dimension[5] else 1.0)
     falling = np.flatnonzero(np.diff(frequency) <= 0)
     if falling.size:
         row = int(falling[0]) + 1
-        raise DataError(f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})", where=source.place(row))
+        raise DataError(
+            f"{source.word} '{column}': the frequency does not increase ({numbers[row]:g})",
+            where=source.place(row),
+        )
     return np.asarray(frequency, np.float64)
 
 
@@ -281,29 +333,48 @@ def _scalar(source: DescribedColumns, text: str) -> float:
             raise DataError(error.what, where=str(source.path), hint=error.hint) from None
     values = source.real(text)
     if values.size != 1:
-        raise DataError(f"{source.word} '{text}' holds {values.size} numbers, one is needed", where=str(source.path))
+        raise DataError(
+            f"{source.word} '{text}' holds {values.size} numbers, one is needed", where=str(source.path)
+        )
     return float(values.flat[0])
 
 
-def _check_lengths(source: DescribedColumns, values: dict[tuple[str, str], ComplexArray], frequency: FloatArray) -> None:
+def _check_lengths(
+    source: DescribedColumns, values: dict[tuple[str, str], ComplexArray], frequency: FloatArray
+) -> None:
     for (output, reference), element in values.items():
         if element.shape != frequency.shape:
             what = f"{output}/{reference} has {element.size} values, the frequency axis {frequency.size}"
             raise DataError(what, where=str(source.path))
 
 
-def _whole(values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str) -> Any:
-    """An array in the order frequency, output, input; DataError when its size or the order of its dimensions is not clear."""
+def _whole(
+    values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str
+) -> Any:
+    """An array in the order frequency, output, input.
+
+    DataError when its size or the order of its dimensions is not clear.
+    """
     orders = [tuple(AXES.index(axis) for axis in axes)] if axes else list(permutations(range(3)))
     # MATLAB drops trailing dimensions of 1, and a vector may lie either way.
-    fitting = [order for order in orders if _squeezed(tuple(shape[n] for n in order)) == _squeezed(values.shape)]
+    fitting = [
+        order for order in orders if _squeezed(tuple(shape[n] for n in order)) == _squeezed(values.shape)
+    ]
     needed = f"{shape[0]} frequencies, {shape[1]} outputs, {shape[2]} inputs"
     if not fitting:
-        raise DataError(f"the variable '{name}' has the size {values.shape}; needed are {needed}", where=str(source.path))
-    arrays = [values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting]
+        raise DataError(
+            f"the variable '{name}' has the size {values.shape}; needed are {needed}", where=str(source.path)
+        )
+    arrays = [
+        values.reshape(tuple(shape[n] for n in order)).transpose(np.argsort(order)) for order in fitting
+    ]
     if any(not np.array_equal(arrays[0], other) for other in arrays[1:]):
         hint = "name their order, for example axes: [output, input, frequency]"
-        raise DataError(f"the dimensions {values.shape} of '{name}' could be ordered in several ways", where=str(source.path), hint=hint)
+        raise DataError(
+            f"the dimensions {values.shape} of '{name}' could be ordered in several ways",
+            where=str(source.path),
+            hint=hint,
+        )
     return arrays[0]
 
 
@@ -311,8 +382,12 @@ def _squeezed(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(length for length in shape if length != 1)
 
 
-def _whole_coherence(source: DescribedColumns, table: FrfColumns, shape: tuple[int, ...], axes: tuple[str, ...]) -> FloatArray | None:
+def _whole_coherence(
+    source: DescribedColumns, table: FrfColumns, shape: tuple[int, ...], axes: tuple[str, ...]
+) -> FloatArray | None:
     if not table.coherence:
         return None
-    values: FloatArray = _whole(source.real(table.coherence), (shape[0], shape[1], shape[2]), axes, source, table.coherence)
+    values: FloatArray = _whole(
+        source.real(table.coherence), (shape[0], shape[1], shape[2]), axes, source, table.coherence
+    )
     return values

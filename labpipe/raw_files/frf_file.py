@@ -26,6 +26,8 @@ def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
     suffix = plain_suffix(path)
     if suffix not in FRF_READERS.names():
         suffixes = ", ".join((*FRF_READERS.names(), ".frf.parquet"))
-        raise DataError(f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}")
+        raise DataError(
+            f"FRF files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {suffixes}"
+        )
     response: FrequencyResponse = guarded(FRF_READERS.load(suffix), path, name)
     return response

@@ -32,7 +32,10 @@ _BEAMS = (11, 21, 22, 23, 24)
 
 
 def read_geometry_uff(path: Path) -> Geometry:
-    """All nodes as points named by their labels, joined along trace lines and around elements; DataError where there are none."""
+    """All nodes as points named by their labels, joined along trace lines and around elements.
+
+    DataError where there are none.
+    """
     nodes: dict[int, list[float]] = {}
     pairs: list[tuple[int, int]] = []
     length = 1.0
@@ -47,7 +50,11 @@ def read_geometry_uff(path: Path) -> Geometry:
             elif number == UNITS:
                 length = _real(lines[1].split()[0])
         except (ValueError, IndexError):
-            raise DataError(f"the record {number} cannot be read", where=str(path), hint="numbers are missing, or are none") from None
+            raise DataError(
+                f"the record {number} cannot be read",
+                where=str(path),
+                hint="numbers are missing, or are none",
+            ) from None
     if not nodes:
         raise DataError("holds no nodes", where=str(path), hint="records 15 or 2411 are needed")
     if not length > 0:
@@ -57,7 +64,9 @@ def read_geometry_uff(path: Path) -> Geometry:
     if lost:
         raise DataError(f"a line leads to node {lost[0]}, which is not in the file", where=str(path))
     lines_between = np.array(sorted({(place[a], place[b]) for a, b in pairs if a != b}), int).reshape(-1, 2)
-    return Geometry(tuple(str(label) for label in nodes), np.array(list(nodes.values())) / length, lines_between)
+    return Geometry(
+        tuple(str(label) for label in nodes), np.array(list(nodes.values())) / length, lines_between
+    )
 
 
 def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -78,7 +87,10 @@ def _nodes(lines: list[str]) -> dict[int, list[float]]:
     words = " ".join(lines).split()
     if len(words) % _NODE_WORDS:
         raise ValueError
-    return {int(words[n]): [_real(word) for word in words[n + 4 : n + 7]] for n in range(0, len(words), _NODE_WORDS)}
+    return {
+        int(words[n]): [_real(word) for word in words[n + 4 : n + 7]]
+        for n in range(0, len(words), _NODE_WORDS)
+    }
 
 
 def _trace(lines: list[str]) -> list[tuple[int, int]]:
@@ -115,16 +127,20 @@ def read_geometry(path: Path) -> Geometry:
     if not path.exists():
         raise DataError("no such file", where=str(path))
     try:
-        return (read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)).checked()
+        return (
+            read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)
+        ).checked()
     except DataError as error:
         error.where = error.where or str(path)
         raise
 
 
 def read_geometry_csv(path: Path) -> Geometry:
-    """Points as rows under `point, x [mm], y [mm], z [mm], to`; *to*: points that a line joins to, separated by blanks.
+    """Points as rows under `point, x [mm], y [mm], z [mm], to`; *to*: points that a line joins to, separated
+    by blanks.
 
-    Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that begin with # are comments.
+    Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that begin with #
+    are comments.
     """
     try:
         lines = path.read_text("utf-8-sig").splitlines()
@@ -132,7 +148,11 @@ def read_geometry_csv(path: Path) -> Geometry:
         raise DataError("is no text in UTF-8", where=str(path), hint="save the table as CSV") from None
     delimiter = next((mark for mark in ";\t" if any(mark in line for line in lines)), ",")
     numbered = enumerate(csv.reader(lines, delimiter=delimiter), 1)
-    rows = [(number, row) for number, row in numbered if any(map(str.strip, row)) and not row[0].lstrip().startswith("#")]
+    rows = [
+        (number, row)
+        for number, row in numbered
+        if any(map(str.strip, row)) and not row[0].lstrip().startswith("#")
+    ]
     if not rows:
         raise DataError("holds no point", where=str(path))
     columns = _columns(rows[0][1], f"{path}:{rows[0][0]}")
@@ -142,10 +162,14 @@ def read_geometry_csv(path: Path) -> Geometry:
     for number, row in rows[1:]:
         cells = dict(zip(columns, [*row, *[""] * len(columns)], strict=False))
         names.append(cells[POINT].strip())
-        positions.append([_coordinate(cells.get(axis, "0"), columns.get(axis, ""), f"{path}:{number}") for axis in AXES])
+        positions.append(
+            [_coordinate(cells.get(axis, "0"), columns.get(axis, ""), f"{path}:{number}") for axis in AXES]
+        )
         joined += [(number, len(names) - 1, other) for other in cells.get(JOINED, "").split()]
     pairs = [(point, _number_of(other, names, f"{path}:{number}")) for number, point, other in joined]
-    return Geometry(tuple(names), np.array(positions, float).reshape(-1, 3), np.array(pairs, int).reshape(-1, 2))
+    return Geometry(
+        tuple(names), np.array(positions, float).reshape(-1, 3), np.array(pairs, int).reshape(-1, 2)
+    )
 
 
 def _columns(header: Sequence[str], where: str) -> dict[str, str]:
@@ -155,7 +179,9 @@ def _columns(header: Sequence[str], where: str) -> dict[str, str]:
         column = _COLUMN.match(cell)
         name = column["name"].lower() if column else cell.strip()
         if column is None or name not in (POINT, JOINED, *AXES) or name in columns:
-            raise DataError(f"column '{cell.strip()}' is unknown or stands twice", where=where, hint=f"known: {HEADER}")
+            raise DataError(
+                f"column '{cell.strip()}' is unknown or stands twice", where=where, hint=f"known: {HEADER}"
+            )
         columns[name] = column["unit"] or "m"
     missing = [name for name in (POINT, "x", "y") if name not in columns]
     if missing:

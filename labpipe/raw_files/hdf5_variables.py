@@ -1,4 +1,6 @@
-"""Variables of an HDF5 file by name, as in MATLAB 7.3 or plain HDF5: complex numbers, texts, cells, order of dimensions."""
+"""Variables of an HDF5 file by name, as in MATLAB 7.3 or plain HDF5: complex numbers, texts, cells, order of
+dimensions.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,12 @@ from labpipe.raw_files.hdf5_probe import check_hdf5
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names in the file, arrays in MATLAB's order of dimensions, texts as arrays of str.
+    """The variables of these names in the file, arrays in MATLAB's order of dimensions, texts as arrays of
+    str.
 
-    MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a text its UTF-16 codes, a
-    cell references to its contents. Links into other files are not followed. DataError when the file is damaged.
+    MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a
+    text its UTF-16 codes, a cell references to its contents. Links into other files are not followed.
+    DataError when the file is damaged.
     """
     check_hdf5(path)
     try:

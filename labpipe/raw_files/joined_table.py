@@ -1,4 +1,6 @@
-"""Channels of one run that lie in several files, as one table: joined row by row, or on their time columns."""
+"""Channels of one run that lie in several files, as one table: joined row by row, or on their time
+columns.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,9 @@ BESIDE = 0.1
 class JoinedTable:
     """The columns of several tables. Satisfies Table.
 
-    A name that several files have is written STEM/NAME for all files but the first. With *time*, the name of their common time column,
-    rows are those of equal times; without, row 1 stands beside row 1. What some files have and others have not is cut, and `findings`
-    says so once the table has been read.
+    A name that several files have is written STEM/NAME for all files but the first. With *time*, the name of
+    their common time column, rows are those of equal times; without, row 1 stands beside row 1. What some
+    files have and others have not is cut, and `findings` says so once the table has been read.
     """
 
     def __init__(self, tables: Sequence[Table], time: str | None) -> None:
@@ -43,19 +45,30 @@ class JoinedTable:
         self._cut: list[tuple[Path, int, int]] = []
 
     def _common_rate(self) -> float | None:
-        rates = [(table.path.name, table.sample_rate) for table in self._tables if table.sample_rate is not None]
+        rates = [
+            (table.path.name, table.sample_rate) for table in self._tables if table.sample_rate is not None
+        ]
         for name, rate in rates[1:]:
             if abs(rate / rates[0][1] - 1) > SAME_RATE:
-                raise DataError(f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz", hint="one run has one rate")
+                raise DataError(
+                    f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz",
+                    hint="one run has one rate",
+                )
         return rates[0][1] if rates else None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit together."""
+        """Consecutive chunks (n, n_column) [unit of the file].
+
+        DataError for times that do not fit together.
+        """
         places = [self._place[column] for column in columns]
         members = sorted({number for number, _ in places})
         # The time of every file is read along, to be compared.
         times = [self._time] if self._time else []
-        wanted = {n: list(dict.fromkeys([*times, *(name for number, name in places if number == n)])) for n in members}
+        wanted = {
+            n: list(dict.fromkeys([*times, *(name for number, name in places if number == n)]))
+            for n in members
+        }
         streams = [self._tables[n].chunks(wanted[n]) for n in members]
         skipped = [0] * len(members)
         if self._time:
@@ -66,13 +79,25 @@ class JoinedTable:
             if self._time:
                 self._check_times(blocks, members, row)
             row += blocks[0].shape[0]
-            yield np.column_stack([blocks[members.index(number)][:, wanted[number].index(name)] for number, name in places])
+            yield np.column_stack(
+                [blocks[members.index(number)][:, wanted[number].index(name)] for number, name in places]
+            )
         rests = parts.rests()
-        self._cut = [(self._tables[n].path, skip, rest) for n, skip, rest in zip(members, skipped, rests, strict=True) if skip or rest]
+        self._cut = [
+            (self._tables[n].path, skip, rest)
+            for n, skip, rest in zip(members, skipped, rests, strict=True)
+            if skip or rest
+        ]
         if not row:
-            raise DataError("the files have no time in common", where=str(self.path), hint="by: sample joins them row by row")
+            raise DataError(
+                "the files have no time in common",
+                where=str(self.path),
+                hint="by: sample joins them row by row",
+            )
 
-    def _aligned(self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]) -> tuple[list[Iterator[FloatArray]], list[int]]:
+    def _aligned(
+        self, streams: Sequence[Iterator[FloatArray]], members: Sequence[int]
+    ) -> tuple[list[Iterator[FloatArray]], list[int]]:
         """The streams again, and the rows of each before the first common time."""
         firsts = [next(stream) for stream in streams]
         if min(first.shape[0] for first in firsts) < 2:
@@ -80,16 +105,28 @@ class JoinedTable:
         starts = [float(first[0, 0]) for first in firsts]
         steps = [float(first[-1, 0] - first[0, 0]) / (first.shape[0] - 1) for first in firsts]
         for number, step in enumerate(steps):
-            if not abs(step / steps[0] - 1) < max(1 / min(firsts[0].shape[0], firsts[number].shape[0]), SAME_RATE):
+            if not abs(step / steps[0] - 1) < max(
+                1 / min(firsts[0].shape[0], firsts[number].shape[0]), SAME_RATE
+            ):
                 name = self._tables[members[number]].path.name
-                what = f"the time steps of {name} ({step:g}) differ from those of {self.path.name} ({steps[0]:g})"
-                raise DataError(what, hint="where that comes from times of few digits, by: sample joins row by row")
+                what = (
+                    f"the time steps of {name} ({step:g}) differ from those of {self.path.name} "
+                    f"({steps[0]:g})"
+                )
+                raise DataError(
+                    what, hint="where that comes from times of few digits, by: sample joins row by row"
+                )
         for number, start in enumerate(starts):
             offset = (start - starts[0]) / steps[0]
             if abs(offset - round(offset)) > BESIDE:
                 name = self._tables[members[number]].path.name
-                what = f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of {self.path.name}"
-                raise DataError(what, where=str(self.path), hint="resample one of them; by: sample joins row by row")
+                what = (
+                    f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of "
+                    f"{self.path.name}"
+                )
+                raise DataError(
+                    what, where=str(self.path), hint="resample one of them; by: sample joins row by row"
+                )
         skipped = [round((max(starts) - start) / steps[0]) for start in starts]
         return [chain([first], stream) for first, stream in zip(firsts, streams, strict=True)], skipped
 
@@ -101,13 +138,20 @@ class JoinedTable:
             if first.size > 1 and beside.any():
                 n = int(np.argmax(beside))
                 name = self._tables[members[number]].path.name
-                what = f"the times of {name} and {self.path.name} run apart: {block[n, 0]:g} and {first[n]:g} at common row {row + n + 1}"
+                what = (
+                    f"the times of {name} and {self.path.name} run apart: {block[n, 0]:g} and "
+                    f"{first[n]:g} at common row {row + n + 1}"
+                )
                 raise DataError(what, hint="a lost sample, or two clocks")
 
     def findings(self) -> tuple[Finding, ...]:
         """What was cut, once all chunks have been read."""
         return tuple(
-            note("cut", f"{path.name}: {before} samples at its start and {after} at its end are cut, where another file has none")
+            note(
+                "cut",
+                f"{path.name}: {before} samples at its start and {after} at its end are cut, where "
+                "another file has none",
+            )
             for path, before, after in self._cut
         )
 
@@ -140,5 +184,6 @@ class _Parallel:
     def rests(self) -> list[int]:
         """Rows of each stream behind the last common one."""
         return [
-            buffer.shape[0] + sum(block.shape[0] for block in stream) for buffer, stream in zip(self._buffers, self._streams, strict=True)
+            buffer.shape[0] + sum(block.shape[0] for block in stream)
+            for buffer, stream in zip(self._buffers, self._streams, strict=True)
         ]

@@ -22,12 +22,22 @@ CHUNK_ROWS = 1 << 14
 # LabVIEW's own words for units; others are written as they are.
 # LabVIEW's spectral measurements name their channels so, and write "Time" as the dimension of X all the same.
 SPECTRUM = re.compile(r"\((FFT\b|FRF\b|(power|amplitude|cross) spectr)", re.IGNORECASE)
-UNITS = {"volts": "V", "newtons": "N", "meters": "m", "amps": "A", "amperes": "A", "pascals": "Pa", "seconds": "s", "hertz": "Hz"}
+UNITS = {
+    "volts": "V",
+    "newtons": "N",
+    "meters": "m",
+    "amps": "A",
+    "amperes": "A",
+    "pascals": "Pa",
+    "seconds": "s",
+    "hertz": "Hz",
+}
 
 
 @dataclass(frozen=True)
 class LvmHeader:
-    """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from 1.
+    """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from
+    1.
 
     spectrum: the X values are frequencies [Hz], and no rate follows from their steps.
     """
@@ -45,8 +55,9 @@ class LvmHeader:
 class LvmTable:
     """The channels of a LabVIEW measurement file. Satisfies Table.
 
-    Without columns of X values the rate is that of Delta_X; with them it is for the rig's `time: X_Value`, and further segments, each under
-    a header of its own, follow in their order. DataError for another kind of text, and for segments without X values.
+    Without columns of X values the rate is that of Delta_X; with them it is for the rig's `time: X_Value`,
+    and further segments, each under a header of its own, follow in their order. DataError for another kind of
+    text, and for segments without X values.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,13 +66,18 @@ class LvmTable:
         names = unique([self._header.titles[place] for place in self._header.used])
         self._places = dict(zip(names, self._header.used, strict=True))
         self.columns = names
-        self.units = {name: unit for name, place in self._places.items() if (unit := self._header.units[place])}
+        self.units = {
+            name: unit for name, place in self._places.items() if (unit := self._header.units[place])
+        }
         if self._header.spectrum and X_VALUE in self._places:
             self.units[X_VALUE] = "Hz"
         self.sample_rate = self._header.sample_rate
 
     def _lines(self) -> Iterator[str]:
-        with open_unpacked(self.path) as stream, io.TextIOWrapper(stream, encoding="utf-8", errors="replace") as lines:
+        with (
+            open_unpacked(self.path) as stream,
+            io.TextIOWrapper(stream, encoding="utf-8", errors="replace") as lines,
+        ):
             yield from (line.rstrip("\r\n") for line in lines)
 
     def _read_header(self) -> LvmHeader:
@@ -69,21 +85,40 @@ class LvmTable:
         ended, delimiter = 0, "\t"
         for number, line in enumerate(self._lines(), 1):
             if number == 1 and not line.startswith("LabVIEW Measurement"):
-                raise DataError("is not a LabVIEW measurement file", where=str(self.path), hint="its first words are LabVIEW Measurement")
+                raise DataError(
+                    "is not a LabVIEW measurement file",
+                    where=str(self.path),
+                    hint="its first words are LabVIEW Measurement",
+                )
             if line.startswith(("Separator\t", "Separator,")):
                 delimiter = "," if "Comma" in line else "\t"
             fields = line.split(delimiter)
             if fields[0] == X_VALUE:
-                return _header(entries, [field.strip() for field in fields], delimiter, self._first_row(number), number + 1, self.path)
+                return _header(
+                    entries,
+                    [field.strip() for field in fields],
+                    delimiter,
+                    self._first_row(number),
+                    number + 1,
+                    self.path,
+                )
             ended += fields[0].startswith(END)
             entries[fields[0]] = [field.strip() for field in fields]
-        raise DataError("is cut off in its header" if ended < 2 else f"has no line of titles ('{X_VALUE} ...')", where=str(self.path))
+        raise DataError(
+            "is cut off in its header" if ended < 2 else f"has no line of titles ('{X_VALUE} ...')",
+            where=str(self.path),
+        )
 
     def _first_row(self, titles: int) -> str:
-        return next((line for number, line in enumerate(self._lines(), 1) if number > titles and line.strip()), "")
+        return next(
+            (line for number, line in enumerate(self._lines(), 1) if number > titles and line.strip()), ""
+        )
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file]; DataError names line and column of what is no number."""
+        """Consecutive chunks (n, n_column) [unit of the file].
+
+        DataError names line and column of what is no number.
+        """
         places = [self._places[name] for name in columns]
         rows: list[list[float]] = []
         for number, line in self._data_lines():
@@ -112,7 +147,9 @@ class LvmTable:
         """DataError for a further segment where nothing says when it was recorded."""
         if X_VALUE not in self._places:
             hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
-            raise DataError("a second segment begins, and no X values say when", where=f"{self.path}:{number}", hint=hint)
+            raise DataError(
+                "a second segment begins, and no X values say when", where=f"{self.path}:{number}", hint=hint
+            )
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)
@@ -120,18 +157,27 @@ class LvmTable:
         for place in places:
             text = fields[place].strip() if place < len(fields) else ""
             try:
-                row.append(float(text.replace(",", ".") if self._header.decimal == "," else text) if text else np.nan)
+                row.append(
+                    float(text.replace(",", ".") if self._header.decimal == "," else text) if text else np.nan
+                )
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
                 raise DataError(what, where=f"{self.path}:{number}") from None
         return row
 
 
-def _header(entries: dict[str, list[str]], titles: list[str], delimiter: str, row: str, first_line: int, path: Path) -> LvmHeader:
-    """The header of a segment from its entries by their first words, the line of titles and the first row of numbers."""
+def _header(
+    entries: dict[str, list[str]], titles: list[str], delimiter: str, row: str, first_line: int, path: Path
+) -> LvmHeader:
+    """The header of a segment from its entries by their first words, the line of titles and the first row of
+    numbers.
+    """
     stated = entries.get("Decimal_Separator", ["", ""])[1]
     decimal = stated or ("," if delimiter != "," and "," in row else ".")
-    padded = {key: [*entries.get(key, []), *[""] * len(titles)] for key in ("Samples", "Y_Unit_Label", "X_Dimension", "Delta_X")}
+    padded = {
+        key: [*entries.get(key, []), *[""] * len(titles)]
+        for key in ("Samples", "Y_Unit_Label", "X_Dimension", "Delta_X")
+    }
     with_x = bool(row.split(delimiter)[0].strip())
     used = [
         place
@@ -142,14 +188,19 @@ def _header(entries: dict[str, list[str]], titles: list[str], delimiter: str, ro
         raise DataError("holds no channel with samples", where=str(path))
     # The first field is the word Y_Unit_Label itself.
     units = ["", *(UNITS.get(unit.lower(), unit) for unit in padded["Y_Unit_Label"][1:])]
-    spectrum = _is_spectrum([(titles[place], padded["X_Dimension"][place]) for place in used if titles[place] != X_VALUE])
+    spectrum = _is_spectrum(
+        [(titles[place], padded["X_Dimension"][place]) for place in used if titles[place] != X_VALUE]
+    )
     rate = None if with_x or spectrum else _rate([padded["Delta_X"][place] for place in used], decimal, path)
     return LvmHeader(delimiter, decimal, tuple(titles), tuple(units), tuple(used), rate, first_line, spectrum)
 
 
 def _is_spectrum(channels: Sequence[tuple[str, str]]) -> bool:
     """Whether the X values of channels with these titles and dimensions of X are frequencies."""
-    return all(dimension.lower().startswith("freq") or SPECTRUM.search(title) is not None for title, dimension in channels)
+    return all(
+        dimension.lower().startswith("freq") or SPECTRUM.search(title) is not None
+        for title, dimension in channels
+    )
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
@@ -162,7 +213,9 @@ def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
     except ValueError:
         raise DataError(f"Delta_X '{texts.pop()}' is not a number", where=str(path)) from None
     if len(numbers) > 1 or min(numbers) <= 0:
-        raise DataError("the channels have different rates (Delta_X)", where=str(path), hint="one rate per file is needed")
+        raise DataError(
+            "the channels have different rates (Delta_X)", where=str(path), hint="one rate per file is needed"
+        )
     (text,), (step,) = list(texts)[:1], numbers
     mantissa, _, exponent = text.upper().partition("E")
     last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))

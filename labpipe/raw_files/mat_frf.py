@@ -23,7 +23,9 @@ _KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof")
 
 
 def write_frf_mat(path: Path, response: FrequencyResponse) -> None:
-    """Write ``frequency_hz``, ``H`` (frequency, output, input), ``form``, ``unit``, cells of dofs, and covariance, coherence."""
+    """Write ``frequency_hz``, ``H`` (frequency, output, input), ``form``, ``unit``, cells of dofs, and
+    covariance, coherence.
+    """
     variables: dict[str, Any] = {
         "frequency_hz": response.frequency[:, None],
         "H": response.matrix,
@@ -54,7 +56,10 @@ def holds_response(path: Path) -> bool:
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of a file written by `write_frf_mat`; DataError names a missing variable or one of wrong size."""
+    """The response of a file written by `write_frf_mat`.
+
+    DataError names a missing variable or one of wrong size.
+    """
     variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
     missing = [key for key in needed if key not in variables]
@@ -70,7 +75,16 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     optional = {key: _shaped(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     dof = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
     matrix = _shaped(variables, "H", shape, path)
-    return FrequencyResponse(frequency, matrix, outputs, inputs, form=text_of(variables["form"]), **optional, covariance_dof=dof, name=name)
+    return FrequencyResponse(
+        frequency,
+        matrix,
+        outputs,
+        inputs,
+        form=text_of(variables["form"]),
+        **optional,
+        covariance_dof=dof,
+        name=name,
+    )
 
 
 def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
@@ -83,7 +97,9 @@ def _numbers(variables: dict[str, Any], key: str, path: Path) -> Any:
 def _shaped(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> Any:
     values = _numbers(variables, key, path)
     if values.shape != shape[: values.ndim] or values.size != math.prod(shape):
-        raise DataError(f"the variable {key} has the size {values.shape}, {shape} is required", where=str(path))
+        raise DataError(
+            f"the variable {key} has the size {values.shape}, {shape} is required", where=str(path)
+        )
     return values.reshape(shape)
 
 
@@ -94,20 +110,38 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
     if not labels or not len(labels) == len(dofs) == angles.size:
         raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", where=str(path))
     ports = zip(labels, dofs, angles, strict=True)
-    return tuple(Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports)
+    return tuple(
+        Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports
+    )
 
 
 def _texts(cells: Any) -> list[str]:
     """The texts of a cell array, or of the rows of a char array."""
-    return [text_of(np.array(cell) if isinstance(cell, str) else cell).strip() for cell in np.asarray(cells).ravel()]
+    return [
+        text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
+        for cell in np.asarray(cells).ravel()
+    ]
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:
-    """Write one column vector per channel [SI], ``fs`` [Hz] and a structure ``units``; names become MATLAB's."""
+    """Write one column vector per channel [SI], ``fs`` [Hz] and a structure ``units``.
+
+    Names become MATLAB's.
+    """
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:
-        raise DataError("two channels have the same name in MATLAB", where=recording.name, hint="fs and units are reserved")
+        raise DataError(
+            "two channels have the same name in MATLAB",
+            where=recording.name,
+            hint="fs and units are reserved",
+        )
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
-    savemat(path, {**variables, "fs": recording.sample_rate, "units": units}, do_compression=True, long_field_names=True, appendmat=False)
+    savemat(
+        path,
+        {**variables, "fs": recording.sample_rate, "units": units},
+        do_compression=True,
+        long_field_names=True,
+        appendmat=False,
+    )

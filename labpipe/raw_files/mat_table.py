@@ -30,9 +30,11 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 
 def check_elements(path: Path) -> None:
-    """ValueError for an element longer than its container, of unknown type, or a matrix without flags and size.
+    """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
+    size.
 
-    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by their readers.
+    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by
+    their readers.
     """
     content = path.read_bytes()
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
@@ -88,7 +90,8 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _BROKEN = (
-    ValueError, TypeError, OSError, KeyError, IndexError, EOFError, NotImplementedError, OverflowError, MemoryError, UnicodeDecodeError,
+    ValueError, TypeError, OSError, KeyError, IndexError, EOFError, NotImplementedError, OverflowError,
+    MemoryError, UnicodeDecodeError,
     struct.error, zlib.error, MatReadError,
 )  # fmt: skip
 
@@ -126,18 +129,30 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def load_fields(path: Path) -> dict[str, Any]:
-    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x"; DataError as `load_variables`."""
+    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x".
+
+    DataError as `load_variables`.
+    """
     return dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
 
 
 def mat_table(path: Path) -> ArraysTable:
-    """The vectors of a MATLAB file as a table; a structure ``units`` with one text per vector gives their units."""
+    """The vectors of a MATLAB file as a table.
+
+    A structure ``units`` with one text per vector gives their units.
+    """
     if is_hdf5(path):
         return hdf5_table(path)
     arrays = load_fields(path)
     numeric = {name: value for name, value in arrays.items() if is_numeric(value)}
-    units = {name.removeprefix("units."): text_of(value) for name, value in arrays.items() if name.startswith("units.")}
-    columns = {name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()}
+    units = {
+        name.removeprefix("units."): text_of(value)
+        for name, value in arrays.items()
+        if name.startswith("units.")
+    }
+    columns = {
+        name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()
+    }
     rate = rate_of({name: value.item() for name, value in numeric.items() if value.size == 1}, path)
     return ArraysTable(path, columns, units, rate)
 
@@ -154,7 +169,8 @@ _UNITS = ("unit", "units", "unit_string")
 
 
 def hdf5_table(path: Path) -> ArraysTable:
-    """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError when it is damaged.
+    """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError
+    when it is damaged.
 
     Links into other files are not followed.
     """
@@ -167,8 +183,15 @@ def hdf5_table(path: Path) -> ArraysTable:
         scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
         scalars |= _rate_attributes(file, sets)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", where=str(path)) from None
-    columns = {name: column for key, item in sets.items() if item.size > 1 for name, column in columns_of(key, item).items()}
+        raise DataError(
+            f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", where=str(path)
+        ) from None
+    columns = {
+        name: column
+        for key, item in sets.items()
+        if item.size > 1
+        for name, column in columns_of(key, item).items()
+    }
     units = {name: _unit(sets, name) for name in columns}
     return ArraysTable(path, columns, units, rate_of(scalars, path))
 

@@ -1,4 +1,6 @@
-"""MDF files of version 3 and 4 (.mf4, .mdf), read by asammdf: the channels of the longest group, with its times."""
+"""MDF files of version 3 and 4 (.mf4, .mdf), read by asammdf: the channels of the longest group, with its
+times.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ MOST_SQUEEZED = 1 << 16
 
 
 def mdf_table(path: Path) -> MdfTable:
-    """The table of a file that a child process has looked at: places beyond a sample make the library crash."""
+    """The table of a file that a child process has looked at: places beyond a sample make the library
+    crash.
+    """
     if path.stat().st_size == 0:
         raise DataError("the file is empty", where=str(path))
     load_extra("asammdf", "mdf", path)
@@ -45,7 +49,9 @@ class MdfTable:
         self._library = load_extra("asammdf", "mdf", path)
         logging.getLogger("asammdf").setLevel(logging.CRITICAL)
         with _quiet(), self._open() as file:
-            groups = [(int(group.channel_group.cycles_nr), number) for number, group in enumerate(file.groups)]
+            groups = [
+                (int(group.channel_group.cycles_nr), number) for number, group in enumerate(file.groups)
+            ]
             self._length, self._group = max(groups, default=(0, -1))
             if self._length < 2:
                 raise DataError("holds no group of samples", where=str(path))
@@ -54,7 +60,8 @@ class MdfTable:
             channels = [
                 (channel.name, number, signal.unit)
                 for number, channel in enumerate(file.groups[self._group].channels)
-                if number != master and _is_numeric(signal := file.get(group=self._group, index=number, record_count=2))
+                if number != master
+                and _is_numeric(signal := file.get(group=self._group, index=number, record_count=2))
             ]
         names = unique([name for name, _, _ in channels])
         self._places = dict(zip(names, (number for _, number, _ in channels), strict=True))
@@ -63,18 +70,34 @@ class MdfTable:
         self.sample_rate: float | None = None
 
     def _check_amount(self, group: Any) -> None:
-        """DataError where the file says more samples than its blocks can hold: the library would make room for all of them."""
+        """DataError where the file says more samples than its blocks can hold: the library would make room
+        for all of them.
+        """
         # Marks of invalid samples stand behind each sample, except in files that keep every column by itself.
-        marks = 0 if getattr(group, "uses_ld", False) else int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
+        marks = (
+            0
+            if getattr(group, "uses_ld", False)
+            else int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
+        )
         size, record = self.path.stat().st_size, int(group.channel_group.samples_byte_nr) + marks
-        room = sum(min(info.original_size, MOST_SQUEEZED * min(info.compressed_size, size)) for info in group.data_blocks)
+        room = sum(
+            min(info.original_size, MOST_SQUEEZED * min(info.compressed_size, size))
+            for info in group.data_blocks
+        )
         if self._length * record > room:
-            what = f"is not a readable MDF file ({self._length} samples of {record} bytes are stated, {room} bytes are there)"
+            what = (
+                f"is not a readable MDF file ({self._length} samples of {record} bytes are stated, "
+                f"{room} bytes are there)"
+            )
             raise DataError(what, where=str(self.path), hint="the file is cut off or damaged")
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
-        """The file; DataError for a damaged one, for which the library has errors of many kinds, at opening and at reading."""
+        """The file.
+
+        DataError for a damaged one, for which the library has errors of many kinds, at opening and at
+        reading.
+        """
         file, reason = self._opened()
         if not reason:
             try:
@@ -85,7 +108,10 @@ class MdfTable:
                 raise
             except Exception as error:
                 reason = str(error)
-        raise DataError(f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})", where=str(self.path))
+        raise DataError(
+            f"is not a readable MDF file ({(reason.splitlines() or ['damaged'])[0][:80]})",
+            where=str(self.path),
+        )
 
     def _opened(self) -> tuple[Any, str]:
         """The file, or why it cannot be opened."""
@@ -115,15 +141,24 @@ class MdfTable:
         """The rows *start* to *start* + *count* of the columns, (count, n_column) [unit of the file]."""
         part = {"record_offset": start, "record_count": count}
         times = file.get_master(self._group, **part)
-        signals = [times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples for name in columns]
+        signals = [
+            times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples
+            for name in columns
+        ]
         if len(times) != count:
-            raise DataError(f"ends within its {self._length} samples", where=str(self.path), hint="the file is cut off or damaged")
+            raise DataError(
+                f"ends within its {self._length} samples",
+                where=str(self.path),
+                hint="the file is cut off or damaged",
+            )
         return np.column_stack([np.asarray(signal, np.float64) for signal in signals])
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence of the library: it prints what it holds of a damaged file, and a half-made object of it fails once more when it goes."""
+    """Silence of the library: it prints what it holds of a damaged file, and a half-made object of it fails
+    once more when it goes.
+    """
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
     try:
@@ -135,7 +170,9 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _kept_young() -> Iterator[None]:
-    """What is made within stays in the youngest generation: a search for garbage there finds it without a look at all other objects."""
+    """What is made within stays in the youngest generation: a search for garbage there finds it without a
+    look at all other objects.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -42,7 +42,10 @@ class ParquetTable:
             raise DataError("has no rows", where=str(path))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other; DataError for a column without numbers."""
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
+
+        DataError for a column without numbers.
+        """
         for parts in self.column_chunks(columns):
             rows = np.empty((len(columns), parts[0].size))
             for row, part in zip(rows, parts, strict=True):
@@ -50,7 +53,9 @@ class ParquetTable:
             yield rows.T
 
     def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
-        """The same, each column (n,) [unit of the file] in its own precision where float64 holds that exactly."""
+        """The same, each column (n,) [unit of the file] in its own precision where float64 holds that
+        exactly.
+        """
         for name in columns:
             kind = self._schema.field(name).type
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
@@ -60,7 +65,10 @@ class ParquetTable:
 
 
 def _numbers(column: pa.Array) -> FloatArray:
-    """The numbers of a column (n,) [unit of the file]; those of a kind that float64 does not hold exactly as float64, or refused."""
+    """The numbers of a column (n,) [unit of the file].
+
+    Those of a kind that float64 does not hold exactly as float64, or refused.
+    """
     exact = pa.types.is_floating(column.type) or column.type.bit_width <= MOST_EXACT_BITS
     values: FloatArray = numpy_array(column if exact and not column.null_count else column.cast(pa.float64()))
     return values
@@ -100,7 +108,15 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
                 rate, samples = wavfile.read(str(path), mmap=True)
             except ValueError:
                 rate, samples = wavfile.read(str(path))
-    except (ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError) as error:
+    except (
+        ValueError,
+        TypeError,
+        OSError,
+        EOFError,
+        struct.error,
+        UnboundLocalError,
+        ZeroDivisionError,
+    ) as error:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
         raise DataError(f"is not a readable WAV file ({reason[:80]})", where=str(path)) from None
     if any("EOF" in str(warning.message) for warning in caught):
@@ -125,7 +141,10 @@ def _check_length(path: Path) -> None:
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:
-    """Samples by full scale: integers by 2^(bits - 1), bytes around 128; scipy gives 24 bit as the upper part of 32."""
+    """Samples by full scale: integers by 2^(bits - 1), bytes around 128.
+
+    Scipy gives 24 bit as the upper part of 32.
+    """
     if samples.dtype.kind == "f":
         return samples.astype(np.float64)
     half = 2.0 ** (8 * samples.dtype.itemsize - 1)
@@ -138,7 +157,10 @@ Row = tuple[Any, ...]
 
 
 class XlsxTable:
-    """The columns of the only sheet with numbers; formulas count with the values that Excel stored. Satisfies Table."""
+    """The columns of the only sheet with numbers; formulas count with the values that Excel stored.
+
+    Satisfies Table.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -167,16 +189,26 @@ class XlsxTable:
         # The library has errors of many kinds for a damaged file.
         except Exception as error:
             reason = (str(error).splitlines() or ["damaged"])[0]
-            raise DataError(f"is not a readable Excel workbook ({reason[:80]})", where=str(self.path)) from None
+            raise DataError(
+                f"is not a readable Excel workbook ({reason[:80]})", where=str(self.path)
+            ) from None
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
-            what = "no sheet holds a row of numbers" if not numeric else f"several sheets hold numbers: {', '.join(numeric)}"
+            what = (
+                "no sheet holds a row of numbers"
+                if not numeric
+                else (f"several sheets hold numbers: {', '.join(numeric)}")
+            )
             raise DataError(what, where=str(self.path), hint="a workbook with one table is needed")
         return next(iter(numeric.items()))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """The rows (n, n_column) [unit of the file] at once; DataError names the cell that is no number."""
-        rows = [(number, row) for number, row in enumerate(self._rows, self._first + 1) if any(cell is not None for cell in row)]
+        rows = [
+            (number, row)
+            for number, row in enumerate(self._rows, self._first + 1)
+            if any(cell is not None for cell in row)
+        ]
         yield np.column_stack([self._column(self._names.index(name), rows) for name in columns])
 
     def _column(self, place: int, rows: Sequence[tuple[int, Row]]) -> FloatArray:
@@ -197,7 +229,9 @@ class XlsxTable:
 def _is_numeric(row: Row) -> bool:
     """True for a row of numbers and dates, some of which may be missing."""
     cells = [cell for cell in row if cell is not None]
-    is_value = all(isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells)
+    is_value = all(
+        isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells
+    )
     return is_value and any(isinstance(cell, (int, float)) for cell in cells)
 
 

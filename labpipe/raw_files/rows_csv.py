@@ -2,8 +2,8 @@
 
 Texts as cells of a CSV file: none of them is a formula to the spreadsheet that opens it.
 
-A text that begins with = + - @, a tabulator or an apostrophe gets an apostrophe in front, unless it is a number with its unit
-("-5 N"). Whoever reads the cell takes one leading apostrophe away.
+A text that begins with = + - @, a tabulator or an apostrophe gets an apostrophe in front, unless it is a
+number with its unit ("-5 N"). Whoever reads the cell takes one leading apostrophe away.
 """
 
 from __future__ import annotations
@@ -53,5 +53,9 @@ def write_table_csv(table: pd.DataFrame, target: Path) -> None:
     """Write a table whose texts no spreadsheet takes for formulas."""
     import pandas as pd
 
-    texts = {name: table[name].map(cell) for name in table.columns if not pd.api.types.is_numeric_dtype(table[name])}
+    texts = {
+        name: table[name].map(cell)
+        for name in table.columns
+        if not pd.api.types.is_numeric_dtype(table[name])
+    }
     table.assign(**texts).rename(columns=cell).to_csv(target, index=False)

@@ -16,17 +16,20 @@ from labpipe.records.finding import Finding
 
 # Equal consecutive samples that count as clipping; fewer occur by chance at a coarse resolution.
 CLIPPED_RUN = 3
-# Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal leaves its extreme at
-# once, as white noise does, no run is long. The slow turn of a sine holds 5 times as many.
+# Or this many times as many samples at the extreme as at each of the NEXT_VALUES next ones: where the signal
+# leaves its extreme at once, as white noise does, no run is long. The slow turn of a sine holds 5 times as
+# many.
 CLIPPED_CROWD, NEXT_VALUES = 10, 15
 # Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
 AT_LIMIT = 1e-9
 
 
 class EndValues:
-    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all where they crowd there.
+    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all
+    where they crowd there.
 
-    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value starts afresh.
+    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value
+    starts afresh.
     """
 
     def __init__(self, sign: float) -> None:
@@ -39,7 +42,10 @@ class EndValues:
         self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def reaches(self, extreme: float) -> bool:
-        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted; a run ends where it has none."""
+        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted.
+
+        A run ends where it has none.
+        """
         if self._values.size <= NEXT_VALUES or extreme >= self._reached:
             return True
         self._open = 0
@@ -68,14 +74,19 @@ class EndValues:
         if self._first < 0:
             self._first = start + int(at_end[0])
         breaks = np.flatnonzero(np.diff(at_end) > 1)
-        begins, ends = at_end[np.concatenate([[0], breaks + 1])], at_end[np.concatenate([breaks, [at_end.size - 1]])] + 1
+        begins, ends = (
+            at_end[np.concatenate([[0], breaks + 1])],
+            at_end[np.concatenate([breaks, [at_end.size - 1]])] + 1,
+        )
         for begin, end in zip(begins, ends, strict=True):
             self._count_run(int(begin), int(end), self._open if begin == 0 else 0, start)
         last = int(ends[-1] - begins[-1]) + (self._open if begins[-1] == 0 else 0)
         self._open = last if ends[-1] == column.size else 0
 
     def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Where the column (n,) reaches the outermost values so far, and its values there times the sign: few, after the first block."""
+        """Where the column (n,) reaches the outermost values so far, and its values there times the sign:
+        few, after the first block.
+        """
         if self._values.size <= NEXT_VALUES:
             places = np.flatnonzero(np.isfinite(column))
             return places, self._sign * column[places]
@@ -86,7 +97,9 @@ class EndValues:
         return (places, values) if finite.all() else (places[finite], values[finite])
 
     def _count(self, outer: FloatArray) -> None:
-        """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger is finer."""
+        """Counts values that agree in single precision as one: computed numbers differ by rounding, no logger
+        is finer.
+        """
         fresh, counts = np.unique(outer.astype(np.float32).astype(float), return_counts=True)
         joined, place = np.unique(np.concatenate([self._values, fresh]), return_inverse=True)
         total = np.bincount(place, np.concatenate([self._counts, counts]), joined.size).astype(np.int64)
@@ -101,7 +114,9 @@ class EndValues:
             self._first_in_runs = start + begin - carried
 
     def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them); none where the extreme is zero: there a window has set the force to zero, or nothing acted."""
+        """(clipped samples, first of them); none where the extreme is zero: there a window has set the force
+        to zero, or nothing acted.
+        """
         if self._extreme == 0:
             return 0, -1
         if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
@@ -110,7 +125,10 @@ class EndValues:
 
 
 class AtLimit:
-    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is clipped."""
+    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one.
+
+    A single one is clipped.
+    """
 
     def __init__(self, sign: float, limits: tuple[float, float]) -> None:
         low, high = limits
@@ -136,7 +154,9 @@ class AtLimit:
 
 
 def both_ends(limits: tuple[float, float] | None) -> tuple[EndValues, EndValues] | tuple[AtLimit, AtLimit]:
-    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values."""
+    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme
+    values.
+    """
     if limits is None:
         return EndValues(-1.0), EndValues(1.0)
     return AtLimit(-1.0, limits), AtLimit(1.0, limits)
@@ -150,7 +170,8 @@ JITTER = 1e-3
 FINE = 3.0
 # Share of the last printed digit by which mean and median step differ when the times have too few digits.
 COARSE = 0.1
-# Times may repeat or shorten a step where it is longer than this many last digits: a lost sample would still be seen.
+# Times may repeat or shorten a step where it is longer than this many last digits: a lost sample would still
+# be seen.
 LEAST = 0.75
 # No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
 FASTEST = 1e12
@@ -161,21 +182,30 @@ MOST_DIGITS = 9
 
 
 def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
-    """DataError for the first number of a block (n, n_channel) [SI] from sample *first* on that no measurement gives: beyond LARGEST."""
+    """DataError for the first number of a block (n, n_channel) [SI] from sample *first* on that no
+    measurement gives: beyond LARGEST.
+    """
     beyond = np.abs(block) > LARGEST
     # Infinities are missing numbers, which are reported as such.
     beyond &= np.isfinite(block)
     if not beyond.any():
         return
     sample, channel = (int(place) for place in np.argwhere(beyond)[0])
-    what = f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is no measured number"
+    what = (
+        f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is no measured "
+        "number"
+    )
     raise DataError(what, hint="check the unit, the sensitivity and the column")
 
 
 class ChannelScreen:
-    """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold NaN."""
+    """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold
+    NaN.
+    """
 
-    def __init__(self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None) -> None:
+    def __init__(
+        self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None
+    ) -> None:
         """*limits* of the range of every channel, where known."""
         n = len(names)
         self._names = list(names)
@@ -190,45 +220,65 @@ class ChannelScreen:
         """Add the next block (n, n_channel) [unit of the channel]."""
         if not block.shape[0]:
             return
-        # Along a channel numbers lie side by side: reductions across rows of a few channels take eight times as long.
+        # Along a channel numbers lie side by side: reductions across rows of a few channels take eight times
+        # as long.
         columns = np.ascontiguousarray(block.T)
         low, high = columns.min(axis=1), columns.max(axis=1)
-        # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not searched.
+        # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not
+        # searched.
         if np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST:
             self._add_levels(columns)
         else:
             low, high = self._add_with_gaps(block, columns)
         self._add_ends(low, high, block.shape[0], columns.__getitem__)
 
-    def add_between(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> bool:
-        """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit of the channel] alone.
+    def add_between(
+        self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]
+    ) -> bool:
+        """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit
+        of the channel] alone.
 
-        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known then. False, and nothing
-        added, for samples that are missing or beyond measure, which `add` takes.
+        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known
+        then. False, and nothing added, for samples that are missing or beyond measure, which `add` takes.
         """
-        if not (np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST):
+        if not (
+            np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST
+        ):
             return False
         self._add_ends(low, high, n_sample, column_of)
         return True
 
-    def _add_ends(self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]) -> None:
+    def _add_ends(
+        self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]
+    ) -> None:
         self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
         for number, (lower, upper) in enumerate(self._ends):
             # Most blocks of a long record stay within what was there before, and are not searched.
-            for end in [end for end, extreme in ((lower, -low[number]), (upper, high[number])) if end.reaches(float(extreme))]:
+            for end in [
+                end
+                for end, extreme in ((lower, -low[number]), (upper, high[number]))
+                if end.reaches(float(extreme))
+            ]:
                 end.add(column_of(number), self.n_sample)
         self.n_sample += n_sample
 
     def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add a block that may hold NaN, *columns* its transpose; the least and the largest number of each channel (n_channel,)."""
+        """Add a block that may hold NaN, *columns* its transpose.
+
+        The least and the largest number of each channel (n_channel,).
+        """
         check_amounts(self._names, block, self.n_sample)
         missing = ~np.isfinite(columns)
         self._add_levels(columns, missing)
         self._note_missing(missing)
-        return np.min(columns, axis=1, initial=np.inf, where=~missing), np.max(columns, axis=1, initial=-np.inf, where=~missing)
+        return np.min(columns, axis=1, initial=np.inf, where=~missing), np.max(
+            columns, axis=1, initial=-np.inf, where=~missing
+        )
 
     def _add_levels(self, columns: FloatArray, missing: BoolArray | None = None) -> None:
-        """Sums about each channel's first number, so that a small signal on a large offset keeps its variance."""
+        """Sums about each channel's first number, so that a small signal on a large offset keeps its
+        variance.
+        """
         fresh = np.isnan(self._origin)
         if missing is None:
             self._origin[fresh] = columns[fresh, 0]
@@ -261,7 +311,10 @@ class ChannelScreen:
 
     def levels(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation [unit of the channel] of every channel by its name."""
-        return {name: (float(mean), float(rms)) for name, mean, rms in zip(self._names, self.mean, self.rms, strict=True)}
+        return {
+            name: (float(mean), float(rms))
+            for name, mean, rms in zip(self._names, self.mean, self.rms, strict=True)
+        }
 
     def findings(self) -> tuple[Finding, ...]:
         """Warnings of gaps, constant channels and clipping, with the channel and the first sample."""
@@ -270,7 +323,11 @@ class ChannelScreen:
             if self._n_missing[number]:
                 count, first = self._n_missing[number], self._first_missing[number]
                 faults.append(
-                    Finding("gap", f"channel {name}: {count} of {self.n_sample} samples are no numbers, the first is sample {first}")
+                    Finding(
+                        "gap",
+                        f"channel {name}: {count} of {self.n_sample} samples are no numbers, the "
+                        f"first is sample {first}",
+                    )
                 )
             if self._n_missing[number] == self.n_sample:
                 continue
@@ -298,8 +355,8 @@ class ChannelScreen:
         # Not 1e+02.
         percent = f"{share:.0f}" if share >= 99.5 else f"{share:.2g}"
         message = (
-            f"channel {name}: {count} samples ({percent} %) stand at the end of the range, the first is sample {first}; "
-            "the peaks are cut off and amplitudes come out too small"
+            f"channel {name}: {count} samples ({percent} %) stand at the end of the range, the first is "
+            f"sample {first}; the peaks are cut off and amplitudes come out too small"
         )
         return [Finding("clipped", message)]
 
@@ -329,7 +386,10 @@ class TimeAxisScreen:
         if steps.size:
             if np.any(steps < 0):
                 sample = offset + 1 + int(np.argmax(steps < 0))
-                raise DataError(f"the time column '{self._column}' does not rise at sample {sample} ({joined[sample - offset]:g} s)")
+                raise DataError(
+                    f"the time column '{self._column}' does not rise at sample {sample} "
+                    f"({joined[sample - offset]:g} s)"
+                )
             if np.isnan(self._typical):
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
@@ -343,19 +403,28 @@ class TimeAxisScreen:
         self._n_sample += times.size
 
     def sample_rate(self) -> float:
-        """(n - 1) / (t_last - t_first) [Hz]; DataError when the steps are not equal within jitter and the rounding of the times."""
+        """(n - 1) / (t_last - t_first) [Hz].
+
+        DataError when the steps are not equal within jitter and the rounding of the times.
+        """
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
         step = (self._last - self._first) / (self._n_sample - 1)
-        # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That is not allowed for
-        # where a step is hardly longer than the digit and the median step equals the mean: an unequal step is a lost sample then.
-        # Nor does a step shorter than usual hide one, or any step where the first times, of more decimals, show how long steps are.
+        # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That
+        # is not allowed for where a step is hardly longer than the digit and the median step equals the mean:
+        # an unequal step is a lost sample then. Nor does a step shorter than usual hide one, or any step
+        # where the first times, of more decimals, show how long steps are.
         by_digits = _last_digit(max(abs(self._first), abs(self._last)), self._digits)
         resolution = max(self._resolution, by_digits if step > LEAST * by_digits else 0.0)
         off = step - self._typical
         clear = off < 0 or self._resolution < COARSE * resolution
-        coarse = step > FINE * resolution or abs(off) > COARSE * resolution or (clear and step > LEAST * resolution)
-        # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a step.
+        coarse = (
+            step > FINE * resolution
+            or abs(off) > COARSE * resolution
+            or (clear and step > LEAST * resolution)
+        )
+        # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a
+        # step.
         stored = float(np.spacing(max(abs(self._first), abs(self._last))))
         allowed = JITTER * step + stored + (resolution if coarse else 0.0)
         if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
@@ -366,24 +435,33 @@ class TimeAxisScreen:
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 raise DataError(
-                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample {sample}, {step:g} s on average",
-                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the rig file instead of time",
+                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample "
+                    f"{sample}, {step:g} s on average",
+                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
+                    "rig file instead of time",
                 )
         if not 1 / FASTEST <= step <= FASTEST:
             what = f"the time steps of column '{self._column}' are {step:g} s"
-            raise DataError(what, hint=f"rates lie between {1 / FASTEST:g} and {FASTEST:g} Hz: check the unit of the time")
+            raise DataError(
+                what, hint=f"rates lie between {1 / FASTEST:g} and {FASTEST:g} Hz: check the unit of the time"
+            )
         rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
         return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
 
 
 def plain_rate(step: float, uncertainty: float) -> float:
-    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *uncertainty* [s]: files of one logger have one rate then."""
+    """The rate [Hz] of fewest digits, 12 at most, whose step [s] lies within *uncertainty* [s]: files of one
+    logger have one rate then.
+    """
     rates = (float(f"{1 / step:.{digits}g}") for digits in range(1, 12))
     return next((rate for rate in rates if abs(1 / rate - step) <= uncertainty), float(f"{1 / step:.12g}"))
 
 
 def _printed_digits(times: FloatArray) -> int:
-    """Significant digits with which all times are printed, up to MOST_DIGITS; more for numbers of full precision."""
+    """Significant digits with which all times are printed, up to MOST_DIGITS.
+
+    More for numbers of full precision.
+    """
     sizes = np.abs(times[times != 0])
     if not sizes.size:
         return 1
@@ -412,6 +490,9 @@ def _printed_resolution(times: FloatArray) -> float:
     spacing = float(np.spacing(np.max(np.abs(times))))
     for digits in range(12):
         scaled = times * 10.0**digits
-        if np.all(np.abs(scaled - np.round(scaled)) <= 4 * spacing * 10.0**digits) and spacing * 10.0**digits < COARSE:
+        if (
+            np.all(np.abs(scaled - np.round(scaled)) <= 4 * spacing * 10.0**digits)
+            and spacing * 10.0**digits < COARSE
+        ):
             return 10.0**-digits
     return 4 * spacing

@@ -44,7 +44,10 @@ Read = TypeVar("Read")
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """DataError for every exception of a library inside the block; faults of the machine keep their own words."""
+    """DataError for every exception of a library inside the block.
+
+    Faults of the machine keep their own words.
+    """
     try:
         # Numbers beyond all measure are refused by the screening, with channel and sample.
         with np.errstate(all="ignore"):
@@ -61,7 +64,11 @@ def readable(path: Path) -> Iterator[None]:
 
 def _unreadable(path: Path, error: Exception) -> DataError:
     said = (str(error).splitlines() or [""])[0].rstrip(".")
-    return DataError(f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})", where=str(path), hint=DAMAGED)
+    return DataError(
+        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, said))))})",
+        where=str(path),
+        hint=DAMAGED,
+    )
 
 
 DAMAGED = "the file is damaged, or not what its ending says"
@@ -115,21 +122,36 @@ _looked_at: dict[tuple[str, int, int, int], int] = {}
 
 
 def check_in_child(path: Path, kind: str, touch: Touch) -> None:
-    """DataError for a file of a *kind* that a child process cannot *touch*, a function of a module, within its limits."""
+    """DataError for a file of a *kind* that a child process cannot *touch*, a function of a module, within
+    its limits.
+    """
     status = path.stat()
     key = (str(path), status.st_mtime_ns, status.st_size, status.st_ino)
     if key not in _looked_at:
         _looked_at[key] = _look(path, touch, math.ceil(SECONDS + SECONDS_PER_MB * status.st_size / 1e6))
     code = _looked_at[key]
     if code not in (GOOD, UNREADABLE):
-        how = "takes too long" if code in (-signal.SIGXCPU, -signal.SIGKILL) else f"fails inside the {kind} library"
-        raise DataError(f"is not a readable {kind} file (reading it {how})", where=str(path), hint="the file is damaged")
+        how = (
+            "takes too long"
+            if code in (-signal.SIGXCPU, -signal.SIGKILL)
+            else (f"fails inside the {kind} library")
+        )
+        raise DataError(
+            f"is not a readable {kind} file (reading it {how})", where=str(path), hint="the file is damaged"
+        )
 
 
 def _look(path: Path, touch: Touch, seconds: int) -> int:
     """The exit code of a child process that reads the file, negative for the signal that ended it."""
     if not hasattr(os, "fork"):
-        command = [sys.executable, "-m", "labpipe.raw_files.table", touch.__module__, touch.__name__, str(path)]
+        command = [
+            sys.executable,
+            "-m",
+            "labpipe.raw_files.table",
+            touch.__module__,
+            touch.__name__,
+            str(path),
+        ]
         try:
             return subprocess.run(command, timeout=seconds * PATIENCE, check=False).returncode
         except subprocess.TimeoutExpired:
@@ -224,7 +246,11 @@ def open_table(path: Path) -> Table:
         raise DataError("no such file", where=str(path))
     suffix = plain_suffix(path)
     if suffix not in READERS.names():
-        raise DataError(f"files with the ending '{suffix}' cannot be read", where=str(path), hint=f"known: {', '.join(READERS.names())}")
+        raise DataError(
+            f"files with the ending '{suffix}' cannot be read",
+            where=str(path),
+            hint=f"known: {', '.join(READERS.names())}",
+        )
     if not path.is_file():
         raise DataError("is no regular file", where=str(path))
     table: Table = GuardedTable(guarded(READERS.load(suffix), path))
@@ -232,12 +258,16 @@ def open_table(path: Path) -> Table:
 
 
 class QuickTable(Table, Protocol):
-    """A table whose file states its *n_row* rows and is read as fast as labpipe's own recordings, column by column."""
+    """A table whose file states its *n_row* rows and is read as fast as labpipe's own recordings, column by
+    column.
+    """
 
     n_row: int
 
     def column_chunks(self, columns: Sequence[str]) -> Iterator[list[FloatArray]]:
-        """Consecutive chunks of the named columns, each (n,) [unit of the file], in single precision or integers where the file is."""
+        """Consecutive chunks of the named columns, each (n,) [unit of the file], in single precision or
+        integers where the file is.
+        """
         ...
 
 
@@ -251,7 +281,9 @@ def load_extra(module: str, extra: str, path: Path) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        raise DataError(f"needs the package {module}", where=str(path), hint=f"pip install 'labpipe[{extra}]'") from None
+        raise DataError(
+            f"needs the package {module}", where=str(path), hint=f"pip install 'labpipe[{extra}]'"
+        ) from None
 
 
 def check_columns(table: Table, required: Sequence[str]) -> None:
@@ -261,4 +293,6 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         if count == 0:
             raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
         if count > 1:
-            raise DataError(f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them")
+            raise DataError(
+                f"the column '{name}' appears {count} times", where=str(table.path), hint="rename one of them"
+            )

@@ -19,13 +19,32 @@ from labpipe.raw_files.table import unique
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
 _SENSITIVITIES = ("sensitivity", "ni_sensitivity", "sensor_sensitivity", "transducer_sensitivity")
-_SENSITIVITY_UNITS = ("sensitivity_unit", "sensitivity_units", "ni_sensitivityunits", "sensor_sensitivity_unit")
+_SENSITIVITY_UNITS = (
+    "sensitivity_unit",
+    "sensitivity_units",
+    "ni_sensitivityunits",
+    "sensor_sensitivity_unit",
+)
 _SAME = 1e-6
-_BROKEN = (ValueError, TypeError, OSError, KeyError, IndexError, EOFError, OverflowError, MemoryError, NotImplementedError, struct.error)
+_BROKEN = (
+    ValueError,
+    TypeError,
+    OSError,
+    KeyError,
+    IndexError,
+    EOFError,
+    OverflowError,
+    MemoryError,
+    NotImplementedError,
+    struct.error,
+)
 
 
 class TdmsTable:
-    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table; *sensitivities* where properties state them."""
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table.
+
+    *sensitivities* where properties state them.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -36,7 +55,9 @@ class TdmsTable:
         try:
             with path.open("rb") as stream, TdmsFile.open(stream) as file:
                 _check_whole(file, path)
-                channels = [channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)]
+                channels = [
+                    channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)
+                ]
                 self._keep(channels)
         except _BROKEN as error:
             raise self._damaged(error) from None
@@ -47,15 +68,28 @@ class TdmsTable:
             raise DataError("holds no channel of numbers", where=str(self.path))
         channels = [channel for channel in candidates if len(channel) == length]
         names = [channel.name for channel in channels]
-        self.columns = unique([c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels])
+        self.columns = unique(
+            [c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels]
+        )
         self._places = {name: (c.group_name, c.name) for name, c in zip(self.columns, channels, strict=True)}
         self.n_row = length
-        self.units = {name: unit for name, channel in zip(self.columns, channels, strict=True) if (unit := _unit(channel))}
-        self.sensitivities = {name: text for name, channel in zip(self.columns, channels, strict=True) if (text := _sensitivity(channel))}
+        self.units = {
+            name: unit
+            for name, channel in zip(self.columns, channels, strict=True)
+            if (unit := _unit(channel))
+        }
+        self.sensitivities = {
+            name: text
+            for name, channel in zip(self.columns, channels, strict=True)
+            if (text := _sensitivity(channel))
+        }
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other; DataError when the file is damaged."""
+        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other.
+
+        DataError when the file is damaged.
+        """
         for rows in self._rows(columns):
             yield rows.T
 
@@ -64,7 +98,10 @@ class TdmsTable:
         return map(list, self._rows(columns))
 
     def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """The same, columns as rows (n_column, n); every chunk of the file is read once, with all channels in it."""
+        """The same, columns as rows (n_column, n).
+
+        Every chunk of the file is read once, with all channels in it.
+        """
         places = [self._places[column] for column in columns]
         parts: list[list[FloatArray]] = [[] for _ in places]
         held, done = np.zeros(len(places), int), 0
@@ -78,7 +115,11 @@ class TdmsTable:
                     if whole:
                         values = [np.concatenate(pieces) for pieces in parts]
                         yield from _blocks(values, whole)
-                        parts, held, done = [[column[whole:]] for column in values], held - whole, done + whole
+                        parts, held, done = (
+                            [[column[whole:]] for column in values],
+                            held - whole,
+                            done + whole,
+                        )
             if np.any(done + held != self.n_row):
                 raise EOFError("cut off")
             yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
@@ -98,7 +139,11 @@ def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
 
 def _check_whole(file: TdmsFile, path: Path) -> None:
     if file.file_status.incomplete_final_segment:
-        raise DataError("its last segment is truncated", where=str(path), hint="the logger was interrupted, or the copy is incomplete")
+        raise DataError(
+            "its last segment is truncated",
+            where=str(path),
+            hint="the logger was interrupted, or the copy is incomplete",
+        )
 
 
 def _is_numeric(channel: Any) -> bool:
@@ -119,11 +164,19 @@ def _sensitivity(channel: Any) -> str:
 
 def _rate(channels: list[Any], path: Path) -> float | None:
     """The rate [Hz] of all channels by their wf_increment; DataError when they differ."""
-    steps = {channel.name: float(channel.properties["wf_increment"]) for channel in channels if channel.properties.get("wf_increment")}
+    steps = {
+        channel.name: float(channel.properties["wf_increment"])
+        for channel in channels
+        if channel.properties.get("wf_increment")
+    }
     if not steps:
         return None
     low, high = min(steps.values()), max(steps.values())
     if low <= 0 or high > low * (1 + _SAME):
-        raise DataError(f"its channels have time steps from {low:g} s to {high:g} s", where=str(path), hint="one rate is required")
+        raise DataError(
+            f"its channels have time steps from {low:g} s to {high:g} s",
+            where=str(path),
+            hint="one rate is required",
+        )
     rate = 1 / low
     return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

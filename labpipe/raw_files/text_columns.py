@@ -14,7 +14,11 @@ from labpipe.raw_files.text_table import fields_of, find_layout, open_unpacked
 
 def complex_of(field: str, decimal: str) -> complex:
     """The number in a field: 1.5, 1,5, 1+2j, (1 + 2i), 3e-4i; ValueError for none."""
-    text = field.strip().strip('"').strip("()").replace(" ", "").replace("i", "j") if field.strip() not in ("inf", "nan") else field
+    text = (
+        field.strip().strip('"').strip("()").replace(" ", "").replace("i", "j")
+        if field.strip() not in ("inf", "nan")
+        else field
+    )
     if decimal == ",":
         if "." in text:
             raise ValueError(field)
@@ -46,7 +50,10 @@ class TextColumns:
     def _read(self) -> list[tuple[int, list[str]]]:
         """(line number from 1, fields) of every row; DataError for a row of another length."""
         layout, rows = self.layout, []
-        with open_unpacked(self.path) as stream, io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines:
+        with (
+            open_unpacked(self.path) as stream,
+            io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines,
+        ):
             for number, line in enumerate(lines, 1):
                 if number <= layout.first_line or not line.strip():
                     continue
@@ -58,7 +65,10 @@ class TextColumns:
         return rows
 
     def column(self, index: int) -> ComplexArray:
-        """The numbers of a column (n_row,) [unit of the file]; DataError names the line of the first that is none."""
+        """The numbers of a column (n_row,) [unit of the file].
+
+        DataError names the line of the first that is none.
+        """
         values = np.empty(len(self._rows), np.complex128)
         for place, (number, fields) in enumerate(self._rows):
             try:

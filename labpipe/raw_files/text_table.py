@@ -1,4 +1,7 @@
-"""Text tables with automatic detection of delimiter, decimal sign, header and units; read in blocks by pyarrow."""
+"""Text tables with automatic detection of delimiter, decimal sign, header and units.
+
+Read in blocks by pyarrow.
+"""
 
 from __future__ import annotations
 
@@ -36,14 +39,20 @@ def plain_suffix(path: Path) -> str:
 def open_unpacked(path: Path) -> BinaryIO:
     """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
-        stream: BinaryIO = pa.input_stream(str(path), compression="gzip" if path.suffix.lower() == ".gz" else "zstd")
+        stream: BinaryIO = pa.input_stream(
+            str(path), compression="gzip" if path.suffix.lower() == ".gz" else "zstd"
+        )
         return stream
     return path.open("rb")
 
 
 def damaged(path: Path, error: Exception) -> DataError:
     """The error of a compressed file that cannot be decompressed."""
-    return DataError(f"cannot be unpacked ({str(error).splitlines()[0][:80]})", where=str(path), hint="the file is damaged or cut off")
+    return DataError(
+        f"cannot be unpacked ({str(error).splitlines()[0][:80]})",
+        where=str(path),
+        hint="the file is damaged or cut off",
+    )
 
 
 # A text table whose fields any number of blanks keeps apart, as a stream with one blank between two fields.
@@ -52,7 +61,9 @@ LINES = 1 << 14
 
 
 class SqueezedBlanks(io.RawIOBase):
-    """UTF-8 bytes of *stream* (text in *encoding*), line by line without blanks at the ends and with one between fields."""
+    """UTF-8 bytes of *stream* (text in *encoding*), line by line without blanks at the ends and with one
+    between fields.
+    """
 
     def __init__(self, stream: BinaryIO, encoding: str) -> None:
         # Line feeds only end a line, as for whoever counts the lines of the header.
@@ -84,7 +95,9 @@ class SqueezedBlanks(io.RawIOBase):
 
 DAY = 86400.0
 _STAMP = re.compile(
-    r"""\s*"?(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T ]\s*)?(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)"""
+    r"""\s*"?(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T
+    ]\s*)?(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)
+    """
     r"""\s*(?P<half>[AP]M)?\s*(?:Z|[+-]\d\d:?\d\d)?"?\s*""",
     re.IGNORECASE,
 )
@@ -96,7 +109,10 @@ def is_stamp(field: str) -> bool:
 
 
 class StampClock:
-    """Seconds since the midnight before the first stamp. Days follow one another, so that no order of day and month is guessed."""
+    """Seconds since the midnight before the first stamp.
+
+    Days follow one another, so that no order of day and month is guessed.
+    """
 
     def __init__(self, column: str) -> None:
         self._column = column
@@ -105,7 +121,10 @@ class StampClock:
         self._midnight = 0.0
 
     def seconds(self, stamps: Iterable[str | None]) -> FloatArray:
-        """The next stamps in seconds (n,) [s], NaN for a missing one; DataError for a date that is not the next day."""
+        """The next stamps in seconds (n,) [s], NaN for a missing one.
+
+        DataError for a date that is not the next day.
+        """
         return np.array([self._second(stamp) for stamp in stamps], np.float64)
 
     def _second(self, stamp: str | None) -> float:
@@ -116,11 +135,16 @@ class StampClock:
         if match["half"]:
             hour = hour % 12 + (12 if match["half"].upper() == "PM" else 0)
         second = hour * 3600 + int(match["minute"]) * 60 + float(match["second"].replace(",", "."))
-        new_day = second < self._last - DAY / 2 if match["date"] is None else self._date not in (None, match["date"])
+        new_day = (
+            second < self._last - DAY / 2
+            if match["date"] is None
+            else self._date not in (None, match["date"])
+        )
         if new_day:
             if second > self._last:
                 raise DataError(
-                    f"the column '{self._column}' leaves out time between {self._date} and {stamp}", hint="split the file there"
+                    f"the column '{self._column}' leaves out time between {self._date} and {stamp}",
+                    hint="split the file there",
                 )
             self._midnight += DAY
         self._date, self._last = match["date"], second
@@ -147,7 +171,8 @@ IsNumber = Callable[[str, str], bool]
 
 @dataclass(frozen=True)
 class Layout:
-    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is 0-based.
+    """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is
+    0-based.
 
     *stamps*: the fields that hold times of day or dates.
     """
@@ -194,7 +219,10 @@ def fields_of(line: str, delimiter: str) -> list[str]:
 
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
-    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers; *number* knows what a number is."""
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers.
+
+    *number* knows what a number is.
+    """
     encoding, lines = _head(path)
     sample = _sample(len(lines))
     candidates = [
@@ -207,11 +235,19 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     delimited = (_rank(c[2]) for c in candidates if c[0] != BLANKS and c[3] > 1)
     most = max(delimited, default=0)
     layouts = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
-    delimiter, decimal, rows, n_field = max(layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3]))
+    delimiter, decimal, rows, n_field = max(
+        layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3])
+    )
     if not rows:
-        raise DataError("no row of numbers in it", where=str(path), hint="a table of numbers below one header line is needed")
+        raise DataError(
+            "no row of numbers in it",
+            where=str(path),
+            hint="a table of numbers below one header line is needed",
+        )
     first = next(
-        n for n, line in enumerate(lines) if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
+        n
+        for n, line in enumerate(lines)
+        if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
     )
     names, units = header_of(lines[:first], delimiter, n_field)
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
@@ -263,8 +299,12 @@ def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bo
     return numbers > 0
 
 
-def _numeric_rows(lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber) -> tuple[list[int], int]:
-    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent one)."""
+def _numeric_rows(
+    lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber
+) -> tuple[list[int], int]:
+    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent
+    one).
+    """
     counts: dict[int, list[int]] = {}
     for number in sample:
         if _is_numeric(lines[number], delimiter, decimal, is_cell):
@@ -286,7 +326,10 @@ def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -
 
 def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
-    rows = [[text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)] for line in above]
+    rows = [
+        [text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)]
+        for line in above
+    ]
     # A data row may end in a delimiter that its header lacks.
     fewest = n_field if delimiter == BLANKS else n_field - 1
     titles = [row + [""] * (n_field - len(row)) for row in rows if fewest <= len(row) <= n_field and any(row)]
@@ -344,7 +387,9 @@ class CsvTable:
             with self._bytes() as source:
                 for batch in self._open(source, fields):
                     if batch.num_rows:
-                        yield np.array([self._numbers(batch.column(field), clocks.get(field)) for field in fields]).T
+                        yield np.array(
+                            [self._numbers(batch.column(field), clocks.get(field)) for field in fields]
+                        ).T
         except pa.ArrowInvalid as error:
             raise self._located(columns, str(error)) from None
         except UnicodeError as error:
@@ -355,7 +400,9 @@ class CsvTable:
 
     def _open(self, source: Any, fields: list[str]) -> pc.CSVStreamingReader:
         layout = self.layout
-        encoding = "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
+        encoding = (
+            "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
+        )
         n_field = len(layout.names)
         return pc.open_csv(
             source,
@@ -367,7 +414,9 @@ class CsvTable:
             ),
             pc.ParseOptions(delimiter=layout.delimiter),
             pc.ConvertOptions(
-                column_types={field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields},
+                column_types={
+                    field: pa.string() if int(field) in layout.stamps else pa.float64() for field in fields
+                },
                 include_columns=fields,
                 null_values=sorted(MISSING),
                 decimal_point=layout.decimal,
@@ -395,15 +444,23 @@ class CsvTable:
     def _located(self, columns: Sequence[str], reason: str) -> DataError:
         """The error with the first faulty line, found by reading the file again as text."""
         layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
-        with open_unpacked(self.path) as stream, io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines:
+        with (
+            open_unpacked(self.path) as stream,
+            io.TextIOWrapper(stream, encoding=layout.encoding, errors="replace") as lines,
+        ):
             for number, line in enumerate(lines):
                 if number < layout.first_line or not line.strip():
                     continue
                 fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
                 where = f"{self.path}:{number + 1}"
                 if len(fields) != len(layout.names):
-                    return DataError(f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before", where=where)
+                    return DataError(
+                        f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before",
+                        where=where,
+                    )
                 for index, name in zip(indices, columns, strict=True):
                     if not is_number_or_missing(fields[index], layout.decimal):
-                        return DataError(f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where)
+                        return DataError(
+                            f"column '{name}': '{fields[index].strip()[:40]}' is not a number", where=where
+                        )
         return DataError(f"cannot be read: {reason.splitlines()[0]}", where=str(self.path))

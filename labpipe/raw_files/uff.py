@@ -1,4 +1,5 @@
-"""Universal files: the records 58, 58b and 164, located without reading their numbers; units; time records as a table.
+"""Universal files: the records 58, 58b and 164, located without reading their numbers; units; time records as
+a table.
 
 Layout: I-DEAS universal dataset 58, records 1-12, and its binary header 58b.
 """
@@ -50,7 +51,9 @@ class NumberLayout:
 
 @dataclass(frozen=True)
 class UffPoint:
-    """Point of measurement or excitation: entity name ('' for none), node, direction (0 scalar, 1..3 x y z, 4..6 about them)."""
+    """Point of measurement or excitation: entity name ('' for none), node, direction (0 scalar, 1..3 x y z,
+    4..6 about them).
+    """
 
     name: str
     node: int
@@ -59,7 +62,9 @@ class UffPoint:
 
 @dataclass(frozen=True)
 class UffAxis:
-    """An axis of a record: specific data type (8 displacement, 11 velocity, 12 acceleration, 13 force, ...), label and unit label."""
+    """An axis of a record: specific data type (8 displacement, 11 velocity, 12 acceleration, 13 force, ...),
+    label and unit label.
+    """
 
     kind: int
     label: str
@@ -76,7 +81,10 @@ class UffScale:
 
 @dataclass(frozen=True, kw_only=True)
 class UffRecord:
-    """One record 58 or 58b; *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false."""
+    """One record 58 or 58b.
+
+    *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false.
+    """
 
     number: int
     title: str
@@ -120,7 +128,9 @@ class _Lines:
         lines = [self.next() for _ in range(count)]
         complete = [line for line in lines if line is not None]
         if len(complete) < count:
-            raise DataError("ends within the header of a record", where=str(self.path), hint="the file is truncated")
+            raise DataError(
+                "ends within the header of a record", where=str(self.path), hint="the file is truncated"
+            )
         return complete
 
     def mark(self) -> re.Match[bytes] | None:
@@ -145,7 +155,10 @@ def open_uff(path: Path) -> mmap.mmap:
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
-    """All records 58 and 58b of a universal file; DataError for another or truncated file, or without such a record."""
+    """All records 58 and 58b of a universal file.
+
+    DataError for another or truncated file, or without such a record.
+    """
     with open_uff(path) as buffer:
         records = tuple(_records(_Lines(path, buffer)))
     if not records:
@@ -160,7 +173,10 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
         if not line.strip(" \t\r\0\x1a"):
             continue
         if line.strip() != "-1":
-            raise DataError(f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'", where=str(lines.path))
+            raise DataError(
+                f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'",
+                where=str(lines.path),
+            )
         kind = lines.needed(1)[0]
         if kind[:6].strip() == "58":
             number += 1
@@ -173,7 +189,9 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
 def _to_end(lines: _Lines, kind: str) -> None:
     mark = lines.mark()
     if mark is None:
-        raise DataError(f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is truncated")
+        raise DataError(
+            f"the record {kind.strip()[:6]} has no end", where=str(lines.path), hint="the file is truncated"
+        )
     lines.position = mark.end() + 1
 
 
@@ -228,7 +246,9 @@ def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bo
         codes = kind[kind.lower().index("b") + 1 :].split()
         return _binary_layout(lines.buffer, lines.position, codes, ordinate_type, n_value, even)
     mark = lines.mark()
-    return _text_layout(lines.position, len(lines.buffer) if mark is None else mark.start(), ordinate_type, n_value, even)
+    return _text_layout(
+        lines.position, len(lines.buffer) if mark is None else mark.start(), ordinate_type, n_value, even
+    )
 
 
 def _cut(line: str, widths: tuple[int, ...]) -> list[str]:
@@ -269,11 +289,13 @@ def _text_layout(begin: int, end: int, ordinate_type: int, n_value: int, even: b
     return NumberLayout(begin, end, n_value, _PARTS[ordinate_type], even, _TEXT_WIDTH[ordinate_type])
 
 
-def _binary_layout(buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
+def _binary_layout(
+    buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool
+) -> NumberLayout:
     """The layout of binary numbers, up to the closing -1; ValueError when it is missing.
 
-    The byte count of the 58b header is not used: some programs count complex values once. Some programs write the abscissa or single
-    precision data as doubles, contrary to the format; the position of the -1 shows it.
+    The byte count of the 58b header is not used: some programs count complex values once. Some programs write
+    the abscissa or single precision data as doubles, contrary to the format; the position of the -1 shows it.
     """
     _check_type(ordinate_type)
     if len(codes) < 2 or codes[0] not in _BYTE_ORDER or codes[1] != _IEEE:
@@ -293,7 +315,9 @@ def _check_type(ordinate_type: int) -> None:
         raise ValueError(f"unknown ordinate data type {ordinate_type}")
 
 
-def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
+def read_numbers(
+    buffer: mmap.mmap, layout: NumberLayout
+) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
     """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file].
 
     ValueError when their number differs from that of the header.
@@ -302,7 +326,10 @@ def read_numbers(buffer: mmap.mmap, layout: NumberLayout) -> tuple[FloatArray | 
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
     else:
         values = np.frombuffer(buffer[layout.begin : layout.end], layout.dtype)
-        abscissa, ordinate = (None if layout.even else values["x"].astype(np.float64)), values["y"].astype(np.float64)
+        abscissa, ordinate = (
+            (None if layout.even else values["x"].astype(np.float64)),
+            values["y"].astype(np.float64),
+        )
     return abscissa, ordinate[:, 0] if layout.parts == 1 else ordinate[:, 0] + 1j * ordinate[:, 1]
 
 
@@ -310,7 +337,9 @@ def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None,
     columns = layout.parts + (not layout.even)
     numbers = _split(text.upper().replace(b"D", b"E"), layout)
     if numbers.size != columns * layout.n_value:
-        raise ValueError(f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged")
+        raise ValueError(
+            f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged"
+        )
     table = numbers.reshape(-1, columns)
     return (None, table) if layout.even else (table[:, 0], table[:, 1:])
 
@@ -321,7 +350,14 @@ def _split(text: bytes, layout: NumberLayout) -> FloatArray:
         return np.array(text.split(), dtype=np.float64)
     except ValueError:
         widths = [] if layout.even else [_ABSCISSA_WIDTH]
-        return np.array([field for line in text.splitlines() for field in _fields(line, [*widths, *[layout.width] * layout.parts])], float)
+        return np.array(
+            [
+                field
+                for line in text.splitlines()
+                for field in _fields(line, [*widths, *[layout.width] * layout.parts])
+            ],
+            float,
+        )
 
 
 def _fields(line: bytes, widths: list[int]) -> list[bytes]:

@@ -1,4 +1,5 @@
-"""What universal files hold in SI units: the FRF records as one matrix, the time records as a table of channels.
+"""What universal files hold in SI units: the FRF records as one matrix, the time records as a table of
+channels.
 
 Units follow from the 164 record, else from the unit labels of a record, else numbers are taken as they are.
 """
@@ -18,7 +19,17 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_unit, parse_value
 from labpipe.raw_files.table import unique
-from labpipe.raw_files.uff import COHERENCE, FRF, TIME, UffAxis, UffPoint, UffRecord, open_uff, read_numbers, read_uff
+from labpipe.raw_files.uff import (
+    COHERENCE,
+    FRF,
+    TIME,
+    UffAxis,
+    UffPoint,
+    UffRecord,
+    open_uff,
+    read_numbers,
+    read_uff,
+)
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
 
@@ -34,7 +45,8 @@ _SAME_AXIS = 1e-5
 Key = tuple[str, int, int]
 Numbers = TypeVar("Numbers", np.floating, np.complexfloating)
 CHUNK_ROWS = 1 << 17
-# The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative tolerance.
+# The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative
+# tolerance.
 _STEP_DIGITS = 1e-5
 _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
@@ -42,17 +54,22 @@ _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 def read_frf_uff(path: Path, name: str = "") -> FrequencyResponse:
     """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6).
 
-    Rows and columns are the responses and references in order of appearance; a function in -X is converted to +X. DataError for a
-    missing or repeated element, for different forms or frequencies, and for missing numbers.
+    Rows and columns are the responses and references in order of appearance; a function in -X is converted to
+    +X. DataError for a missing or repeated element, for different forms or frequencies, and for missing
+    numbers.
     """
     records = read_uff(path)
     frfs = [record for record in records if record.function == FRF]
     try:
         if not frfs:
-            raise DataError("holds no FRF records", hint="time records belong under recordings: in a pipeline")
+            raise DataError(
+                "holds no FRF records", hint="time records belong under recordings: in a pipeline"
+            )
         form = _one_form(frfs)
         with open_uff(path) as buffer:
-            return _response(buffer, frfs, [record for record in records if record.function == COHERENCE], form, name)
+            return _response(
+                buffer, frfs, [record for record in records if record.function == COHERENCE], form, name
+            )
     except DataError as error:
         error.where = error.where or str(path)
         raise
@@ -62,11 +79,15 @@ def _one_form(frfs: Sequence[UffRecord]) -> str:
     forms = [form_of(record) for record in frfs]
     for record, form in zip(frfs, forms, strict=True):
         if form != forms[0]:
-            raise DataError(f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}", hint="one file holds one form")
+            raise DataError(
+                f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}", hint="one file holds one form"
+            )
     return forms[0]
 
 
-def _response(buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffRecord], form: str, name: str) -> FrequencyResponse:
+def _response(
+    buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffRecord], form: str, name: str
+) -> FrequencyResponse:
     frequency = _frequency(buffer, frfs[0])
     outputs = tuple(dict.fromkeys(_key(record.response) for record in frfs))
     inputs = tuple(dict.fromkeys(_key(record.reference) for record in frfs))
@@ -75,9 +96,19 @@ def _response(buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffReco
     matrix = _cube(outputs, inputs, lambda o, i: _values(buffer, _element(elements, o, i), frequency))
     coherence_records = _elements(coherences)
     has_all = all((o, i) in coherence_records for o in outputs for i in inputs)
-    coherence = _cube(outputs, inputs, lambda o, i: _same_lines(buffer, coherence_records[o, i], frequency).real) if has_all else None
+    coherence = (
+        _cube(outputs, inputs, lambda o, i: _same_lines(buffer, coherence_records[o, i], frequency).real)
+        if has_all
+        else None
+    )
     return FrequencyResponse(
-        frequency, matrix, _ports(outputs, several), _ports(inputs, several), form=form, coherence=coherence, name=name
+        frequency,
+        matrix,
+        _ports(outputs, several),
+        _ports(inputs, several),
+        form=form,
+        coherence=coherence,
+        name=name,
     )
 
 
@@ -91,14 +122,19 @@ def _elements(records: Sequence[UffRecord]) -> dict[tuple[Key, Key], UffRecord]:
     for record in records:
         pair = _key(record.response), _key(record.reference)
         if pair in elements:
-            raise DataError(f"{record.where} has the same dofs as {elements[pair].where}", hint="one file holds one test")
+            raise DataError(
+                f"{record.where} has the same dofs as {elements[pair].where}", hint="one file holds one test"
+            )
         elements[pair] = record
     return elements
 
 
 def _element(elements: dict[tuple[Key, Key], UffRecord], output: Key, reference: Key) -> UffRecord:
     if (output, reference) not in elements:
-        raise DataError(f"no FRF record for response {_text(output)} and reference {_text(reference)}", hint="a full matrix is required")
+        raise DataError(
+            f"no FRF record for response {_text(output)} and reference {_text(reference)}",
+            hint="a full matrix is required",
+        )
     return elements[output, reference]
 
 
@@ -106,7 +142,9 @@ def _text(key: Key) -> str:
     return f"{key[0] or key[1]} {AXES[key[2]]}".strip()
 
 
-def _cube(outputs: Sequence[Key], inputs: Sequence[Key], values: Callable[[Key, Key], NDArray[Numbers]]) -> NDArray[Numbers]:
+def _cube(
+    outputs: Sequence[Key], inputs: Sequence[Key], values: Callable[[Key, Key], NDArray[Numbers]]
+) -> NDArray[Numbers]:
     return np.stack([np.stack([values(o, i) for i in inputs], -1) for o in outputs], 1)
 
 
@@ -122,7 +160,9 @@ def _frequency(buffer: mmap.mmap, record: UffRecord) -> FloatArray:
 def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> FloatArray | ComplexArray:
     """The numbers of a record; DataError unless its frequencies equal *frequency*."""
     if record.n_value != frequency.size:
-        raise DataError(f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}")
+        raise DataError(
+            f"{record.where} has {record.n_value} frequencies, the first FRF record {frequency.size}"
+        )
     abscissa = _frequency(buffer, record)
     if not np.allclose(abscissa, frequency, rtol=_SAME_AXIS, atol=0):
         raise DataError(f"the frequencies of {record.where} differ from those of the first FRF record")
@@ -133,14 +173,18 @@ def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> Comp
     if record.layout.parts != 2:
         raise DataError(f"{record.where}: an FRF of real numbers, complex ones are required")
     sign = -1.0 if (record.response.direction < 0) != (record.reference.direction < 0) else 1.0
-    return np.asarray(_same_lines(buffer, record, frequency) * np.float64(sign * frf_factor(record)), np.complex128)
+    return np.asarray(
+        _same_lines(buffer, record, frequency) * np.float64(sign * frf_factor(record)), np.complex128
+    )
 
 
 def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
     """Ports named by entity, else by node and direction ("x", or "3.x" with several nodes)."""
     labels = [name or _dof(node, axis, several) for name, node, axis in keys]
     if len(set(labels)) < len(labels):
-        labels = [".".join(part for part in (name, str(node), AXES[axis]) if part) for name, node, axis in keys]
+        labels = [
+            ".".join(part for part in (name, str(node), AXES[axis]) if part) for name, node, axis in keys
+        ]
     return tuple(_port(label, key, several) for label, key in zip(labels, keys, strict=True))
 
 
@@ -169,9 +213,15 @@ class UffTable:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        records = [record for record in read_uff(path) if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)]
+        records = [
+            record
+            for record in read_uff(path)
+            if record.function == TIME or (record.function, record.abscissa.kind) == (0, 17)
+        ]
         if not records:
-            raise DataError("holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline")
+            raise DataError(
+                "holds no time records", where=str(path), hint="FRFs belong under frfs: in a pipeline"
+            )
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
@@ -182,7 +232,9 @@ class UffTable:
         """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
         with open_uff(self.path) as buffer:
             try:
-                table = [np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns]
+                table = [
+                    np.asarray(read_numbers(buffer, self._records[name].layout)[1], float) for name in columns
+                ]
             except ValueError as error:
                 raise DataError(f"a time record cannot be read: {error}", where=str(self.path)) from None
         factors = np.array([time_unit(self._records[name])[1] for name in columns])
@@ -198,16 +250,27 @@ def _check_alike(records: list[UffRecord], path: Path) -> None:
         if record.layout.parts != 1:
             raise DataError(f"{record.where}: a time record of complex values", where=str(path))
         if (record.n_value, record.step) != (first.n_value, first.step):
-            what = f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} {first.n_value}, {first.step:g} s"
+            what = (
+                f"{record.where} has {record.n_value} values, {record.step:g} s apart; {first.where} "
+                f"{first.n_value}, {first.step:g} s"
+            )
             raise DataError(what, where=str(path), hint="one file is one recording: split it")
 
 
 def channel_name(record: UffRecord) -> str:
-    """Entity name of the response, else its node and direction, else the axis label, the title or the record's number."""
+    """Entity name of the response, else its node and direction, else the axis label, the title or the
+    record's number.
+    """
     point = record.response
     sign = "-" if point.direction < 0 else "+"
     dof = f"{point.node}{sign}{_DIRECTIONS[abs(point.direction)]}" if point.direction else str(point.node)
-    return point.name or (dof if point.node else "") or record.ordinate.label or record.title or str(record.number)
+    return (
+        point.name
+        or (dof if point.node else "")
+        or record.ordinate.label
+        or record.title
+        or str(record.number)
+    )
 
 
 def whole_rate(rate: float) -> float:
@@ -216,7 +279,9 @@ def whole_rate(rate: float) -> float:
 
 
 def readable_unit(label: str, kind: int) -> str:
-    """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown one."""
+    """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown
+    one.
+    """
     text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", label.strip().strip("[]"))
     if kind == 12:
         text = re.sub(r"(?<![A-Za-z])g(?![A-Za-z])", "gn", text)
@@ -233,10 +298,15 @@ def axis_unit(axis: UffAxis) -> str:
 
 
 def form_of(record: UffRecord) -> str:
-    """receptance, mobility or accelerance by the data types of the two axes; DataError for any other function."""
+    """receptance, mobility or accelerance by the data types of the two axes.
+
+    DataError for any other function.
+    """
     if record.ordinate.kind not in FORMS or record.denominator.kind not in _FORCES:
         types = f"{record.ordinate.kind} per {record.denominator.kind}"
-        what = f"{record.where}: the data types {types} are not displacement, velocity or acceleration per force"
+        what = (
+            f"{record.where}: the data types {types} are not displacement, velocity or acceleration per force"
+        )
         raise DataError(what, hint="8, 11 or 12 per 13 are required")
     if max(abs(record.response.direction), abs(record.reference.direction)) > 3:
         raise DataError(f"{record.where}: rotations and moments are not supported")
@@ -244,21 +314,32 @@ def form_of(record: UffRecord) -> str:
 
 
 def frf_factor(record: UffRecord) -> float:
-    """SI value per value of an FRF record; DataError for an unknown label, or one that contradicts the 164 record."""
+    """SI value per value of an FRF record.
+
+    DataError for an unknown label, or one that contradicts the 164 record.
+    """
     labelled = _labelled_factor(record)
     if record.scale is None:
         if labelled is None:
-            raise DataError(f"{record.where}: unknown unit '{record.ordinate.unit}'", hint="there is no record 164 with the units")
+            raise DataError(
+                f"{record.where}: unknown unit '{record.ordinate.unit}'",
+                hint="there is no record 164 with the units",
+            )
         return labelled
     factor = record.scale.force / record.scale.length
     stated = bool(record.ordinate.unit) and labelled is not None
     if stated and labelled is not None and abs(labelled / factor - 1) > _SAME:
-        raise DataError(f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164")
+        raise DataError(
+            f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
+        )
     return factor
 
 
 def _labelled_factor(record: UffRecord) -> float | None:
-    """The factor of the labels: one for the whole quotient, or one for each part; 1 without labels, None for unknown ones."""
+    """The factor of the labels: one for the whole quotient, or one for each part.
+
+    1 without labels, None for unknown ones.
+    """
     kind, label = record.ordinate.kind, record.ordinate.unit
     if not label:
         return 1.0
@@ -269,7 +350,10 @@ def _labelled_factor(record: UffRecord) -> float | None:
     if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
         return ordinate.factor
     force = parse_unit(axis_unit(record.denominator) or "N")
-    if ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension and force.dimension == parse_unit("N").dimension:
+    if (
+        ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension
+        and force.dimension == parse_unit("N").dimension
+    ):
         return ordinate.factor / force.factor
     return None
 

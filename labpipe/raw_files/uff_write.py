@@ -35,9 +35,11 @@ _STRUCTURAL, _COMPLEX_EIGENVALUE, _TRANSLATIONS, _DISPLACEMENT = 1, 3, 2, 8
 
 
 def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False) -> None:
-    """Write the FRFs, and coherences if available, as `read_frf_uff` reads them; the format has no covariances.
+    """Write the FRFs, and coherences if available, as `read_frf_uff` reads them; the format has no
+    covariances.
 
-    Frequencies that do not follow from a first one and a step have six digits as text, all of them as binary numbers.
+    Frequencies that do not follow from a first one and a step have six digits as text, all of them as binary
+    numbers.
     """
     kind = next((number for number, form in FORMS.items() if form == response.form), None)
     if kind is None:
@@ -47,18 +49,25 @@ def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False)
     ordinate = {**_ordinate(kind, response.form, SI_UNITS[kind]), **_FORCE}
     sets = []
     for o, i in itertools.product(range(len(outputs)), range(len(inputs))):
-        both = {FRF: (response.matrix, ordinate), COHERENCE: (response.coherence, _ordinate(0, "Coherence", ""))}
+        both = {
+            FRF: (response.matrix, ordinate),
+            COHERENCE: (response.coherence, _ordinate(0, "Coherence", "")),
+        }
         for function, (values, axis) in both.items():
             if values is not None:
                 ends = outputs[o], inputs[i]
-                sets.append(_function(response.name, function, ends, response.frequency, values[:, o, i], axis))
+                sets.append(
+                    _function(response.name, function, ends, response.frequency, values[:, o, i], axis)
+                )
     _write(path, sets, binary)
 
 
 def write_recording_uff(path: Path, recording: Recording, binary: bool = False) -> None:
     """Write one time record per channel as `UffTable` reads it; a time step has six digits in the format."""
     time = np.arange(recording.n_sample) / recording.sample_rate
-    points = _points([Port(channel.name, channel.name, channel.dof, channel.angle) for channel in recording.channels])
+    points = _points(
+        [Port(channel.name, channel.name, channel.dof, channel.angle) for channel in recording.channels]
+    )
     sets = []
     for channel, point, samples in zip(recording.channels, points, recording.samples.T, strict=True):
         axis = _ordinate(_KINDS.get(channel.quantity, 0), channel.quantity, channel.unit)
@@ -67,9 +76,11 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
 
 
 def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
-    """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are no numbers.
+    """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are
+    no numbers.
 
-    Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out. DataError where nothing else moves.
+    Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out. DataError
+    where nothing else moves.
     """
     sets: list[dict[str, Any]] = []
     for fit in fits:
@@ -107,7 +118,11 @@ def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
 
 def _labels(geometry: Geometry) -> list[int]:
     numbers = [int(name) if name.isdigit() else 0 for name in geometry.names]
-    return numbers if min(numbers) > 0 and len(set(numbers)) == len(numbers) else list(range(1, len(numbers) + 1))
+    return (
+        numbers
+        if min(numbers) > 0 and len(set(numbers)) == len(numbers)
+        else list(range(1, len(numbers) + 1))
+    )
 
 
 def _structure(geometry: Geometry, labels: Sequence[int]) -> list[dict[str, Any]]:
@@ -125,7 +140,10 @@ def _points(ports: Iterable[Port]) -> list[UffPoint]:
     points = {port: _point(port, places) for port in all_ports}
     for first, second in itertools.combinations(dict.fromkeys(all_ports), 2):
         if points[first] == points[second] and first.label != second.label:
-            raise DataError(f"'{first.label}' and '{second.label}' have the same name in a universal file", hint="use ten letters at most")
+            raise DataError(
+                f"'{first.label}' and '{second.label}' have the same name in a universal file",
+                hint="use ten letters at most",
+            )
     return [points[port] for port in all_ports]
 
 
@@ -144,7 +162,10 @@ def _point(port: Port, places: list[str]) -> UffPoint:
 
 def _ordinate(kind: int, label: str, unit: str) -> dict[str, Any]:
     names = {"ordinate_axis_lab": label, "ordinate_axis_units_lab": unit}
-    return {"ordinate_spec_data_type": kind, **{key: (text or "NONE")[:_LABEL_WIDTH] for key, text in names.items()}}
+    return {
+        "ordinate_spec_data_type": kind,
+        **{key: (text or "NONE")[:_LABEL_WIDTH] for key, text in names.items()},
+    }
 
 
 def _function(
@@ -182,13 +203,16 @@ def _function(
 def _is_even_as_printed(abscissa: FloatArray) -> bool:
     """Whether the first value and the step, as pyuff prints them, give all others."""
     first, step = (float(f"{value:.5e}") for value in (abscissa[0], abscissa[1] - abscissa[0]))
-    return bool(np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa)))
+    return bool(
+        np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa))
+    )
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:
     """The units and all *sets* in a new file.
 
-    pyuff reads a file again after each set that it adds to it, so each is written alone; it leaves files open, too.
+    pyuff reads a file again after each set that it adds to it, so each is written alone; it leaves files
+    open, too.
     """
     # Needed for this alone.
     import pyuff

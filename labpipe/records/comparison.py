@@ -1,4 +1,7 @@
-"""What comparisons of tests give: points, amounts with their uncertainty and a verdict; and tests ordered by their conditions."""
+"""What comparisons of tests give: points, amounts with their uncertainty and a verdict.
+
+And tests ordered by their conditions.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,17 @@ from labpipe.quantities import display_unit, readable_unit, to_display
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget
 
-# What a comparison of tests that differ in a condition gives: its points, its amounts with their uncertainty, and
-# a verdict in words.
+# What a comparison of tests that differ in a condition gives: its points, its amounts with their uncertainty,
+# and a verdict in words.
 
 
 @dataclass(frozen=True)
 class ComparedPoint:
     """One test's part in a comparison, in SI units.
 
-    *value* with its 95 % interval *ci95*; *condition* [condition_unit of the comparison], the *second* condition [second_unit] if there is
-    one, and *group* tell it from the others.
-    *theory*: the same fit on the theory's own curve; *ratio* measured / theory with *ratio_ci95*. *p_value* where the point is a test
+    *value* with its 95 % interval *ci95*; *condition* [condition_unit of the comparison], the *second*
+    condition [second_unit] if there is one, and *group* tell it from the others. *theory*: the same fit on
+    the theory's own curve; *ratio* measured / theory with *ratio_ci95*. *p_value* where the point is a test
     of its own (reciprocity of a pair of dofs).
     """
 
@@ -40,9 +43,11 @@ class ComparedPoint:
 
 @dataclass(frozen=True)
 class ComparedBand:
-    """One parameter of one band of a sliding fit and *other*: its prediction, or the same band of another test; SI units.
+    """One parameter of one band of a sliding fit and *other*: its prediction, or the same band of another
+    test; SI units.
 
-    *ratio* value / other with its 95 % interval; *p_value* of the difference, corrected for the number of bands.
+    *ratio* value / other with its 95 % interval; *p_value* of the difference, corrected for the number of
+    bands.
     """
 
     test: str
@@ -72,7 +77,8 @@ class ComparedBand:
 class Curve:
     """A quantity over frequency [Hz], (n_frequency,) each, SI; empty where missing.
 
-    *measured* with *low* and *high* of its 95 % intervals; the *theory*; the theory *matched* to the measurement.
+    *measured* with *low* and *high* of its 95 % intervals; the *theory*; the theory *matched* to the
+    measurement.
     """
 
     test: str
@@ -89,7 +95,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Overlay:
-    """|H| of one test measured, of the theory, and of the fitted theory; (n_frequency,) each, *form* in SI."""
+    """|H| of one test measured, of the theory, and of the fitted theory.
+
+    (n_frequency,) each, *form* in SI.
+    """
 
     test: str
     form: str
@@ -103,12 +112,13 @@ class Overlay:
 class Comparison:
     """Comparison of tests: its *kind*, quantity, *condition* and result.
 
-    *second*: another condition, where tests differ in two.
-    *verdict* is one word or two for rules ("no difference"), *statement* the same as a sentence for people. *line*: condition and value
-    of the fitted trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition. *bands* and
-    *curves*: where something is compared over frequency; *correlations* of estimated amounts, (name, name, value); *findings*: warnings.
-    *budgets*: of amounts to whose uncertainty systematic sources add, those on the same data one by one. *undecided*: amounts by name,
-    or patterns of them (`pole_*`), and the verdict, that could not be judged, each with the reason.
+    *second*: another condition, where tests differ in two. *verdict* is one word or two for rules ("no
+    difference"), *statement* the same as a sentence for people. *line*: condition and value of the fitted
+    trend, for drawing; *overlays*: measured curves and the theory's, at the first and the last condition.
+    *bands* and *curves*: where something is compared over frequency; *correlations* of estimated amounts,
+    (name, name, value); *findings*: warnings. *budgets*: of amounts to whose uncertainty systematic sources
+    add, those on the same data one by one. *undecided*: amounts by name, or patterns of them (`pole_*`), and
+    the verdict, that could not be judged, each with the reason.
     """
 
     name: str
@@ -208,8 +218,9 @@ class ConditionAxis:
 class Repeated:
     """One coefficient at one point: the mean of its *repeats* as a parameter, with its uncertainty.
 
-    scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so large a scatter by the
-    standard errors of the fits alone; theory: the value of a theory at the conditions, None without one.
+    scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so
+    large a scatter by the standard errors of the fits alone; theory: the value of a theory at the conditions,
+    None without one.
     """
 
     parameter: Parameter
@@ -239,7 +250,9 @@ class Beside:
 
 @dataclass(frozen=True)
 class MatrixPoint:
-    """The tests at one level of every condition; *place*: number of the level on each axis. warnings: codes of the tests' findings."""
+    """The tests at one level of every condition; *place*: number of the level on each axis. warnings: codes
+    of the tests' findings.
+    """
 
     place: tuple[int, ...]
     tests: tuple[str, ...]
@@ -254,12 +267,14 @@ class MatrixPoint:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Rest position of the shaft at one load: *position* (x, y) [m] from the centre with standard errors [m], eccentricity [m].
+    """Rest position of the shaft at one load: *position* (x, y) [m] from the centre with standard errors [m],
+    eccentricity [m].
 
     attitude: angle [rad] from the load to the position.
 
-    statics: displacement per force along the load by the slope of the path, (x, y) [m/N]; shaking: the same by K from shaking; with their
-    standard errors; empty where there is no slope or no K. p_value: chance of so large a difference of the two.
+    statics: displacement per force along the load by the slope of the path, (x, y) [m/N]; shaking: the same
+    by K from shaking; with their standard errors; empty where there is no slope or no K. p_value: chance of
+    so large a difference of the two.
     """
 
     load: float
@@ -277,7 +292,10 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class EquilibriumPath:
-    """Rest positions over the load at one level of all other conditions, which *at* says; clearance [m], None where it is not known."""
+    """Rest positions over the load at one level of all other conditions, which *at* says.
+
+    Clearance [m], None where it is not known.
+    """
 
     at: str
     points: tuple[PathPoint, ...]
@@ -288,7 +306,8 @@ class EquilibriumPath:
 class ConditionMatrix:
     """The points of one fit over the levels of its conditions.
 
-    missing: combinations of levels without a test; amounts: what rules may ask; statement: the result as a sentence.
+    missing: combinations of levels without a test; amounts: what rules may ask; statement: the result as a
+    sentence.
     """
 
     name: str
@@ -316,7 +335,9 @@ class ConditionMatrix:
 
     def text_of(self, point: MatrixPoint) -> str:
         """The conditions of a point as people read them."""
-        return ", ".join(axis.text(level) for axis, level in zip(self.axes, self.levels_of(point), strict=True))
+        return ", ".join(
+            axis.text(level) for axis, level in zip(self.axes, self.levels_of(point), strict=True)
+        )
 
     def levels_of(self, point: MatrixPoint) -> tuple[float, ...]:
         """The condition of a point on every axis [units of the axes]."""

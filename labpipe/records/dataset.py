@@ -9,7 +9,15 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.records.finding import Finding
-from labpipe.records.identification import CountedFinding, DatasetIndex, Failed, Fit, ListedParameter, RuleOutcome, of_fit
+from labpipe.records.identification import (
+    CountedFinding,
+    DatasetIndex,
+    Failed,
+    Fit,
+    ListedParameter,
+    RuleOutcome,
+    of_fit,
+)
 
 # Rows of a dataset of results: one for each parameter of each fit of a test, and one for a test that could
 # not be evaluated.
@@ -19,12 +27,13 @@ from labpipe.records.identification import CountedFinding, DatasetIndex, Failed,
 class DatasetRow:
     """One parameter of one fit of one test, in SI units.
 
-    rig and date of the test decide where the row is kept. std_error by noise alone; full_error: that which the 95 % interval goes with;
-    *combined* and *expanded* uncertainty where uncertainties were declared. covariance (n,) [unit times unit]: by noise with every
-    estimated parameter of the fit in their order, None for a derived one; changes: of the parameter by one standard uncertainty of every
-    systematic source, by its name. accepted: whether all rules on this test hold, None without rules. conditions: as people wrote them.
-    source: SHA-256 over the digests of the test's files; digest: of its file of fits. failed: why a test has no result; then there is no
-    fit and no parameter.
+    rig and date of the test decide where the row is kept. std_error by noise alone; full_error: that which
+    the 95 % interval goes with; *combined* and *expanded* uncertainty where uncertainties were declared.
+    covariance (n,) [unit times unit]: by noise with every estimated parameter of the fit in their order, None
+    for a derived one; changes: of the parameter by one standard uncertainty of every systematic source, by
+    its name. accepted: whether all rules on this test hold, None without rules. conditions: as people wrote
+    them. source: SHA-256 over the digests of the test's files; digest: of its file of fits. failed: why a
+    test has no result; then there is no fit and no parameter.
     """
 
     rig: str
@@ -61,7 +70,8 @@ class DatasetRow:
 
 @dataclass(frozen=True, kw_only=True)
 class PartialOutcome:
-    """What a rule found in the fits of some tests: the first outcome that fails, or the first; the fits that it addresses.
+    """What a rule found in the fits of some tests: the first outcome that fails, or the first; the fits that
+    it addresses.
 
     fault: (what, hint) where fits of a test were addressed and none of them has what the rule names.
     """
@@ -74,12 +84,16 @@ class PartialOutcome:
         """Of these tests and of further ones."""
         both = [partial.outcome for partial in (self, other) if partial.outcome is not None]
         first = next((outcome for outcome in both if not outcome.passed), both[0] if both else None)
-        return PartialOutcome(outcome=first, addressed=self.addressed + other.addressed, fault=self.fault or other.fault)
+        return PartialOutcome(
+            outcome=first, addressed=self.addressed + other.addressed, fault=self.fault or other.fault
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class TestResult:
-    """What a test among many comes to: its rows, its findings with their origin, and what each rule found in it, by the rule's number."""
+    """What a test among many comes to: its rows, its findings with their origin, and what each rule found in
+    it, by the rule's number.
+    """
 
     __test__ = False
 
@@ -101,19 +115,32 @@ def _entries(fit: Fit, listed: ListedParameter) -> dict[str, object]:
     low, high = parameter.ci95 or (None, None)
     return {
         **{"fit": fit.name, "term": fit.term, "model": fit.model, "estimator": fit.estimator},
-        **{"low_hz": fit.band_hz[0], "high_hz": fit.band_hz[1], "parameter": parameter.name, "value": parameter.value},
+        **{
+            "low_hz": fit.band_hz[0],
+            "high_hz": fit.band_hz[1],
+            "parameter": parameter.name,
+            "value": parameter.value,
+        },
         **{"unit": parameter.unit, "std_error": parameter.std_error, "full_error": parameter.full_error},
         **{"combined": parameter.combined, "expanded": parameter.expanded},
         **{"ci_low": low, "ci_high": high, "significant": parameter.significant, "gof": fit.gof.r2_adjusted},
-        **{"chi2_reduced": fit.gof.chi2_reduced, "random_error": listed.random_error, "changes": listed.changes},
+        **{
+            "chi2_reduced": fit.gof.chi2_reduced,
+            "random_error": listed.random_error,
+            "changes": listed.changes,
+        },
         "warnings": ", ".join(listed.warnings),
     }
 
 
 def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
-    """Rows of the covariance by noise, r_ij s_i s_j, of the estimated parameters by their names: (n,) [units of both]; none without."""
+    """Rows of the covariance by noise, r_ij s_i s_j, of the estimated parameters by their names: (n,) [units
+    of both]; none without.
+    """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
-    errors = np.array([np.nan if parameter.std_error is None else parameter.std_error for parameter in estimated])
+    errors = np.array(
+        [np.nan if parameter.std_error is None else parameter.std_error for parameter in estimated]
+    )
     if fit.correlation.shape != (len(estimated), len(estimated)):
         return {}
     covariance = fit.correlation * np.outer(errors, errors)
@@ -121,7 +148,10 @@ def noise_covariance(fit: Fit) -> dict[str, FloatArray]:
 
 
 def accepted(partial: Sequence[PartialOutcome], forbidden: Sequence[RuleOutcome]) -> bool | None:
-    """Whether every rule that addresses a test holds there; None where none does. A rule that the test cannot keep or break does not."""
+    """Whether every rule that addresses a test holds there; None where none does.
+
+    A rule that the test cannot keep or break does not.
+    """
     if any(row.fault is not None for row in partial):
         return False
     outcomes = [row.outcome for row in partial if row.outcome is not None] + list(forbidden)
@@ -136,7 +166,9 @@ MOST_FAILED = 100
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """The index of some tests, what each rule found in them by its number, forbidding warnings, and the first tests that failed."""
+    """The index of some tests, what each rule found in them by its number, forbidding warnings, and the first
+    tests that failed.
+    """
 
     index: DatasetIndex = field(default_factory=DatasetIndex)
     partial: tuple[PartialOutcome, ...] = ()
@@ -162,9 +194,14 @@ def summary_of(result: TestResult) -> DatasetSummary:
     if row is not None and row.failed is not None:
         return DatasetSummary(index=DatasetIndex(failed=1, rows=1), failed=(Failed(row.test, row.failed),))
     fits: dict[str, int] = {}
-    for name, _, _ in dict.fromkeys((row.fit, row.term, row.low_hz) for row in result.rows if row.fit is not None):
+    for name, _, _ in dict.fromkeys(
+        (row.fit, row.term, row.low_hz) for row in result.rows if row.fit is not None
+    ):
         fits[name] = fits.get(name, 0) + 1
-    findings = {(finding.level, finding.code): CountedFinding(finding, origin, 1) for origin, finding in reversed(result.findings)}
+    findings = {
+        (finding.level, finding.code): CountedFinding(finding, origin, 1)
+        for origin, finding in reversed(result.findings)
+    }
     index = DatasetIndex(
         tests=1,
         not_accepted=int(row is not None and row.accepted is False),
@@ -191,9 +228,9 @@ def summed(summaries: Iterable[DatasetSummary]) -> DatasetSummary:
 class TestColumns:
     """A parameter in (n,) tests, ordered by date and name.
 
-    values, errors, low, high (n,) [unit]: with the standard error (combined where uncertainties were declared) and the ends of the 95 %
-    interval, NaN where there is none. amounts: of every condition that is an amount its unit and (n,) values [that unit, SI], NaN where a
-    test has none.
+    values, errors, low, high (n,) [unit]: with the standard error (combined where uncertainties were
+    declared) and the ends of the 95 % interval, NaN where there is none. amounts: of every condition that is
+    an amount its unit and (n,) values [that unit, SI], NaN where a test has none.
     """
 
     __test__ = False
@@ -220,7 +257,8 @@ class TestColumns:
 
 @dataclass(frozen=True)
 class ManyTests:
-    """All that a dataset of results holds, for a report: parameters as columns; tests that failed and that were not accepted, and why.
+    """All that a dataset of results holds, for a report: parameters as columns; tests that failed and that
+    were not accepted, and why.
 
     failed, not_accepted: (test, conditions as text, why or warnings), the first of them.
     """

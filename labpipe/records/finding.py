@@ -17,9 +17,11 @@ NORMAL = 1.959963984540054
 
 @dataclass(frozen=True)
 class Finding:
-    """*code* for programs (clipped, gap, collinear, ...), *message* for people. Findings travel downstream with the results.
+    """*code* for programs (clipped, gap, collinear, ...), *message* for people. Findings travel downstream
+    with the results.
 
-    *level*: a warning limits how far a number can be trusted; a note only says what was done (lines masked, a hit left out).
+    *level*: a warning limits how far a number can be trusted; a note only says what was done (lines masked, a
+    hit left out).
     """
 
     code: str
@@ -46,7 +48,9 @@ def of_level(level: str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 @dataclass(frozen=True)
 class Contribution:
-    """Part of a source in the uncertainty of a parameter: *contribution* as a standard uncertainty, *share* of the variance [1]."""
+    """Part of a source in the uncertainty of a parameter: *contribution* as a standard uncertainty, *share*
+    of the variance [1].
+    """
 
     source: str
     contribution: float
@@ -55,8 +59,8 @@ class Contribution:
 
 @dataclass(frozen=True)
 class IntervalParts:
-    """What the interval of a parameter holds, as standard uncertainties [unit of the parameter]: noise of the record, model error, scatter
-    between repeats, and given numbers.
+    """What the interval of a parameter holds, as standard uncertainties [unit of the parameter]: noise of the
+    record, model error, scatter between repeats, and given numbers.
     """
 
     noise: float
@@ -67,7 +71,9 @@ class IntervalParts:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """What explains a residual that is not noise: *shares* [1] of the evidence by cause, and where a second mode would lie [Hz]."""
+    """What explains a residual that is not noise: *shares* [1] of the evidence by cause, and where a second
+    mode would lie [Hz].
+    """
 
     shares: Mapping[str, float]
     second_mode_hz: float | None = None
@@ -75,7 +81,8 @@ class Discrepancy:
 
 @dataclass(frozen=True)
 class Repeats:
-    """The repeats that a value is the mean of: *n* recorded, *used* in the mean, their *values* and *spread* (tau) [unit of the value].
+    """The repeats that a value is the mean of: *n* recorded, *used* in the mean, their *values* and *spread*
+    (tau) [unit of the value].
 
     *covariate*: what they follow, where they do, and the value of it *at* which the mean is stated [SI].
     """
@@ -92,15 +99,17 @@ class Repeats:
 class Parameter:
     """One estimated or derived parameter in SI units.
 
-    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined). *significant*: |t| exceeds the two-sided
-    95 % Student quantile. *vif*: variance inflation factor. *derived*: computed from the others (f_n, zeta, ...). *std_error* is what noise
-    alone leaves; *std_error_inflated*: with what else the residual shows, where it is not noise, and with the uncertainty of given numbers.
-    *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it that stems from given numbers, where that is
-    known by itself; then there are the *combined* standard uncertainty, the *expanded* one, which is it times *coverage_factor*, and the
-    *budget* of all sources, noise among them, the largest first.
-    *repeats*: those that the value is the mean of. *interval*: the parts of the interval that is stated, and the *reason*
-    in words where it is wider than noise and given numbers make it, with the *discrepancy* behind it; *fitted*: what
-    the model alone gives, where the value is the mean over model errors.
+    *std_error*, *t_ratio*, *ci95* are None where none can be given (at a bound, not determined).
+    *significant*: |t| exceeds the two-sided 95 % Student quantile. *vif*: variance inflation factor.
+    *derived*: computed from the others (f_n, zeta, ...). *std_error* is what noise alone leaves;
+    *std_error_inflated*: with what else the residual shows, where it is not noise, and with the uncertainty
+    of given numbers. *ci95*, *t_ratio* and *significant* are by the latter then. *systematic*: the part of it
+    that stems from given numbers, where that is known by itself; then there are the *combined* standard
+    uncertainty, the *expanded* one, which is it times *coverage_factor*, and the *budget* of all sources,
+    noise among them, the largest first. *repeats*: those that the value is the mean of. *interval*: the parts
+    of the interval that is stated, and the *reason* in words where it is wider than noise and given numbers
+    make it, with the *discrepancy* behind it; *fitted*: what the model alone gives, where the value is the
+    mean over model errors.
     """
 
     name: str
@@ -128,17 +137,26 @@ class Parameter:
 
     @property
     def as_fitted(self) -> Parameter:
-        """The parameter as the model alone gives it, by noise and given numbers: for what is compared with the same model on other data."""
+        """The parameter as the model alone gives it, by noise and given numbers: for what is compared with
+        the same model on other data.
+        """
         if self.fitted is None or self.std_error is None:
             return self
         error = math.hypot(self.std_error, self.systematic or 0.0)
         reach = NORMAL * error
         interval = None if self.ci95 is None else (self.fitted - reach, self.fitted + reach)
-        return replace(self, value=self.fitted, fitted=None, ci95=interval, std_error_inflated=error if self.systematic else None)
+        return replace(
+            self,
+            value=self.fitted,
+            fitted=None,
+            ci95=interval,
+            std_error_inflated=error if self.systematic else None,
+        )
 
     @property
     def measured_ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval by noise, repeats and given numbers, for what is compared with a value of the same model on the same lines.
+        """The 95 % interval by noise, repeats and given numbers, for what is compared with a value of the
+        same model on the same lines.
 
         What the model lacks, and the residual shows, it lacks on both sides.
         """
@@ -148,7 +166,9 @@ class Parameter:
             return self.ci95
         between = 0.0 if self.interval is None else self.interval.repeats
         share = math.hypot(self.std_error, self.systematic or 0.0, between) / self.full_error
-        return self.value + share * (self.ci95[0] - self.value), self.value + share * (self.ci95[1] - self.value)
+        return self.value + share * (self.ci95[0] - self.value), self.value + share * (
+            self.ci95[1] - self.value
+        )
 
     @property
     def full_error(self) -> float | None:

@@ -16,7 +16,8 @@ from labpipe.registry import Registry
 class FitDetail:
     """What a fit of a model shows beside its parameters; *key*: of its record in a result.
 
-    in_time: what was measured are records over time. given_in_noise: what given numbers add is part of the standard errors by noise.
+    in_time: what was measured are records over time. given_in_noise: what given numbers add is part of the
+    standard errors by noise.
     """
 
     key: ClassVar[str]
@@ -24,18 +25,24 @@ class FitDetail:
     given_in_noise: ClassVar[bool] = False
 
     def given(self, n_parameter: int) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by given numbers in these standard errors."""
+        """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by given numbers in these
+        standard errors.
+        """
         return np.zeros((n_parameter, n_parameter))
 
     @property
     def course(self) -> tuple[FloatArray, ComplexArray] | None:
-        """Frequency (n,) [Hz] and the fitted dynamic stiffness (n, 2, 2) [N/m] over it, where the detail has one."""
+        """Frequency (n,) [Hz] and the fitted dynamic stiffness (n, 2, 2) [N/m] over it, where the detail has
+        one.
+        """
         return None
 
 
 @dataclass(frozen=True)
 class FitDetailKind:
-    """An entry of the table of details: the class of the record, and the blocks of the report for a fit with such a record."""
+    """An entry of the table of details: the class of the record, and the blocks of the report for a fit with
+    such a record.
+    """
 
     record: type[FitDetail]
     blocks: Callable[[Any, Any], Iterable[Any]]
@@ -45,15 +52,17 @@ class FitDetailKind:
 DETAILS = Registry("fit detail", {})
 
 
-# Modes of a structure: shapes with their uncertainty, and the stabilisation diagram that they were chosen from.
+# Modes of a structure: shapes with their uncertainty, and the stabilisation diagram that they were chosen
+# from.
 
 
 @dataclass(frozen=True)
 class StabilisationDiagram:
-    """Poles of all orders: frequency (n,) [Hz], damping_ratio (n,) [1], order (n,), mode (n,): number of the mode from 0, -1 for none.
+    """Poles of all orders: frequency (n,) [Hz], damping_ratio (n,) [1], order (n,), mode (n,): number of the
+    mode from 0, -1 for none.
 
-    indicator (n_line, n_indicator): complex mode indicator function, the singular values of the FRF matrix [unit of the FRF] over
-    indicator_frequency (n_line,) [Hz] (Shih, Tsuei, Allemang and Brown 1988).
+    indicator (n_line, n_indicator): complex mode indicator function, the singular values of the FRF matrix
+    [unit of the FRF] over indicator_frequency (n_line,) [Hz] (Shih, Tsuei, Allemang and Brown 1988).
     """
 
     frequency: FloatArray
@@ -67,16 +76,19 @@ class StabilisationDiagram:
 
 @dataclass(frozen=True)
 class Modes(FitDetail):
-    """Modes in ascending frequency: natural frequency f = |lambda| / 2 pi [Hz], damping ratio -Re lambda / |lambda| [1].
+    """Modes in ascending frequency: natural frequency f = |lambda| / 2 pi [Hz], damping ratio -Re lambda /
+    |lambda| [1].
 
-    shapes (n_point, n_mode) [1]: complex, the largest point of each is 1; shape_std_errors (n_point, n_mode) [1]: of the complex
-    value, sqrt(variance of real + imaginary part). participation (n_mode, n_reference) [1], the largest 1; residues [unit of the
-    FRF's receptance times rad/s] = scale * shape * participation, scale (n_mode,). points, references: labels of the two sides of the
-    FRF matrix; *forces_move*: the points are forces (a roving hammer). mac (n_mode, n_mode) [1]: modal assurance criterion between the
-    shapes; collinearity (n_mode,) [1]: modal phase collinearity, 1 for a real shape (Juang and Pappa 1985).
-    lower, upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which mass, stiffness and
-    damping of each mode are given, that with its largest residue; empty where no point is a reference.
-    dofs: place and direction of every point of the shapes; geometry: where they are, if it is known.
+    shapes (n_point, n_mode) [1]: complex, the largest point of each is 1; shape_std_errors (n_point, n_mode)
+    [1]: of the complex value, sqrt(variance of real + imaginary part). participation (n_mode, n_reference)
+    [1], the largest 1; residues [unit of the FRF's receptance times rad/s] = scale * shape * participation,
+    scale (n_mode,). points, references: labels of the two sides of the FRF matrix; *forces_move*: the points
+    are forces (a roving hammer). mac (n_mode, n_mode) [1]: modal assurance criterion between the shapes;
+    collinearity (n_mode,) [1]: modal phase collinearity, 1 for a real shape (Juang and Pappa 1985). lower,
+    upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which
+    mass, stiffness and damping of each mode are given, that with its largest residue; empty where no point is
+    a reference. dofs: place and direction of every point of the shapes; geometry: where they are, if it is
+    known.
     """
 
     key: ClassVar[str] = "modes"
@@ -106,7 +118,8 @@ class Modes(FitDetail):
 
 @dataclass(frozen=True)
 class AmplitudeLaw:
-    """A' = -w (zeta_rest + zeta_slope A) A, phase' = w + frequency_slope A; A amplitude [SI unit of the output], w [rad/s].
+    """A' = -w (zeta_rest + zeta_slope A) A, phase' = w + frequency_slope A; A amplitude [SI unit of the
+    output], w [rad/s].
 
     p_value: chance of residuals so unlike noise if the law is right.
     """
@@ -120,9 +133,11 @@ class AmplitudeLaw:
 
 @dataclass(frozen=True)
 class OverAmplitude:
-    """One mode piece by piece: damping ratio (n,) [1] and frequency (n,) [Hz] over amplitude (n,) [SI unit of the output].
+    """One mode piece by piece: damping ratio (n,) [1] and frequency (n,) [Hz] over amplitude (n,) [SI unit of
+    the output].
 
-    Each with its standard error of the same shape and unit. law: where damping or frequency depend on the amplitude, else None.
+    Each with its standard error of the same shape and unit. law: where damping or frequency depend on the
+    amplitude, else None.
     """
 
     amplitude: FloatArray
@@ -136,9 +151,11 @@ class OverAmplitude:
 
 @dataclass(frozen=True)
 class RingDown(FitDetail):
-    """The largest decay of a fit over time (n,) [s]: measured, fitted and residual, each (n,) [SI unit of the output].
+    """The largest decay of a fit over time (n,) [s]: measured, fitted and residual, each (n,) [SI unit of the
+    output].
 
-    Of long decays the least and the largest value of every short stretch stand one after the other. *modes*: in ascending frequency.
+    Of long decays the least and the largest value of every short stretch stand one after the other. *modes*:
+    in ascending frequency.
     """
 
     key: ClassVar[str] = "ring_down"
@@ -159,10 +176,11 @@ class RingDown(FitDetail):
 
 @dataclass(frozen=True)
 class GivenUncertainty:
-    """What the uncertainty of given numbers of one *source* does to the estimates; the same source is the same error in every fit.
+    """What the uncertainty of given numbers of one *source* does to the estimates; the same source is the
+    same error in every fit.
 
-    changes (n, n_parameter) [units of the fitted parameters]: n independent errors of one standard deviation each. std_error [unit] of
-    the number, 1 of several.
+    changes (n, n_parameter) [units of the fitted parameters]: n independent errors of one standard deviation
+    each. std_error [unit] of the number, 1 of several.
     """
 
     source: str
@@ -173,7 +191,9 @@ class GivenUncertainty:
 
 
 def systematic(uncertainties: Sequence[GivenUncertainty], n_parameter: int) -> FloatArray:
-    """Covariance (n_parameter, n_parameter) [units of the fitted parameters] of all given numbers together."""
+    """Covariance (n_parameter, n_parameter) [units of the fitted parameters] of all given numbers
+    together.
+    """
     rows = [np.zeros((1, n_parameter)), *(uncertainty.changes for uncertainty in uncertainties)]
     joint = np.concatenate(rows)
     return joint.T @ joint
@@ -181,7 +201,9 @@ def systematic(uncertainties: Sequence[GivenUncertainty], n_parameter: int) -> F
 
 @dataclass(frozen=True)
 class OtherExcitation:
-    """Ratios of the standard errors by noise that another excitation of the same time and peak force would have given, by K, C, M."""
+    """Ratios of the standard errors by noise that another excitation of the same time and peak force would
+    have given, by K, C, M.
+    """
 
     name: str
     matrices: tuple[str, ...]
@@ -190,15 +212,16 @@ class OtherExcitation:
 
 @dataclass(frozen=True)
 class DynamicStiffness(FitDetail):
-    """Dynamic stiffness H(w) [N/m] of a floating bearing, force in the row's direction per displacement in the column's, x then y.
+    """Dynamic stiffness H(w) [N/m] of a floating bearing, force in the row's direction per displacement in
+    the column's, x then y.
 
-    form, symmetry: of the model; values (n_parameter,): as they are fitted (of positive shape parameters the logarithm), noise
-    (n_parameter, n_parameter): their covariance by noise alone, uncertainties: what given numbers add to it.
-    frequency (n_line,) [Hz], measured (n_line, 2, 2) [N/m]: line by line without a model, variance (n_line, 2, 2) [(N/m)^2] of the complex
-    values; *paired*: of two neighbouring lines each, since a line alone has one vector. Empty where lines do not tell H.
-    drawn_frequency (n,) [Hz] with fitted (n, 2, 2) and, where there is one, baseline (n, 2, 2) [N/m].
-    effective_stiffness, effective_damping (n, 3): of forward circular orbits at drawn_frequency, value, lower and upper end of the 95 %
-    interval [N/m, N.s/m].
+    form, symmetry: of the model; values (n_parameter,): as they are fitted (of positive shape parameters the
+    logarithm), noise (n_parameter, n_parameter): their covariance by noise alone, uncertainties: what given
+    numbers add to it. frequency (n_line,) [Hz], measured (n_line, 2, 2) [N/m]: line by line without a model,
+    variance (n_line, 2, 2) [(N/m)^2] of the complex values; *paired*: of two neighbouring lines each, since a
+    line alone has one vector. Empty where lines do not tell H. drawn_frequency (n,) [Hz] with fitted (n, 2,
+    2) and, where there is one, baseline (n, 2, 2) [N/m]. effective_stiffness, effective_damping (n, 3): of
+    forward circular orbits at drawn_frequency, value, lower and upper end of the 95 % interval [N/m, N.s/m].
     """
 
     key: ClassVar[str] = "dynamic_stiffness"
@@ -223,7 +246,9 @@ class DynamicStiffness(FitDetail):
     excitations: tuple[OtherExcitation, ...] = ()
 
     def given(self, n_parameter: int) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by what was given, not fitted."""
+        """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by what was given, not
+        fitted.
+        """
         return systematic(self.uncertainties, n_parameter)
 
     @property
@@ -238,11 +263,13 @@ class DynamicStiffness(FitDetail):
 
 @dataclass(frozen=True)
 class RobustPlant(FitDetail):
-    """Nominal plant dx/dt = A x + B u, y = C x + D u, and |G - G_nominal| <= radius at all lines together with *confidence*.
+    """Nominal plant dx/dt = A x + B u, y = C x + D u, and |G - G_nominal| <= radius at all lines together
+    with *confidence*.
 
-    frequency (n_line,) [Hz]; nominal, radius [unit] and weight [1], (n_line, n_output, n_input): the weight is the radius over the largest
-    singular value of G_nominal, |G| of one axis. a (n, n), b (n, n_input), c (n_output, n), d (n_output, n_input) [SI]. overbound
-    (n_output, n_input, 3): k [1], zero and pole [Hz] of the least k (1 + j f / zero) / (1 + j f / pole) nowhere below the weight.
+    frequency (n_line,) [Hz]; nominal, radius [unit] and weight [1], (n_line, n_output, n_input): the weight
+    is the radius over the largest singular value of G_nominal, |G| of one axis. a (n, n), b (n, n_input), c
+    (n_output, n), d (n_output, n_input) [SI]. overbound (n_output, n_input, 3): k [1], zero and pole [Hz] of
+    the least k (1 + j f / zero) / (1 + j f / pole) nowhere below the weight.
     """
 
     key: ClassVar[str] = "robust"
@@ -263,7 +290,10 @@ class RobustPlant(FitDetail):
 
 @dataclass(frozen=True)
 class Region(FitDetail):
-    """Joint confidence region of two parameters: its closed *outline* (n_point, 2) [SI units]; *level* e.g. 0.95."""
+    """Joint confidence region of two parameters: its closed *outline* (n_point, 2) [SI units]; *level* e.g.
+
+    0.95.
+    """
 
     key: ClassVar[str] = "region"
     names: tuple[str, str]

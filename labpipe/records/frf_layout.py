@@ -16,7 +16,9 @@ from labpipe.records.settings import Settings, setting
 class WindowedSettings(Settings):
     """Windows that hits, or the FRFs of hits, have already."""
 
-    exponential: float = setting("value", "time constant of the exponential window that an analyser applied", unit="s")
+    exponential: float = setting(
+        "value", "time constant of the exponential window that an analyser applied", unit="s"
+    )
 
     def __post_init__(self) -> None:
         if self.exponential <= 0:
@@ -60,7 +62,9 @@ class ElementColumns(Settings):
     def __post_init__(self) -> None:
         if self.given and self.given not in PARTS:
             what = "alone is" if len(self.given) == 1 else "together are"
-            raise ConfigError(f"{' and '.join(self.given)} {what} no complex number", hint=f"{_KNOWN_PARTS} are needed")
+            raise ConfigError(
+                f"{' and '.join(self.given)} {what} no complex number", hint=f"{_KNOWN_PARTS} are needed"
+            )
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -76,14 +80,18 @@ class FrfColumns(ElementColumns):
     omega: str = setting("text", "angular frequency in rad/s, instead of frequency", default="")
     start: str = setting("text", "first frequency: a value such as '0 Hz', or a variable", default="")
     step: str = setting("text", "distance of the lines: a value such as '0.5 Hz', or a variable", default="")
-    matrix: str = setting("text", "variable of the whole complex matrix, instead of one column for each element", default="")
+    matrix: str = setting(
+        "text", "variable of the whole complex matrix, instead of one column for each element", default=""
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         axis = [name for name in ("frequency", "omega") if getattr(self, name)]
         stepped = bool(self.start) + bool(self.step)
         if len(axis) + (stepped > 0) != 1 or stepped == 1:
-            raise ConfigError("one frequency axis is needed", hint="frequency, omega (rad/s), or start and step")
+            raise ConfigError(
+                "one frequency axis is needed", hint="frequency, omega (rad/s), or start and step"
+            )
         if self.matrix and self.given:
             raise ConfigError(f"'matrix' and '{self.given[0]}' are both named", hint="leave one of them out")
 
@@ -92,35 +100,68 @@ class FrfColumns(ElementColumns):
 class FrfLayout(Settings):
     """An entry under ``frfs:`` that describes its file."""
 
-    file: str = setting("text", "the file, or a glob of files of which each is a response of its own", default="")
-    each: tuple[str, ...] = setting("names", "files of one FRF matrix, one for each element, row or column", default=())
-    pattern: str = setting("text", "dofs in the names of the files, for example 'H_{output}_{input}'", default="")
-    columns: FrfColumns | None = setting("section", "columns of a table, by name or by number from 1", section=FrfColumns, default=None)
-    variables: FrfColumns | None = setting("section", "variables of a .mat, .h5 or .npz file", section=FrfColumns, default=None)
-    elements: tuple[tuple[str, ElementColumns], ...] = setting(
-        "sections", "several elements in one file: {x/f: {re: 2, im: 3}, y/f: {re: 4, im: 5}}", section=ElementColumns, default=()
+    file: str = setting(
+        "text", "the file, or a glob of files of which each is a response of its own", default=""
     )
-    axes: tuple[str, ...] = setting("names", "order of the dimensions of 'matrix'; default: found by their lengths", default=())
+    each: tuple[str, ...] = setting(
+        "names", "files of one FRF matrix, one for each element, row or column", default=()
+    )
+    pattern: str = setting(
+        "text", "dofs in the names of the files, for example 'H_{output}_{input}'", default=""
+    )
+    columns: FrfColumns | None = setting(
+        "section", "columns of a table, by name or by number from 1", section=FrfColumns, default=None
+    )
+    variables: FrfColumns | None = setting(
+        "section", "variables of a .mat, .h5 or .npz file", section=FrfColumns, default=None
+    )
+    elements: tuple[tuple[str, ElementColumns], ...] = setting(
+        "sections",
+        "several elements in one file: {x/f: {re: 2, im: 3}, y/f: {re: 4, im: 5}}",
+        section=ElementColumns,
+        default=(),
+    )
+    axes: tuple[str, ...] = setting(
+        "names", "order of the dimensions of 'matrix'; default: found by their lengths", default=()
+    )
     form: str = setting(
-        "choice", "what is divided by the force, or transmissibility; default: as the unit says", choices=(*MECHANICAL, NAMED), default=""
+        "choice",
+        "what is divided by the force, or transmissibility; default: as the unit says",
+        choices=(*MECHANICAL, NAMED),
+        default="",
     )
     unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
     window: str = setting(
-        "choice", "window of the analyser's blocks, through which neighbouring lines share noise", choices=WINDOWS, default=""
+        "choice",
+        "window of the analyser's blocks, through which neighbouring lines share noise",
+        choices=WINDOWS,
+        default="",
     )
     windowed: WindowedSettings | None = setting(
-        "section", "window of the hits behind the FRF: its damping is taken out", section=WindowedSettings, default=None
+        "section",
+        "window of the hits behind the FRF: its damping is taken out",
+        section=WindowedSettings,
+        default=None,
     )
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.each):
-            raise ConfigError("one of 'file' and 'each' is needed", hint="file: h.txt, or each: 'points/*.txt' with a pattern")
+            raise ConfigError(
+                "one of 'file' and 'each' is needed",
+                hint="file: h.txt, or each: 'points/*.txt' with a pattern",
+            )
         if self.columns is not None and self.variables is not None:
-            raise ConfigError("'columns' and 'variables' are both named", hint="columns for a table, variables for .mat, .h5 and .npz")
+            raise ConfigError(
+                "'columns' and 'variables' are both named",
+                hint="columns for a table, variables for .mat, .h5 and .npz",
+            )
         if self.table is None and (self.unit or self.form or self.elements or self.axes):
-            raise ConfigError("neither 'columns' nor 'variables' say where the numbers stand", hint="columns: {frequency: 1, re: 2, im: 3}")
+            raise ConfigError(
+                "neither 'columns' nor 'variables' say where the numbers stand",
+                hint="columns: {frequency: 1, re: 2, im: 3}",
+            )
         if self.axes and sorted(self.axes) != sorted(AXES):
             raise ConfigError("'axes' must name frequency, output and input once each", field="axes")
         if self.table is not None:
@@ -140,11 +181,18 @@ class FrfLayout(Settings):
             raise ConfigError(what, hint=f"{_KNOWN_PARTS} are needed, or 'elements' for several", field=where)
         for name, element in self.elements:
             if not element.given:
-                raise ConfigError(f"the element '{name}' has no columns", hint=f"{_KNOWN_PARTS} are needed", field="elements")
+                raise ConfigError(
+                    f"the element '{name}' has no columns",
+                    hint=f"{_KNOWN_PARTS} are needed",
+                    field="elements",
+                )
 
     def _check_unit(self) -> None:
         if not self.form and not self.unit:
-            raise ConfigError("form or unit is needed", hint="form: accelerance, and unit: g/N where the numbers are not in SI units")
+            raise ConfigError(
+                "form or unit is needed",
+                hint="form: accelerance, and unit: g/N where the numbers are not in SI units",
+            )
         try:
             self.scale  # noqa: B018 (raises)
         except UnitError as error:
@@ -152,7 +200,10 @@ class FrfLayout(Settings):
 
     @property
     def scale(self) -> tuple[str, float]:
-        """(form, SI value per value of the file); UnitError for a unit that is none of the form, or of no form."""
+        """(form, SI value per value of the file).
+
+        UnitError for a unit that is none of the form, or of no form.
+        """
         if not self.unit:
             return self.form, 1.0
         for form in (self.form,) if self.form else MECHANICAL:

@@ -20,7 +20,9 @@ MOST_NAMES = 8
 
 @dataclass(frozen=True)
 class Geometry:
-    """names of the points, positions (n_point, 3) [m] along x, y, z, and lines (n_line, 2): numbers of the points that each joins."""
+    """names of the points, positions (n_point, 3) [m] along x, y, z, and lines (n_line, 2): numbers of the
+    points that each joins.
+    """
 
     names: tuple[str, ...]
     positions: FloatArray
@@ -38,7 +40,8 @@ class Geometry:
         return self
 
     def motion(self, dofs: Sequence[str], shapes: ComplexArray) -> ComplexArray:
-        """How every point moves in each mode, (n_mode, n_point, 3) [1], from *shapes* (n_dof, n_mode) at the *dofs*; 0 where unmeasured.
+        """How every point moves in each mode, (n_mode, n_point, 3) [1], from *shapes* (n_dof, n_mode) at the
+        *dofs*; 0 where unmeasured.
 
         DataError for a dof whose point is not in the geometry.
         """
@@ -50,9 +53,14 @@ class Geometry:
 
     @classmethod
     def of_dofs(cls, dofs: Sequence[str]) -> Geometry:
-        """The points that *dofs* name, all in one place, for what needs no positions; directions alone ("x") are of one point, ""."""
+        """The points that *dofs* name, all in one place, for what needs no positions.
+
+        Directions alone ("x") are of one point, "".
+        """
         directed = [_DIRECTED.match(dof) for dof in dofs]
-        points = dict.fromkeys(match["point"] if match else dof for match, dof in zip(directed, dofs, strict=True))
+        points = dict.fromkeys(
+            match["point"] if match else dof for match, dof in zip(directed, dofs, strict=True)
+        )
         return cls(tuple(points), np.zeros((len(points), 3)), np.empty((0, 2), int))
 
     def check(self, dofs: Sequence[str]) -> None:
@@ -61,7 +69,10 @@ class Geometry:
             self.place(dof)
 
     def place(self, dof: str) -> tuple[int, FloatArray]:
-        """(number of the point, unit vector (3,) [1] of the direction) of a dof; a dof without a direction moves along z."""
+        """(number of the point, unit vector (3,) [1] of the direction) of a dof.
+
+        A dof without a direction moves along z.
+        """
         if dof in self.names:
             return self.names.index(dof), np.array([0.0, 0.0, 1.0])
         directed = _DIRECTED.match(dof)
@@ -69,7 +80,9 @@ class Geometry:
         alone = not point and len(self.names) == 1
         if directed is None or not (alone or point in self.names):
             names = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
-            raise DataError(f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}")
+            raise DataError(
+                f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}"
+            )
         vector = np.zeros(3)
         vector[AXES.index(directed["axis"].lower())] = -1.0 if directed["sign"] == "-" else 1.0
         return (0 if alone else self.names.index(point)), vector

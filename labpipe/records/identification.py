@@ -39,7 +39,9 @@ class CountedFinding:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetIndex:
-    """Tests with a result and *failed* ones without, those whose rules do not all hold, *rows* of the dataset, fits by their name."""
+    """Tests with a result and *failed* ones without, those whose rules do not all hold, *rows* of the
+    dataset, fits by their name.
+    """
 
     tests: int = 0
     failed: int = 0
@@ -58,13 +60,20 @@ class DatasetIndex:
         for finding in (*self.findings, *other.findings):
             key = finding.finding.level, finding.finding.code
             before = counted.get(key)
-            counted[key] = finding if before is None else CountedFinding(before.finding, before.origin, before.tests + finding.tests)
+            counted[key] = (
+                finding
+                if before is None
+                else CountedFinding(before.finding, before.origin, before.tests + finding.tests)
+            )
         return DatasetIndex(
             tests=self.tests + other.tests,
             failed=self.failed + other.failed,
             not_accepted=self.not_accepted + other.not_accepted,
             rows=self.rows + other.rows,
-            fits={name: self.fits.get(name, 0) + other.fits.get(name, 0) for name in dict.fromkeys((*self.fits, *other.fits))},
+            fits={
+                name: self.fits.get(name, 0) + other.fits.get(name, 0)
+                for name in dict.fromkeys((*self.fits, *other.fits))
+            },
             findings=tuple(counted[key] for key in sorted(counted)),
         )
 
@@ -87,11 +96,13 @@ class Goodness:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate model on the same lines: number of estimated *parameters*, chi-square of its residual, information criteria.
+    """A candidate model on the same lines: number of estimated *parameters*, chi-square of its residual,
+    information criteria.
 
-    aic = chi-square + 2 parameters, less is better; p_value: chance of so large an improvement by the richest model if this one,
-    which it contains, is right (None for the richest one, and where it does not contain this one). bic = chi-square + parameters * ln(real
-    equations) and chi2_p, the chance of so large a chi-square, where candidates are chosen by them.
+    aic = chi-square + 2 parameters, less is better; p_value: chance of so large an improvement by the richest
+    model if this one, which it contains, is right (None for the richest one, and where it does not contain
+    this one). bic = chi-square + parameters * ln(real equations) and chi2_p, the chance of so large a
+    chi-square, where candidates are chosen by them.
     """
 
     name: str
@@ -106,11 +117,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class FittedCurve:
-    """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the measured form.
+    """Measured and fitted FRF on the fit's lines: (n_line,) [Hz] and (n_line, n_output, n_input) in the
+    measured form.
 
-    before: the model as it was before the fit, where a model was tuned.
-    dense_frequency (n,) [Hz], dense (n, n_output, n_input): the model also between the lines, so close that it can be drawn as a curve;
-    None where it was not computed.
+    before: the model as it was before the fit, where a model was tuned. dense_frequency (n,) [Hz], dense (n,
+    n_output, n_input): the model also between the lines, so close that it can be drawn as a curve; None where
+    it was not computed.
     """
 
     frequency: FloatArray
@@ -127,7 +139,9 @@ class FittedCurve:
 
     @property
     def drawn(self) -> tuple[FloatArray, ComplexArray]:
-        """Frequency (n_dense,) [Hz] and the model as a curve: dense between the lines where that was computed, else on the lines."""
+        """Frequency (n_dense,) [Hz] and the model as a curve: dense between the lines where that was
+        computed, else on the lines.
+        """
         if self.dense_frequency is None or self.dense is None:
             return self.frequency, self.fitted
         return self.dense_frequency, self.dense
@@ -135,10 +149,12 @@ class FittedCurve:
 
 @dataclass(frozen=True, repr=False)
 class Fit:
-    """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof: equations minus estimated parameters.
+    """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof:
+    equations minus estimated parameters.
 
-    correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted diagonal term, where one
-    fit has several. details: what its model shows beside the parameters, at most one of a class.
+    correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted
+    diagonal term, where one fit has several. details: what its model shows beside the parameters, at most one
+    of a class.
     """
 
     name: str
@@ -180,7 +196,9 @@ class Fit:
 
     @property
     def as_fitted(self) -> Fit:
-        """The fit with the values of its model alone: what the model lacks, it lacks in another test of the same structure as well."""
+        """The fit with the values of its model alone: what the model lacks, it lacks in another test of the
+        same structure as well.
+        """
         return replace(self, parameters=tuple(parameter.as_fitted for parameter in self.parameters))
 
     def detail(self, kind: type[Detail]) -> Detail | None:
@@ -200,13 +218,17 @@ class Fit:
 
 
 def of_points(model: str) -> bool:
-    """Whether a fit of that model is a line through points, of which no noise is known and which are no spectrum."""
+    """Whether a fit of that model is a line through points, of which no noise is known and which are no
+    spectrum.
+    """
     return model == STRAIGHT_LINE
 
 
 @dataclass(frozen=True)
 class RuleOutcome:
-    """One rule of ``accept`` or ``expect`` (*section*), the value [SI], whether it passed; *shown*: the value in the rule's own unit."""
+    """One rule of ``accept`` or ``expect`` (*section*), the value [SI], whether it passed; *shown*: the value
+    in the rule's own unit.
+    """
 
     section: str
     rule: str
@@ -219,7 +241,13 @@ class RuleOutcome:
         """The value as people read it, in the unit of the rule."""
         if self.shown:
             return self.shown
-        return "nothing" if self.value is None else self.value if isinstance(self.value, str) else number(self.value)
+        return (
+            "nothing"
+            if self.value is None
+            else self.value
+            if isinstance(self.value, str)
+            else number(self.value)
+        )
 
 
 @dataclass(frozen=True)
@@ -236,8 +264,9 @@ class Identification:
 
     *inputs*: digests of the responses that the fits were made from, *code*: of the program that made them,
     *digest*: of the file that the result was read from, empty for one without. *sections*: the records of the
-    pipeline's other sections by their key (compare, study, run_ups, ...). *dataset*: of so many tests that their fits
-    and responses stand in files of their own, what they are as a whole; then *inputs* are the dataset's parts.
+    pipeline's other sections by their key (compare, study, run_ups, ...). *dataset*: of so many tests that
+    their fits and responses stand in files of their own, what they are as a whole; then *inputs* are the
+    dataset's parts.
     """
 
     fits: tuple[Fit, ...]
@@ -275,21 +304,31 @@ class Identification:
 
     @property
     def measured_tests(self) -> list[tuple[str, dict[str, Any]]]:
-        """Name and conditions of every test that was measured: as a response, as spectra, or as free decays that were fitted."""
+        """Name and conditions of every test that was measured: as a response, as spectra, or as free decays
+        that were fitted.
+        """
         if self.responses or self.spectra:
             return [
                 *((response.name, response.conditions) for response in self.responses),
                 *((spectrum.name, spectrum.conditions) for spectrum in self.spectra),
             ]
         decayed = {fit.test for fit in self.fits if any(detail.in_time for detail in fit.details)}
-        return [(name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed]
+        return [
+            (name, dict(conditions)) for name, conditions in self.test_conditions.items() if name in decayed
+        ]
 
     @property
     def test_conditions(self) -> dict[str, dict[str, str]]:
-        """The conditions of every test by its name, as people wrote them: as listed, and as its response had them."""
+        """The conditions of every test by its name, as people wrote them: as listed, and as its response had
+        them.
+        """
         listed = {test["name"]: dict(test["conditions"]) for test in self.settings.get("tests", [])}
         spectra = {spectrum.name: dict(spectrum.conditions) for spectrum in self.spectra}
-        return {**listed, **{response.name: dict(response.conditions) for response in self.responses}, **spectra}
+        return {
+            **listed,
+            **{response.name: dict(response.conditions) for response in self.responses},
+            **spectra,
+        }
 
 
 # Parameters of results as lists, trends and campaigns read them: those of all fits and of every other
@@ -298,9 +337,11 @@ class Identification:
 
 @dataclass(frozen=True, kw_only=True)
 class ListedParameter:
-    """A parameter as lists of results show it: *fit* is whose it is (a fit, "run_ups.joint"), of which *test*, *term* and band [Hz].
+    """A parameter as lists of results show it: *fit* is whose it is (a fit, "run_ups.joint"), of which
+    *test*, *term* and band [Hz].
 
-    changes: of the parameter by one standard uncertainty of every systematic source, by its name; *random*: standard error without them.
+    changes: of the parameter by one standard uncertainty of every systematic source, by its name; *random*:
+    standard error without them.
     """
 
     fit: str
@@ -347,7 +388,10 @@ def of_fit(fit: Fit) -> Iterator[ListedParameter]:
 
 
 def random_part(fit: Fit, parameter: Parameter) -> float | None:
-    """Standard error of a parameter [its unit] without what given numbers add; None where it has no systematic part by itself."""
+    """Standard error of a parameter [its unit] without what given numbers add.
+
+    None where it has no systematic part by itself.
+    """
     if fit.budget is None or parameter.name not in fit.budget.names or parameter.systematic is None:
         return None
     return float(fit.budget.random[fit.budget.names.index(parameter.name)])
@@ -357,7 +401,9 @@ def changes_of(fit: Fit, parameter: Parameter) -> dict[str, float]:
     """Change of a parameter [its unit] by one standard uncertainty of every source of the fit's budget."""
     if fit.budget is None or parameter.name not in fit.budget.names:
         return {}
-    return {source.source: fit.budget.change_by(source.source, parameter.name) for source in fit.budget.sources}
+    return {
+        source.source: fit.budget.change_by(source.source, parameter.name) for source in fit.budget.sources
+    }
 
 
 def warning_codes(fit: Fit) -> list[str]:

@@ -1,4 +1,6 @@
-"""A recording: calibrated, uniformly sampled channels of one run, sums of channels, and the overview of a file."""
+"""A recording: calibrated, uniformly sampled channels of one run, sums of channels, and the overview of a
+file.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,12 @@ class Term:
 
     def times(self, factor: float) -> Term:
         """The term times a number without uncertainty."""
-        return Term(self.channel, factor * self.factor, self.numbers, tuple(factor * derivative for derivative in self.derivatives))
+        return Term(
+            self.channel,
+            factor * self.factor,
+            self.numbers,
+            tuple(factor * derivative for derivative in self.derivatives),
+        )
 
 
 def _number(entry: Any) -> Number:
@@ -72,11 +79,12 @@ ROLES = ("input", "output", "reference")
 class Channel:
     """One measured channel in SI units.
 
-    *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction is known as an angle
-    (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or reference (tacho, temperature, ...).
-    *delay* [s] of the sensor chain and its frequency *response*, rows (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF.
-    *terms*: of a channel that is a sum of others in the recording; none for a measured one. *uncertainties* of its calibration.
-    *position* [m] along the axis, if it is known.
+    *dof* is a label (``x``, ``y``, ``bearing2.y``); *angle* [rad] from x towards y is set when the direction
+    is known as an angle (``dof: 45 deg``; x is 0, y is 90 deg). *role*: input (force), output (response) or
+    reference (tacho, temperature, ...). *delay* [s] of the sensor chain and its frequency *response*, rows
+    (frequency [Hz], gain [1], phase [rad]), are taken out of the FRF. *terms*: of a channel that is a sum of
+    others in the recording; none for a measured one. *uncertainties* of its calibration. *position* [m] along
+    the axis, if it is known.
     """
 
     name: str
@@ -107,7 +115,9 @@ class Channel:
 
 
 class SampleSource(Protocol):
-    """What the spectra need of a recording, in memory or on disk: its channels, rate, length and blocks in order."""
+    """What the spectra need of a recording, in memory or on disk: its channels, rate, length and blocks in
+    order.
+    """
 
     @property
     def channels(self) -> tuple[Channel, ...]: ...
@@ -141,7 +151,9 @@ class Recording:
         if not self.sample_rate > 0:
             raise DataError(f"recording '{self.name}' has the sample rate {self.sample_rate} Hz")
         shape = (np.shape(self.samples)[0] if np.ndim(self.samples) else 0, len(names))
-        object.__setattr__(self, "samples", frozen_array(self.samples, np.float64, f"recording '{self.name}'", shape))
+        object.__setattr__(
+            self, "samples", frozen_array(self.samples, np.float64, f"recording '{self.name}'", shape)
+        )
 
     def __repr__(self) -> str:
         return recording_line(self)
@@ -166,7 +178,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Smallest and largest value of every stretch of *step* samples, (n_stretch,) each [the channel's unit]; NaN of missing ones."""
+    """Smallest and largest value of every stretch of *step* samples, (n_stretch,) each [the channel's unit].
+
+    NaN of missing ones.
+    """
 
     step: int
     low: FloatArray
@@ -175,7 +190,8 @@ class Envelope:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Root of the power spectral density [unit/Hz^0.5] over *frequency* [Hz], (n_line,) each; mean of *blocks*.
+    """Root of the power spectral density [unit/Hz^0.5] over *frequency* [Hz], (n_line,) each; mean of
+    *blocks*.
 
     Without a known rate the frequency is in cycles per sample and the density per that.
     """
@@ -192,7 +208,9 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class ChannelOverview:
-    """One channel or column: *name*, *unit* as the file states it ('' where it does not), *about* (role and dof), levels in that unit."""
+    """One channel or column: *name*, *unit* as the file states it ('' where it does not), *about* (role and
+    dof), levels in that unit.
+    """
 
     name: str
     unit: str
@@ -213,7 +231,8 @@ class ChannelOverview:
 
 @dataclass(frozen=True)
 class Overview:
-    """A recording as it lies on disk; *sample_rate* [Hz] or None where nobody knows it, *rate* in words, *time*: the time column or ''.
+    """A recording as it lies on disk; *sample_rate* [Hz] or None where nobody knows it, *rate* in words,
+    *time*: the time column or ''.
 
     contradictions: where a rig file says otherwise, in words; None where none was asked.
     """

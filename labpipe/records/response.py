@@ -23,8 +23,9 @@ from labpipe.records.uncertain import ChannelUncertainty, MatrixError, as_uncert
 class FactoredCovariance:
     """cov(H_oi, H_pj) = R[o, p] G[i, j], one line after the other: a Kronecker product.
 
-    *outputs* R (n_line, n_output, n_output) [output unit^2] and *inputs* G (n_line, n_input, n_input) [1 / input unit^2], both Hermitian
-    to the last digit. Of 16 responses and 3 forces these are 265 numbers per line, the whole matrix has 2304.
+    *outputs* R (n_line, n_output, n_output) [output unit^2] and *inputs* G (n_line, n_input, n_input) [1 /
+    input unit^2], both Hermitian to the last digit. Of 16 responses and 3 forces these are 265 numbers per
+    line, the whole matrix has 2304.
     """
 
     outputs: ComplexArray
@@ -33,7 +34,9 @@ class FactoredCovariance:
     def __post_init__(self) -> None:
         n_line, n_output, n_input = self.outputs.shape[0], self.outputs.shape[-1], self.inputs.shape[-1]
         for name, n in (("outputs", n_output), ("inputs", n_input)):
-            frozen = frozen_array(getattr(self, name), np.complex128, f"covariance of the {name}", (n_line, n, n))
+            frozen = frozen_array(
+                getattr(self, name), np.complex128, f"covariance of the {name}", (n_line, n, n)
+            )
             object.__setattr__(self, name, frozen)
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
@@ -60,11 +63,18 @@ class FactoredCovariance:
         return np.asarray(np.maximum(left[:, :, None] * right[:, None, :], 0.0))
 
     def whole(self) -> ComplexArray:
-        """The covariance of vec(H), row-major, (n_line, n, n) [unit^2 of H], Hermitian; lines are last in memory."""
+        """The covariance of vec(H), row-major, (n_line, n, n) [unit^2 of H], Hermitian.
+
+        Lines are last in memory.
+        """
         n_line, n_output = self.outputs.shape[:2]
         n = self.shape[1]
         by_axes = np.empty((n_output, n // n_output, n_output, n // n_output, n_line), np.complex128)
-        np.multiply(self.outputs.transpose(1, 2, 0)[:, None, :, None], self.inputs.transpose(1, 2, 0)[None, :, None], out=by_axes)
+        np.multiply(
+            self.outputs.transpose(1, 2, 0)[:, None, :, None],
+            self.inputs.transpose(1, 2, 0)[None, :, None],
+            out=by_axes,
+        )
         covariance: ComplexArray = by_axes.reshape(n, n, n_line).transpose(2, 0, 1)
         diagonal = np.einsum("fii->fi", covariance)
         diagonal[...] = np.maximum(diagonal.real, 0.0)
@@ -73,11 +83,12 @@ class FactoredCovariance:
 
 @dataclass(frozen=True)
 class BlockCovariance:
-    """Covariance of vec(H) in independent blocks: cov(H_elements[b, j], H_elements[b, k]) = blocks[line, b, j, k], 0 between blocks.
+    """Covariance of vec(H) in independent blocks: cov(H_elements[b, j], H_elements[b, k]) = blocks[line, b,
+    j, k], 0 between blocks.
 
-    *elements* (n_block, m), each of the n_block * m elements of vec(H) once; *blocks* (n_line, n_block, m, m) [unit^2 of H], Hermitian.
-    Columns measured one after the other, as by a roving hammer, have independent errors: of 79 points and 3 sensors these are 711
-    numbers per line, the whole matrix has 56169.
+    *elements* (n_block, m), each of the n_block * m elements of vec(H) once; *blocks* (n_line, n_block, m, m)
+    [unit^2 of H], Hermitian. Columns measured one after the other, as by a roving hammer, have independent
+    errors: of 79 points and 3 sensors these are 711 numbers per line, the whole matrix has 56169.
     """
 
     elements: IntArray
@@ -85,7 +96,9 @@ class BlockCovariance:
 
     def __post_init__(self) -> None:
         n_block, m = self.elements.shape
-        frozen = frozen_array(self.blocks, np.complex128, "covariance of the columns", (len(self.blocks), n_block, m, m))
+        frozen = frozen_array(
+            self.blocks, np.complex128, "covariance of the columns", (len(self.blocks), n_block, m, m)
+        )
         object.__setattr__(self, "blocks", frozen)
 
     @classmethod
@@ -114,7 +127,9 @@ class BlockCovariance:
     def element(self, p: int, q: int) -> ComplexArray:
         """The covariance of elements *p* and *q* of vec(H), row-major, (n_line,) [unit^2 of H]."""
         (b, j), (other, k) = self._places[p], self._places[q]
-        element: ComplexArray = self.blocks[:, b, j, k] if b == other else np.zeros(self.blocks.shape[0], np.complex128)
+        element: ComplexArray = (
+            self.blocks[:, b, j, k] if b == other else np.zeros(self.blocks.shape[0], np.complex128)
+        )
         return element
 
     @property
@@ -124,7 +139,9 @@ class BlockCovariance:
         return np.asarray(diagonal[:, self._places[:, 0], self._places[:, 1]])
 
     def chosen(self, lines: BoolArray, index: Sequence[int]) -> BlockCovariance:
-        """That of the elements *index*, which are the new vec(H), on the *lines* (n_frequency,), of rows and columns of the matrix."""
+        """That of the elements *index*, which are the new vec(H), on the *lines* (n_frequency,), of rows and
+        columns of the matrix.
+        """
         place = np.full(self.elements.size, -1, np.intp)
         place[list(index)] = np.arange(len(index))
         new = place[self.elements]
@@ -137,7 +154,9 @@ class BlockCovariance:
     def times(self, factor: ComplexArray) -> BlockCovariance:
         """That of the elements times *factor* (n_line, n) [any unit]."""
         by_block = factor[:, self.elements]
-        return BlockCovariance(self.elements, self.blocks * by_block[..., None] * by_block[..., None, :].conj())
+        return BlockCovariance(
+            self.elements, self.blocks * by_block[..., None] * by_block[..., None, :].conj()
+        )
 
     def whole(self) -> ComplexArray:
         """The covariance of vec(H), row-major, (n_line, n, n) [unit^2 of H]."""
@@ -151,7 +170,9 @@ StoredCovariance = ComplexArray | FactoredCovariance | BlockCovariance | None
 
 
 class HeldCovariance:
-    """An attribute that is given as a whole array (n_line, n, n), in parts, or as None, and read as an array, which is made once."""
+    """An attribute that is given as a whole array (n_line, n, n), in parts, or as None, and read as an array,
+    which is made once.
+    """
 
     def __get__(self, instance: object | None, owner: type) -> ComplexArray | None:
         if instance is None:
@@ -170,15 +191,22 @@ class HeldCovariance:
 
 # A measured frequency response matrix with its uncertainty.
 
-FORMS = {"receptance": "m/N", "mobility": "m/(N.s)", "accelerance": "m/(N.s^2)", "transmissibility": "1", "other": "1"}
+FORMS = {
+    "receptance": "m/N",
+    "mobility": "m/(N.s)",
+    "accelerance": "m/(N.s^2)",
+    "transmissibility": "1",
+    "other": "1",
+}
 
 
 @dataclass(frozen=True)
 class Port:
-    """Place and direction of a response or force: channel name, dof label and, if known, direction [rad] from x towards y.
+    """Place and direction of a response or force: channel name, dof label and, if known, direction [rad] from
+    x towards y.
 
-    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere. *uncertainties* of the channel's
-    calibration.
+    *label* is unique within the outputs or the inputs of a matrix and names rows and columns everywhere.
+    *uncertainties* of the channel's calibration.
     """
 
     label: str
@@ -198,10 +226,12 @@ class Port:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number, estimator (H1, H2, Hv, joint).
+    """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number,
+    estimator (H1, H2, Hv, joint).
 
-    degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives: in time of what was averaged,
-    beyond those of the response's form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass.
+    degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives:
+    in time of what was averaged, beyond those of the response's form; -2 for a transmissibility from an
+    accelerometer on the base and a probe on the mass.
     """
 
     length: float
@@ -220,26 +250,30 @@ class FrequencyResponse:
     frequency        (n_frequency,) [Hz], increasing
     matrix           (n_frequency, n_output, n_input) complex, unit of the form (receptance: m/N)
     covariance       (n_frequency, n, n) complex with n = n_output * n_input, or None: E[d d^H] of
-                     d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the variance of the
-                     complex values E|H - E H|^2, half of it
-                     in the real and half in the imaginary part (circular). May be given in factors, FactoredCovariance: it is then made
+                     d = vec(H - E H), row-major (index = output * n_input + input); its diagonal is the
+                     variance of the complex values E|H - E H|^2, half of it in the real and half in the
+                     imaginary part (circular). May be given in factors, FactoredCovariance: it is then made
                      whole when it is first read
-    coherence        (n_frequency, n_output, n_input) ordinary, or None
-    multiple_coherence (n_frequency, n_output), or None
-    partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
-    distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form] that is due to
+    coherence        (n_frequency, n_output, n_input) ordinary, or None multiple_coherence (n_frequency,
+    n_output), or None partial_coherence (n_frequency, n_output, n_input) of each force alone, or None
+    distortion       (n_frequency, n_output, n_input) the part of the standard deviation [unit of the form]
+    that is due to
                      nonlinearity, or None; the variance less its square is noise
-    change           (n_frequency, n_output, n_input) complex, H of the second half of the record less that of the first, or None
-    open_loop        (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed loop, which it takes as open, or None: biased
-    snr              (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line (periodic data), or None;
+    change           (n_frequency, n_output, n_input) complex, H of the second half of the record less that of
+    the first, or None open_loop        (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed
+    loop, which it takes as open, or None: biased snr              (n_frequency, n_channel) signal-to-noise
+    amplitude ratio per channel at the line (periodic data), or None;
                      its columns are named by snr_channels
-    covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf: known)
-    line_correlation E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d = 1, 2, ... line spacings away; empty
+    covariance_dof   effective number of complex degrees of freedom behind the covariance estimate (inf:
+    known) line_correlation E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d =
+    1, 2, ... line spacings away; empty
                      where lines are independent
-    line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone but
-                     sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential window taken out again)
-    blocks           of random data, whose ends leave leakage in the FRF, or None
-    errors           systematic errors that no single port carries: of the numbers in sums of channels and of the members of these
+    line_gains       (n_frequency, 2 m + 1, n_output, n_input) or None: the error of a line is not z_k alone
+    but
+                     sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an exponential
+                     window taken out again)
+    blocks           of random data, whose ends leave leakage in the FRF, or None errors           systematic
+    errors that no single port carries: of the numbers in sums of channels and of the members of these
     """
 
     frequency: FloatArray
@@ -280,7 +314,9 @@ class FrequencyResponse:
             if len(set(labels)) != len(labels):
                 raise DataError(f"two rows or columns of '{self.name}' have one label: {', '.join(labels)}")
         object.__setattr__(self, "frequency", frequency)
-        object.__setattr__(self, "matrix", frozen_array(self.matrix, np.complex128, "FRF matrix", (n_f, n_o, n_i)))
+        object.__setattr__(
+            self, "matrix", frozen_array(self.matrix, np.complex128, "FRF matrix", (n_f, n_o, n_i))
+        )
         shapes = {
             "covariance": (np.complex128, (n_f, n, n)),
             "coherence": (np.float64, (n_f, n_o, n_i)),
@@ -290,11 +326,17 @@ class FrequencyResponse:
             "change": (np.complex128, (n_f, n_o, n_i)),
             "open_loop": (np.complex128, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
-            "line_gains": (np.complex128, (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i)),
+            "line_gains": (
+                np.complex128,
+                (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i),
+            ),
         }
         for error in self.errors:
             if error.change.shape != (n_f, n_o, n_i):
-                raise DataError(f"the change of '{self.name}' by {error.uncertainty.source} has the shape {error.change.shape}")
+                raise DataError(
+                    f"the change of '{self.name}' by {error.uncertainty.source} has the shape "
+                    f"{error.change.shape}"
+                )
         for attribute, (dtype, shape) in shapes.items():
             values = self.__dict__[attribute]
             if isinstance(values, FactoredCovariance | BlockCovariance):
@@ -319,11 +361,16 @@ class FrequencyResponse:
         return response
 
     def to_frame(self) -> Any:
-        """The elements over frequency [Hz] as a pandas data frame: ``o/i`` complex, ``o/i:std`` where the noise is known."""
+        """The elements over frequency [Hz] as a pandas data frame: ``o/i`` complex, ``o/i:std`` where the
+        noise is known.
+        """
         return VIEWS["frame"](self)
 
     def to_xarray(self) -> Any:
-        """The matrix over frequency, output and input as an xarray data set; ConfigError where xarray is not installed."""
+        """The matrix over frequency, output and input as an xarray data set.
+
+        ConfigError where xarray is not installed.
+        """
         return VIEWS["xarray"](self)
 
     @property
@@ -347,20 +394,29 @@ class FrequencyResponse:
         return np.asarray(np.einsum("fii->fi", covariance).real.reshape(self.matrix.shape))
 
     def covariance_of(self, p: int, q: int) -> ComplexArray:
-        """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H]; DataError where none is known."""
+        """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H].
+
+        DataError where none is known.
+        """
         covariance = self.stored_covariance
         if covariance is None:
             raise DataError(f"the covariance of '{self.name}' is not known")
-        element: ComplexArray = covariance[:, p, q] if isinstance(covariance, np.ndarray) else covariance.element(p, q)
+        element: ComplexArray = (
+            covariance[:, p, q] if isinstance(covariance, np.ndarray) else covariance.element(p, q)
+        )
         return element
 
 
-# A matrix of more numbers than this stands in its own file only: a result shows as many elements of it as have so many numbers.
+# A matrix of more numbers than this stands in its own file only: a result shows as many elements of it as
+# have so many numbers.
 MOST_STORED, SHOWN = 100_000, 10_000
 
 
 def shown_ports(n_line: int, n_output: int, n_input: int) -> tuple[list[int], list[int]] | None:
-    """Rows and columns, evenly spaced, of a matrix (n_line, n_output, n_input) too large for a result; None where it is not."""
+    """Rows and columns, evenly spaced, of a matrix (n_line, n_output, n_input) too large for a result.
+
+    None where it is not.
+    """
     if n_line * n_output * n_input <= MOST_STORED:
         return None
     fewer, more = sorted((n_output, n_input))
@@ -369,7 +425,9 @@ def shown_ports(n_line: int, n_output: int, n_input: int) -> tuple[list[int], li
 
 
 def shown_part(response: FrequencyResponse) -> FrequencyResponse:
-    """What a result shows of a response: all of it, or some elements with their variances and a note where that would be too much."""
+    """What a result shows of a response: all of it, or some elements with their variances and a note where
+    that would be too much.
+    """
     ports = shown_ports(*response.matrix.shape)
     if ports is None:
         return response
@@ -380,7 +438,10 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
 
     variance, multiple = response.variance, response.multiple_coherence
     n = len(response.outputs) * len(response.inputs)
-    message = f"the result shows {len(rows) * len(columns)} of {n} elements of the FRF; all of them stand in its own file"
+    message = (
+        f"the result shows {len(rows) * len(columns)} of {n} elements of the FRF; all of them stand "
+        "in its own file"
+    )
     names = ("matrix", "coherence", "partial_coherence", "distortion", "change", "open_loop", "line_gains")
     parts = {name: part(getattr(response, name)) for name in names}
     return replace(
@@ -396,7 +457,9 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
 
 
 def uncorrelated(variance: FloatArray) -> ComplexArray:
-    """Covariance (n_frequency, n, n) [unit^2] of uncorrelated elements from their variance (n_frequency, n_output, n_input)."""
+    """Covariance (n_frequency, n, n) [unit^2] of uncorrelated elements from their variance (n_frequency,
+    n_output, n_input).
+    """
     flat = variance.reshape(variance.shape[0], -1)
     covariance = np.zeros((*flat.shape, flat.shape[1]), np.complex128)
     np.einsum("fii->fi", covariance)[...] = flat

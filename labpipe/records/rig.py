@@ -22,8 +22,8 @@ AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 class RigChannel:
     """One channel of a rig file.
 
-    SI value = scale * (recorded value) + offset; *limits* are the recorded values (low and high, in the recorded unit) at
-    which the logger clips, if known.
+    SI value = scale * (recorded value) + offset; *limits* are the recorded values (low and high, in the
+    recorded unit) at which the logger clips, if known.
     """
 
     channel: Channel
@@ -38,7 +38,8 @@ class RigChannel:
 class Rig:
     """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None.
 
-    derived: channels that are sums of recorded ones. mass_uncertainty: the mass with its standard uncertainty, if it has one.
+    derived: channels that are sums of recorded ones. mass_uncertainty: the mass with its standard
+    uncertainty, if it has one.
     """
 
     name: str
@@ -58,7 +59,9 @@ class Rig:
 
     @property
     def sums(self) -> FloatArray:
-        """Factors (n_derived, n_channel) [SI unit of the sum per SI unit of the channel] of the recorded channels in every sum."""
+        """Factors (n_derived, n_channel) [SI unit of the sum per SI unit of the channel] of the recorded
+        channels in every sum.
+        """
         names = [channel.channel.name for channel in self.channels]
         factors = np.zeros((len(self.derived), len(names)))
         for row, channel in enumerate(self.derived):
@@ -80,6 +83,8 @@ class RecordedCondition(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.channel) == bool(self.tacho):
-            raise ConfigError("one of 'channel' and 'tacho' is needed", hint="channel: load_cell, or tacho: key")
+            raise ConfigError(
+                "one of 'channel' and 'tacho' is needed", hint="channel: load_cell, or tacho: key"
+            )
         if self.pulses < 1:
             raise ConfigError("'pulses' must be at least 1")

@@ -1,9 +1,10 @@
-"""Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and the docs.
+"""Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and
+the docs.
 
 Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
 
-One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is wrong. Files and Python
-scripts go through the same converters.
+One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is
+wrong. Files and Python scripts go through the same converters.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class FileKind:
-    """*load*: the content of a file, ConfigError where it cannot be read; *files*: the file and every file that it names itself."""
+    """*load*: the content of a file, ConfigError where it cannot be read; *files*: the file and every file
+    that it names itself.
+    """
 
     load: Callable[[Path], Any]
     files: Callable[[Path], tuple[Path, ...]] = lambda path: (path,)
@@ -89,8 +92,9 @@ Band = tuple[float, float]
 class Setting:
     """Declaration of a settings field: its kind, SI unit, choices, and one line of help.
 
-    A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the same dataclass.
-    *needed*: a file must give it, although the dataclass has a default. *before*: its key in the version before, which is still read.
+    A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the
+    same dataclass. *needed*: a file must give it, although the dataclass has a default. *before*: its key in
+    the version before, which is still read.
     """
 
     kind: str
@@ -158,10 +162,14 @@ def to_bands(value: Any, setting: Setting) -> tuple[Band, ...]:
 def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]], ...]:
     """{x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
     if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
+        raise UnitError(
+            f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}"
+        )
     pairs = _pairs(value)
     if isinstance(value, Mapping) and not pairs:
-        raise UnitError(f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}")
+        raise UnitError(
+            f"'{_shown(value)}' is not a mapping of dofs to bands", "write for example {x: 700-1100 Hz}"
+        )
     return tuple((name, to_bands(entry, setting)) for name, entry in pairs)
 
 
@@ -192,7 +200,8 @@ def to_choice(value: Any, setting: Setting) -> str:
     if text not in setting.choices:
         hint = nearest(text, setting.choices)
         raise UnitError(
-            f"unknown choice '{shortened(text)}'", hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})"
+            f"unknown choice '{shortened(text)}'",
+            hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})",
         )
     return text
 
@@ -229,7 +238,10 @@ def to_values(value: Any, setting: Setting) -> tuple[float, ...]:
 def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
     """A list of rows of equal length."""
     if not _is_list(value) or not all(_is_list(row) for row in value):
-        raise UnitError(f"'{_shown(value)}' is not a matrix", f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]")
+        raise UnitError(
+            f"'{_shown(value)}' is not a matrix",
+            f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]",
+        )
     rows = tuple(to_values(row, setting) for row in value)
     if len({len(row) for row in rows}) != 1:
         raise UnitError("the rows of the matrix are not equally long")
@@ -237,9 +249,14 @@ def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
 
 
 def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ...]:
-    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...); the unit follows from the first letter of a name."""
+    """{k_1_2: 0 N/m, c_1_2: 0 N.s/m} -> (("k_1_2", 0.0), ...).
+
+    The unit follows from the first letter of a name.
+    """
     if not isinstance(value, Mapping) and not _is_pairs(value):
-        raise UnitError(f"'{_shown(value)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}")
+        raise UnitError(
+            f"'{_shown(value)}' is not a mapping of coefficients", "write for example {k_1_3: 0 N/m}"
+        )
     coefficients = []
     for name, entry in _pairs(value):
         unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
@@ -274,7 +291,10 @@ def _phasor(name: str, value: Any, setting: Setting) -> complex:
 
 
 def parse_phasor(text: str, unit: str) -> complex:
-    """ "50 g.mm at 60 deg" in the SI unit, complex with its angle, which is zero unless given; UnitError where it cannot be read."""
+    """ "50 g.mm at 60 deg" in the SI unit, complex with its angle, which is zero unless given.
+
+    UnitError where it cannot be read.
+    """
     size_text, _, angle_text = (part.strip() for part in text.partition(" at "))
     angle = parse_value(angle_text, "rad") if angle_text else 0.0
     return parse_value(size_text, unit) * cmath.exp(1j * angle)
@@ -284,7 +304,9 @@ def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
     """A list of lists of names, or one list."""
     # An empty tuple is the default; an empty list of a file is a slip.
     if not _is_list(value) or value == []:
-        raise UnitError(f"'{_shown(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
+        raise UnitError(
+            f"'{_shown(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]"
+        )
     entries = list(value)
     if all(_is_list(entry) for entry in entries):
         return tuple(to_names(entry, setting) for entry in entries)
@@ -297,7 +319,10 @@ def to_section(value: Any, setting: Setting) -> Any:
     if isinstance(value, setting.section):
         return value
     if not isinstance(value, Mapping):
-        raise UnitError(f"'{_shown(value)}' is not a section of settings", f"give a {setting.section.__name__} or a mapping of its entries")
+        raise UnitError(
+            f"'{_shown(value)}' is not a section of settings",
+            f"give a {setting.section.__name__} or a mapping of its entries",
+        )
     try:
         return setting.section(**value)
     except TypeError as error:
@@ -356,11 +381,17 @@ def _is_list(value: Any) -> bool:
 
 
 def _is_pair_of_numbers(value: Any) -> bool:
-    return _is_list(value) and len(value) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in value)
+    return (
+        _is_list(value)
+        and len(value) == 2
+        and all(isinstance(end, Real) and not isinstance(end, bool) for end in value)
+    )
 
 
 def _is_pairs(value: Any) -> bool:
-    return isinstance(value, tuple) and all(isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in value)
+    return isinstance(value, tuple) and all(
+        isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in value
+    )
 
 
 def _pairs(value: Any) -> list[tuple[str, Any]]:
@@ -370,7 +401,13 @@ def _pairs(value: Any) -> list[tuple[str, Any]]:
 def _shown(value: Any) -> str:
     if value is None:
         return "(nothing)"
-    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else shortened(str(value))
+    return (
+        "(a mapping)"
+        if isinstance(value, Mapping)
+        else "(a list)"
+        if _is_list(value)
+        else shortened(str(value))
+    )
 
 
 def shortened(text: str) -> str:
@@ -391,7 +428,8 @@ Uncertainties = tuple[tuple[str, Uncertain], ...]
 class Settings:
     """Base of every settings dataclass: its values are converted and checked at birth, whoever makes it.
 
-    FrfSettings("periodic", period="1 s") and FrfSettings("periodic", period=1.0) are the same. ConfigError names the field that is wrong.
+    FrfSettings("periodic", period="1 s") and FrfSettings("periodic", period=1.0) are the same. ConfigError
+    names the field that is wrong.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -443,8 +481,13 @@ def _noted(settings: Any, name: str, number: Uncertain) -> float:
 
 
 def takes_uncertainty(owner: type, declared: Setting) -> bool:
-    """Whether a number of these settings may carry its uncertainty: "0.92 kg +- 1 %"; those settings have a field *uncertainties*."""
-    return declared.kind in ("value", "mass") and any(field.name == "uncertainties" for field in dataclasses.fields(owner))
+    """Whether a number of these settings may carry its uncertainty: "0.92 kg +- 1 %".
+
+    Those settings have a field *uncertainties*.
+    """
+    return declared.kind in ("value", "mass") and any(
+        field.name == "uncertainties" for field in dataclasses.fields(owner)
+    )
 
 
 def setting(
@@ -460,16 +503,33 @@ def setting(
     needed: bool = False,
     before: str = "",
 ) -> Any:
-    """A dataclass field that carries a Setting of a kind of CONVERTERS; without a default the YAML must give it."""
+    """A dataclass field that carries a Setting of a kind of CONVERTERS.
+
+    Without a default the YAML must give it.
+    """
     if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
     declared = Setting(
-        kind, help, unit=unit, choices=choices, section=section, file_kind=file_kind, into=into, needed=needed, before=before
+        kind,
+        help,
+        unit=unit,
+        choices=choices,
+        section=section,
+        file_kind=file_kind,
+        into=into,
+        needed=needed,
+        before=before,
     )
     return dataclasses.field(default=default, metadata={"setting": declared})
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:
-    """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of declaration."""
-    declared = [(field, field.metadata["setting"]) for field in dataclasses.fields(owner) if "setting" in field.metadata]
+    """Field name -> (its Setting, whether it must be given) of a settings dataclass, in order of
+    declaration.
+    """
+    declared = [
+        (field, field.metadata["setting"])
+        for field in dataclasses.fields(owner)
+        if "setting" in field.metadata
+    ]
     return {field.name: (setting, field.default is MISSING or setting.needed) for field, setting in declared}

@@ -18,12 +18,13 @@ from labpipe.records.response import Port
 
 @dataclass(frozen=True)
 class UncertainFactor:
-    """A number of the rig file with its uncertainty: one that stands in sums of channels, or a gain, delay, phase or direction of a
-    channel.
+    """A number of the rig file with its uncertainty: one that stands in sums of channels, or a gain, delay,
+    phase or direction of a channel.
 
-    value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) complex [SI units of the channels per unit of the value]: an
-    error of the number by d changes the vector z of all channels by d w^power (derivative @ z), w the angular frequency [rad/s].
-    Factors of one *source* have one error; by default that is the number itself.
+    value, std_error [unit], an SI unit; *derivative* (n_channel, n_channel) complex [SI units of the channels
+    per unit of the value]: an error of the number by d changes the vector z of all channels by d w^power
+    (derivative @ z), w the angular frequency [rad/s]. Factors of one *source* have one error; by default that
+    is the number itself.
     """
 
     name: str
@@ -36,25 +37,32 @@ class UncertainFactor:
 
     def __post_init__(self) -> None:
         n = len(self.derivative)
-        object.__setattr__(self, "derivative", frozen_array(self.derivative, np.complex128, f"derivative of '{self.name}'", (n, n)))
+        object.__setattr__(
+            self,
+            "derivative",
+            frozen_array(self.derivative, np.complex128, f"derivative of '{self.name}'", (n, n)),
+        )
         object.__setattr__(self, "source", self.source or f"{self.name}, {self.value:g} {self.unit}")
 
 
 @dataclass(frozen=True)
 class ChannelSpectra:
-    """Spectra of the channels of one test: a vector z of all channels for every line and run, none of them taken as free of noise.
+    """Spectra of the channels of one test: a vector z of all channels for every line and run, none of them
+    taken as free of noise.
 
-    frequency    (n_line,) [Hz], increasing
-    vectors      (n_line, n_run, n_channel) complex amplitudes at e^{+jwt}, 0 to peak [SI units of the channels], corrected for the
-                 channels' delays and frequency responses; a run is one independent excitation: a recording of periodic data, or the
-                 part of random data that is due to one drive
-    covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do not share noise
-    covariance_dof  complex degrees of freedom behind each covariance (inf: known)
-    line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...; empty where independent
-    factors      numbers with an uncertainty that stand in derived channels, and uncertainties of the channels' calibrations
+    frequency    (n_line,) [Hz], increasing vectors      (n_line, n_run, n_channel) complex amplitudes at
+    e^{+jwt}, 0 to peak [SI units of the channels], corrected for the
+                 channels' delays and frequency responses; a run is one independent excitation: a recording of
+                 periodic data, or the part of random data that is due to one drive
+    covariance   (n_line, n_run, n_channel, n_channel) complex, E[e e^H] of the noise e of a vector; runs do
+    not share noise covariance_dof  complex degrees of freedom behind each covariance (inf: known)
+    line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...;
+    empty where independent factors      numbers with an uncertainty that stand in derived channels, and
+    uncertainties of the channels' calibrations
 
-    The channels are forces (role input) and responses (output), then sums of these and their members; a member that is no force or
-    response of its own has the role reference, and the covariance is singular between a sum and its members.
+    The channels are forces (role input) and responses (output), then sums of these and their members; a
+    member that is no force or response of its own has the role reference, and the covariance is singular
+    between a sum and its members.
     """
 
     frequency: FloatArray
@@ -76,13 +84,21 @@ class ChannelSpectra:
         if n_line > 1 and np.any(np.diff(frequency) <= 0):
             raise DataError(f"the frequencies of '{self.name}' do not increase")
         object.__setattr__(self, "frequency", frequency)
-        object.__setattr__(self, "vectors", frozen_array(self.vectors, np.complex128, "vectors", (n_line, n_run, n)))
-        object.__setattr__(self, "covariance", frozen_array(self.covariance, np.complex128, "covariance", (n_line, n_run, n, n)))
+        object.__setattr__(
+            self, "vectors", frozen_array(self.vectors, np.complex128, "vectors", (n_line, n_run, n))
+        )
+        object.__setattr__(
+            self,
+            "covariance",
+            frozen_array(self.covariance, np.complex128, "covariance", (n_line, n_run, n, n)),
+        )
 
     def columns(self, quantity: str, role: str = "") -> list[int]:
         """Numbers of the channels of a quantity, of one role if it is given."""
         return [
-            number for number, channel in enumerate(self.channels) if channel.quantity == quantity and (not role or channel.role == role)
+            number
+            for number, channel in enumerate(self.channels)
+            if channel.quantity == quantity and (not role or channel.role == role)
         ]
 
 
@@ -91,7 +107,9 @@ class ChannelSpectra:
 
 @dataclass(frozen=True)
 class FreeDecay:
-    """One decay: *samples* (n_sample, n_output) [SI units of the outputs] of *recording* from *start* [s] on."""
+    """One decay: *samples* (n_sample, n_output) [SI units of the outputs] of *recording* from *start* [s]
+    on.
+    """
 
     recording: str
     start: float
@@ -99,12 +117,17 @@ class FreeDecay:
 
     def __post_init__(self) -> None:
         samples = np.atleast_2d(self.samples)
-        object.__setattr__(self, "samples", frozen_array(samples, np.float64, f"decay of '{self.recording}'", samples.shape))
+        object.__setattr__(
+            self, "samples", frozen_array(samples, np.float64, f"decay of '{self.recording}'", samples.shape)
+        )
 
 
 @dataclass(frozen=True)
 class FreeDecays:
-    """The free decays of one test at one *sample_rate* [Hz]; *units* of the outputs [SI]. All hits and recordings share the modes."""
+    """The free decays of one test at one *sample_rate* [Hz]; *units* of the outputs [SI].
+
+    All hits and recordings share the modes.
+    """
 
     sample_rate: float
     outputs: tuple[Port, ...]
@@ -120,4 +143,7 @@ class FreeDecays:
             raise DataError(f"'{self.name}' holds no free decay")
         for decay in self.decays:
             if decay.samples.shape[1] != len(self.outputs):
-                raise DataError(f"a decay of '{decay.recording}' has {decay.samples.shape[1]} outputs, {len(self.outputs)} are needed")
+                raise DataError(
+                    f"a decay of '{decay.recording}' has {decay.samples.shape[1]} outputs, "
+                    f"{len(self.outputs)} are needed"
+                )

@@ -1,4 +1,6 @@
-"""The result of a Monte Carlo study: errors of every fit over many repeats, with their statistical scatter."""
+"""The result of a Monte Carlo study: errors of every fit over many repeats, with their statistical
+scatter.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,9 @@ from dataclasses import KW_ONLY, dataclass
 class StudiedParameter:
     """One parameter over the repeats that gave a result.
 
-    *bound*: Cramer-Rao standard deviation of an unbiased estimate, None where it is not known. *std_error*: mean of what the fits
-    stated, None where they stated none. *coverage*: share of 95 % intervals that hold the truth.
+    *bound*: Cramer-Rao standard deviation of an unbiased estimate, None where it is not known. *std_error*:
+    mean of what the fits stated, None where they stated none. *coverage*: share of 95 % intervals that hold
+    the truth.
     """
 
     name: str
@@ -32,10 +35,11 @@ class StudiedParameter:
 class StudyCase:
     """One fit at one noise level with one number of lines.
 
-    *failed*: repeats without a result (no convergence, or refused). mean_error, median_error, error_variance: of the sum of squared
-    parameter errors of all repeats that ended with numbers, a coefficient of a symmetric matrix counted at both its places;
-    *success*: share of all repeats that ended in a result whose relative deviation is below each of the study's limits.
-    rmse_over_bound: root mean square over the parameters of rmse / bound. *coverage*: mean over the parameters.
+    *failed*: repeats without a result (no convergence, or refused). mean_error, median_error, error_variance:
+    of the sum of squared parameter errors of all repeats that ended with numbers, a coefficient of a
+    symmetric matrix counted at both its places; *success*: share of all repeats that ended in a result whose
+    relative deviation is below each of the study's limits. rmse_over_bound: root mean square over the
+    parameters of rmse / bound. *coverage*: mean over the parameters.
     """
 
     fit: str
@@ -55,7 +59,10 @@ class StudyCase:
 
 @dataclass(frozen=True)
 class StudyThreshold:
-    """The noise level at which a fit's success rate falls under the study's share; None when it did not within the range searched."""
+    """The noise level at which a fit's success rate falls under the study's share.
+
+    None when it did not within the range searched.
+    """
 
     fit: str
     limit: float
@@ -65,8 +72,8 @@ class StudyThreshold:
 
 @dataclass(frozen=True)
 class Study:
-    """All cases of a study. *limits*: relative deviations that count as success; *share*: the required success rate.
-    *printed*: mean errors published elsewhere, by fit, one for each noise level.
+    """All cases of a study. *limits*: relative deviations that count as success; *share*: the required
+    success rate. *printed*: mean errors published elsewhere, by fit, one for each noise level.
     """
 
     rig: str

@@ -1,4 +1,7 @@
-"""Records as text: one line for a list, a table for a console, a table for a notebook; and their views for other libraries."""
+"""Records as text: one line for a list, a table for a console, a table for a notebook.
+
+And their views for other libraries.
+"""
 
 from __future__ import annotations
 
@@ -23,28 +26,44 @@ HEADER = ("parameter", "value", "std. error", "95 % interval", "unit", "")
 
 
 def fit_line(fit: Fit) -> str:
-    """Name, model, estimator, band, goodness, warnings and the first parameters with their standard errors."""
+    """Name, model, estimator, band, goodness, warnings and the first parameters with their standard
+    errors.
+    """
     title = " ".join(
-        part for part in (fit.name or "fit", f"[{fit.test}]" if fit.test else "", f"of {fit.term}" if fit.term else "") if part
+        part
+        for part in (
+            fit.name or "fit",
+            f"[{fit.test}]" if fit.test else "",
+            f"of {fit.term}" if fit.term else "",
+        )
+        if part
     )
     band = f"{fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz"
     named = [f"{p.name} = {_with_error(p)}" for p in fit.parameters[:MOST_NAMED]]
     more = [f"{len(fit.parameters) - MOST_NAMED} more"] if len(fit.parameters) > MOST_NAMED else []
     codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))
     warnings = f"; warnings: {', '.join(codes)}" if codes else ""
-    return f"<Fit {title}: {fit.model}, {fit.estimator}, {band}, G.o.F {fit.gof.r2_adjusted:.4f}; {', '.join([*named, *more])}{warnings}>"
+    return (
+        f"<Fit {title}: {fit.model}, {fit.estimator}, {band}, G.o.F {fit.gof.r2_adjusted:.4f}; "
+        f"{', '.join([*named, *more])}{warnings}>"
+    )
 
 
 def fit_text(fit: Fit) -> str:
     """Statistics, parameters with their uncertainty, correlations and findings, as a console shows them."""
     rows = [parameter_cells(parameter) for parameter in fit.parameters]
     widths = [max(len(row[n]) for row in [HEADER, *rows]) for n in range(len(HEADER))]
-    table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in [HEADER, *rows]]
+    table = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in [HEADER, *rows]
+    ]
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.3f}"
     head = [
         f"{fit.name or 'fit'}{f' [{fit.test}]' if fit.test else ''}: {fit.model}, estimator {fit.estimator}",
-        f"band {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz, {fit.lines} lines, {fit.equations} equations, {fit.dof} degrees of freedom",
-        f"G.o.F {fit.gof.r2_adjusted:.5f}{chi2}, condition number {fit.condition_number:.3g}{'' if fit.converged else ', NOT CONVERGED'}",
+        f"band {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz, {fit.lines} lines, {fit.equations} equations, "
+        f"{fit.dof} degrees of freedom",
+        f"G.o.F {fit.gof.r2_adjusted:.5f}{chi2}, condition number "
+        f"{fit.condition_number:.3g}{'' if fit.converged else ', NOT CONVERGED'}",
         "",
     ]
     findings = [f"{finding.level} {finding.code}: {finding.message}" for finding in fit.findings]
@@ -63,8 +82,13 @@ def _correlation_lines(fit: Fit) -> list[str]:
 def fit_html(fit: Fit) -> str:
     """The parameters as a table of a notebook."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in HEADER)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in parameter_cells(p))}</tr>" for p in fit.parameters)
-    notes = "".join(f"<p>{escape(f'{finding.level} {finding.code}: {finding.message}')}</p>" for finding in fit.findings)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in parameter_cells(p))}</tr>"
+        for p in fit.parameters
+    )
+    notes = "".join(
+        f"<p>{escape(f'{finding.level} {finding.code}: {finding.message}')}</p>" for finding in fit.findings
+    )
     return f"<p>{escape(fit_line(fit)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{notes}"
 
 
@@ -85,22 +109,38 @@ def _with_error(parameter: Parameter) -> str:
 def response_line(response: FrequencyResponse) -> str:
     """Form, size, band and uncertainty of a response."""
     size = f"{len(response.outputs)} x {len(response.inputs)}"
-    band = f"{response.n_frequency} lines {response.frequency[0]:g}-{response.frequency[-1]:g} Hz" if response.n_frequency else "no lines"
+    band = (
+        f"{response.n_frequency} lines {response.frequency[0]:g}-{response.frequency[-1]:g} Hz"
+        if response.n_frequency
+        else "no lines"
+    )
     uncertainty = "with covariance" if response.variance is not None else "without covariance"
-    return f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), {band}, {uncertainty}>"
+    return (
+        f"<FrequencyResponse {response.name or 'response'}: {response.form}, {size} (outputs x inputs), "
+        f"{band}, {uncertainty}>"
+    )
 
 
 def recording_line(recording: Recording) -> str:
     """Channels, rate and length of a recording."""
     channels = ", ".join(f"{channel.name} [{channel.unit}]" for channel in recording.channels)
     seconds = recording.n_sample / recording.sample_rate
-    return f"<Recording {recording.name or 'recording'}: {channels}; {recording.sample_rate:g} Hz, {seconds:.6g} s>"
+    return (
+        f"<Recording {recording.name or 'recording'}: {channels}; {recording.sample_rate:g} Hz, "
+        f"{seconds:.6g} s>"
+    )
 
 
 def identification_line(identification: Identification) -> str:
     """Title, number of fits, other sections and the verdict."""
     sections = f", {', '.join(identification.sections)}" if identification.sections else ""
-    rules = "no rules" if not identification.outcomes else "accepted" if identification.accepted else "NOT ACCEPTED"
+    rules = (
+        "no rules"
+        if not identification.outcomes
+        else "accepted"
+        if identification.accepted
+        else "NOT ACCEPTED"
+    )
     verdict = "INCOMPLETE" if identification.failed else rules
     return f"<Identification {identification.title}: {len(identification.fits)} fits{sections}; {verdict}>"
 
@@ -108,9 +148,5 @@ def identification_line(identification: Identification) -> str:
 # Views of a record for other libraries, loaded on first use. VIEWS by name.
 
 VIEWS = Registry(
-    "view",
-    {
-        "frame": "labpipe.project.scripting:to_frame",
-        "xarray": "labpipe.project.scripting:to_xarray",
-    },
+    "view", {"frame": "labpipe.project.scripting:to_frame", "xarray": "labpipe.project.scripting:to_xarray"}
 )

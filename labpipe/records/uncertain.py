@@ -25,8 +25,9 @@ SHAPES = {"normal": 1.0, "rectangular": math.sqrt(3.0), "triangular": math.sqrt(
 class Uncertain:
     """A value with its standard uncertainty, both in SI units.
 
-    dof: degrees of freedom behind the uncertainty, None where it is known; shape: its distribution, one of SHAPES; source: name of its
-    cause, numbers of one source have one error in common; empty where the number stands for itself.
+    dof: degrees of freedom behind the uncertainty, None where it is known; shape: its distribution, one of
+    SHAPES; source: name of its cause, numbers of one source have one error in common; empty where the number
+    stands for itself.
     """
 
     value: float
@@ -38,7 +39,10 @@ class Uncertain:
 
 
 def split_uncertainty(text: str) -> tuple[str, str]:
-    """A text and the uncertainty behind it: "8 V/mm +- 1 %" -> ("8 V/mm", "1 %"); the uncertainty is empty where there is none."""
+    """A text and the uncertainty behind it: "8 V/mm +- 1 %" -> ("8 V/mm", "1 %").
+
+    The uncertainty is empty where there is none.
+    """
     number, _, uncertainty = text.replace("±", "+-").partition("+-")
     return number.strip(), uncertainty.strip()
 
@@ -51,8 +55,8 @@ def is_uncertain(value: Any) -> bool:
 def parse_uncertain(text: str, unit: str) -> Uncertain:
     """Value and standard uncertainty of "45.2 kN/m +- 1 %"; one in per cent is relative to the value.
 
-    Behind it in brackets: what the number is, where it is no standard uncertainty (k=2, rectangular or triangular limits), its degrees of
-    freedom (dof=12), and its cause (source=scale).
+    Behind it in brackets: what the number is, where it is no standard uncertainty (k=2, rectangular or
+    triangular limits), its degrees of freedom (dof=12), and its cause (source=scale).
     """
     value_text, _, error_text = text.replace("±", "+-").partition("+-")
     value = parse_value(value_text.strip(), unit)
@@ -73,10 +77,15 @@ def _difference(text: str, si_unit: str) -> float:
 
 
 def _qualities(text: str) -> tuple[str, list[str]]:
-    """The size of an uncertainty and what stands in brackets behind it; brackets of a unit are part of the size."""
+    """The size of an uncertainty and what stands in brackets behind it.
+
+    Brackets of a unit are part of the size.
+    """
     match = re.match(r"^(.*?)\(([^()]*)\)$", text)
     parts = [part.strip() for part in match[2].split(",")] if match else []
-    if match is None or not any("=" in part or nearest(part, SHAPES).startswith("did you mean") or part in SHAPES for part in parts):
+    if match is None or not any(
+        "=" in part or nearest(part, SHAPES).startswith("did you mean") or part in SHAPES for part in parts
+    ):
         return text, []
     return match[1].strip(), parts
 
@@ -95,20 +104,23 @@ def _qualified(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
             number = parse_value(text, "1")
             if not number > 0:
                 raise UnitError(f"'{quality}' must be above zero")
-            factor, entries = (factor * number, entries) if name == "k" else (factor, {**entries, "dof": number})
+            factor, entries = (
+                (factor * number, entries) if name == "k" else (factor, {**entries, "dof": number})
+            )
         else:
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
     return replace(plain, std_error=plain.std_error / factor, **entries)
 
 
-# Systematic uncertainties: a number of the rig that is known with a standard uncertainty, the same error in all
-# that rests on it.
+# Systematic uncertainties: a number of the rig that is known with a standard uncertainty, the same error in
+# all that rests on it.
 
 # What the number of a channel does to it: size and sign, delay of its chain, phase, direction.
 EFFECTS = {"gain": "1", "delay": "s", "phase": "rad", "direction": "rad"}
 
-# Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 - d), X e^{+jwd}, X e^{+jd}.
+# Relative change of a channel's amplitude X by a unit of the error d of its chain, a w^n as (a, n): X (1 -
+# d), X e^{+jwd}, X e^{+jd}.
 COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), "phase": (1j, 0)}
 
 
@@ -116,7 +128,8 @@ COURSES: dict[str, tuple[complex, int]] = {"gain": (-1.0, 0), "delay": (1j, 1), 
 class Uncertainty:
     """Standard uncertainty of one number [unit]; numbers of one *source* have one error in common.
 
-    dof: degrees of freedom behind it, None where it is known; shape: its distribution (normal, rectangular, triangular).
+    dof: degrees of freedom behind it, None where it is known; shape: its distribution (normal, rectangular,
+    triangular).
     """
 
     source: str
@@ -127,15 +140,20 @@ class Uncertainty:
 
 
 def uncertainty_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Uncertainty:
-    """The uncertainty of a number times *scale* [-]; its own source, if it names one, takes the place of *source*."""
+    """The uncertainty of a number times *scale* [-].
+
+    Its own source, if it names one, takes the place of *source*.
+    """
     return Uncertainty(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
 
 
 @dataclass(frozen=True)
 class ChannelUncertainty:
-    """Uncertainty of a channel's calibration. *effect*: 'gain' (relative), 'delay' [s], 'phase' [rad] or 'direction' [rad].
+    """Uncertainty of a channel's calibration. *effect*: 'gain' (relative), 'delay' [s], 'phase' [rad] or
+    'direction' [rad].
 
-    The error d of the number changes the channel's amplitude X [SI] to X (1 - d), X e^{+jwd}, X e^{+jd}; a direction turns the channel.
+    The error d of the number changes the channel's amplitude X [SI] to X (1 - d), X e^{+jwd}, X e^{+jd}; a
+    direction turns the channel.
     """
 
     effect: str
@@ -146,7 +164,8 @@ class ChannelUncertainty:
 class MatrixError:
     """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
 
-    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the *uncertainty*.
+    *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the
+    *uncertainty*.
     """
 
     uncertainty: Uncertainty
@@ -154,14 +173,20 @@ class MatrixError:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "change", frozen_array(self.change, np.complex128, f"change by {self.uncertainty.source}", np.shape(self.change))
+            self,
+            "change",
+            frozen_array(
+                self.change, np.complex128, f"change by {self.uncertainty.source}", np.shape(self.change)
+            ),
         )
 
 
 def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
     """The uncertainties of a channel, as they are or from the mappings of a file."""
     return tuple(
-        entry if isinstance(entry, ChannelUncertainty) else ChannelUncertainty(entry["effect"], Uncertainty(**entry["uncertainty"]))
+        entry
+        if isinstance(entry, ChannelUncertainty)
+        else ChannelUncertainty(entry["effect"], Uncertainty(**entry["uncertainty"]))
         for entry in entries
     )
 
@@ -173,11 +198,12 @@ def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
 class Budget:
     """Uncertainties of the parameters *names* of a fit, in their units.
 
-    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual shows beyond it, NaN where there
-    is none; random_dof behind them. sources: systematic ones; changes (n_source, n_parameter) [unit of the parameter]: change of every
-    parameter by one standard uncertainty of the source, with its sign: their outer products are the covariance by each source.
-    drawn (n_parameter, 3) [unit of the parameter]: scatter and ends of the 95 % interval of Monte Carlo draws of noise and sources, None
-    where there are none.
+    random (n_parameter,) [unit of the parameter]: standard uncertainties by noise, with what the residual
+    shows beyond it, NaN where there is none; random_dof behind them. sources: systematic ones; changes
+    (n_source, n_parameter) [unit of the parameter]: change of every parameter by one standard uncertainty of
+    the source, with its sign: their outer products are the covariance by each source. drawn (n_parameter, 3)
+    [unit of the parameter]: scatter and ends of the 95 % interval of Monte Carlo draws of noise and sources,
+    None where there are none.
     """
 
     names: tuple[str, ...]
@@ -189,7 +215,8 @@ class Budget:
 
     @property
     def systematic(self) -> FloatArray:
-        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are independent of each other.
+        """Standard uncertainty (n_parameter,) [unit of the parameter] of all sources together; they are
+        independent of each other.
 
         Equation (unc-systematic).
         """
@@ -202,41 +229,74 @@ class Budget:
 
     @property
     def dof(self) -> FloatArray:
-        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite, GUM G.4.1); inf: known.
+        """Effective degrees of freedom (n_parameter,) [1]: u_c^4 / sum u_i^4 / nu_i (Welch and Satterthwaite,
+        GUM G.4.1); inf: known.
 
         Equation (unc-dof).
         """
         terms = [self.random**4 / self.random_dof if self.random_dof else np.zeros_like(self.random)]
-        terms += [change**4 / source.dof for change, source in zip(self.changes, self.sources, strict=True) if source.dof]
+        terms += [
+            change**4 / source.dof
+            for change, source in zip(self.changes, self.sources, strict=True)
+            if source.dof
+        ]
         total = np.sum(terms, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
 
     def with_sources(self, sources: tuple[Uncertainty, ...], changes: FloatArray) -> Budget:
-        """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter]; draws did not hold these."""
-        return replace(self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None)
+        """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter].
+
+        Draws did not hold these.
+        """
+        return replace(
+            self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None
+        )
 
     def enlarged(self, factors: Mapping[str, float]) -> Budget:
-        """The budget with the uncertainty of sources times *factors* [1] by their names; as it is for others."""
+        """The budget with the uncertainty of sources times *factors* [1] by their names.
+
+        As it is for others.
+        """
         by = np.array([factors.get(source.source, 1.0) for source in self.sources])
-        sources = tuple(replace(source, std_error=source.std_error * size) for source, size in zip(self.sources, by, strict=True))
+        sources = tuple(
+            replace(source, std_error=source.std_error * size)
+            for source, size in zip(self.sources, by, strict=True)
+        )
         return replace(self, sources=sources, changes=by[:, None] * self.changes)
 
     def shares(self, name: str) -> dict[str, float]:
-        """Share of every source in the variance of a parameter, noise among them, the largest first; they add up to 1.
+        """Share of every source in the variance of a parameter, noise among them, the largest first; they add
+        up to 1.
 
         Equation (unc-share).
         """
         column = self.names.index(name)
         parts = {"noise": float(self.random[column] ** 2)}
-        parts.update({source.source: float(change[column] ** 2) for source, change in zip(self.sources, self.changes, strict=True)})
+        parts.update(
+            {
+                source.source: float(change[column] ** 2)
+                for source, change in zip(self.sources, self.changes, strict=True)
+            }
+        )
         whole = sum(parts.values())
-        return {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])} if whole > 0 else parts
+        return (
+            {part: value / whole for part, value in sorted(parts.items(), key=lambda pair: -pair[1])}
+            if whole > 0
+            else parts
+        )
 
     def change_by(self, source: str, name: str) -> float:
-        """Change of a parameter by one standard uncertainty of a source; zero for a source that the fit does not have."""
+        """Change of a parameter by one standard uncertainty of a source.
+
+        Zero for a source that the fit does not have.
+        """
         column = self.names.index(name)
-        numbers = [number for number, source_of_change in enumerate(self.sources) if source_of_change.source == source]
+        numbers = [
+            number
+            for number, source_of_change in enumerate(self.sources)
+            if source_of_change.source == source
+        ]
         return float(sum(self.changes[number, column] for number in numbers))
 
 
@@ -247,8 +307,8 @@ class Budget:
 class RepeatSource:
     """A standard uncertainty of one *parameter* of every fit, relative to its value.
 
-    per: condition; tests of one value of it have one error in common. Empty: every test has its own. dof: degrees of freedom behind the
-    size, None where it is known.
+    per: condition; tests of one value of it have one error in common. Empty: every test has its own. dof:
+    degrees of freedom behind the size, None where it is known.
     """
 
     name: str

@@ -1,4 +1,6 @@
-"""The uncertainty budget of a fit in its report: parts of the uncertainty, shares by source, and what would improve it."""
+"""The uncertainty budget of a fit in its report: parts of the uncertainty, shares by source, and what would
+improve it.
+"""
 
 from __future__ import annotations
 
@@ -17,25 +19,41 @@ from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks,
 from labpipe.report.document import Block, Figure, Paragraph, Table
 from labpipe.report.wording import legible, rounded
 
-HEADER = ("parameter", "value", "unit", "random", "systematic", "combined", "expanded", "relative", "k", "ν eff")
+HEADER = (
+    "parameter",
+    "value",
+    "unit",
+    "random",
+    "systematic",
+    "combined",
+    "expanded",
+    "relative",
+    "k",
+    "ν eff",
+)
 # Most parameters that have a bar each, and half the height of one.
 MOST_BARS, BAR = 12, 0.38
 # Degrees of freedom from which they count as known.
 MANY = 1000
 COMBINED = (
-    "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise of this measurement, and "
-    "systematic, from the uncertainties of the numbers that were given. Expanded: times k, Student's quantile with the effective degrees "
-    "of "
-    "freedom after Welch and Satterthwaite, for 95 %"
+    "Combined standard uncertainty by the GUM (JCGM 100:2008, 5.1), to first order: random, from the noise "
+    "of this measurement, and systematic, from the uncertainties of the numbers that were given. Expanded: "
+    "times k, Student's quantile with the effective degrees of freedom after Welch and Satterthwaite, for 95 "
+    "%"
 )
-EXPLAINED = f"{COMBINED} unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all of it."
+EXPLAINED = (
+    f"{COMBINED} unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all of it."
+)
 EXPLAINED_COMPARISON = f"{COMBINED}. Intervals hold all of it."
 # Share of the variance from which one source with sharp limits shapes the distribution.
 RECTANGULAR = 0.5
 
 
 def budget_blocks(fit: Fit) -> tuple[Block, ...]:
-    """Table of the parts, bars and table of the shares, and a sentence on what to improve; nothing without a budget."""
+    """Table of the parts, bars and table of the shares, and a sentence on what to improve.
+
+    Nothing without a budget.
+    """
     return () if fit.budget is None else _blocks(fit.name, fit.parameters, fit.budget, EXPLAINED)
 
 
@@ -54,7 +72,10 @@ def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explaine
     if not with_systematic:
         return ()
     header = (*HEADER, *(["Monte Carlo / first order"] if drawn else []))
-    rows = tuple((*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else [])) for parameter in with_systematic.values())
+    rows = tuple(
+        (*_row(budget, parameter), *([_drawn(budget, parameter)] if drawn else []))
+        for parameter in with_systematic.values()
+    )
     named = list(with_systematic)
     return (
         *([Paragraph(explained)] if explained else []),
@@ -114,8 +135,16 @@ def _bars(budget: Budget, names: list[str]) -> Figure:
             x, y = np.array([begin, end, end, begin]), row + BAR * np.array([-1, -1, 1, 1])
             series.append(outline(source if row == 0 else "", x, y, number % PALETTE_SIZE, 0.75))
     axis = Axis("", ticks=named_ticks(names), low=len(names) - 0.5, high=-0.5)
-    chart = stacked([Panel(Axis("share of the variance", "%", low=0.0, high=100.0), axis, tuple(series))], 1.3 + 0.32 * len(names), "above")
-    return Figure(chart, "Shares of the sources in the variance of each parameter, the largest first.", "Bars of the shares of all sources")
+    chart = stacked(
+        [Panel(Axis("share of the variance", "%", low=0.0, high=100.0), axis, tuple(series))],
+        1.3 + 0.32 * len(names),
+        "above",
+    )
+    return Figure(
+        chart,
+        "Shares of the sources in the variance of each parameter, the largest first.",
+        "Bars of the shares of all sources",
+    )
 
 
 def _shares_table(budget: Budget, names: list[str]) -> Table:
@@ -147,12 +176,14 @@ def _improvement(told: Mapping[str, Parameter], budget: Budget) -> str:
     before = 100 * _relative(told[worst])
     if source == "noise":
         return (
-            f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is noise; measure longer first."
+            f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance "
+            "is noise; measure longer first."
         )
     after = f"{before * gain:.2g} %" if gain > 0.005 else "noise alone"
     return (
-        f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is {source}. "
-        f"Without that uncertainty it would be {after}; with half of it {before * math.sqrt(1 - 0.75 * share):.2g} %."
+        f"{worst} is the least certain ({before:.2g} % expanded): {100 * share:.0f} % of its variance is "
+        f"{source}. Without that uncertainty it would be {after}; with half of it "
+        f"{before * math.sqrt(1 - 0.75 * share):.2g} %."
     )
 
 
@@ -171,4 +202,7 @@ def _sharp_ends(budget: Budget, names: list[str]) -> str:
             ends.append(f"{name} ({source}, {shapes[source]})")
     if not ends:
         return ""
-    return f"One source with sharp limits holds most of the variance of {', '.join(ends)}: the expanded intervals are too wide there."
+    return (
+        f"One source with sharp limits holds most of the variance of {', '.join(ends)}: the expanded "
+        "intervals are too wide there."
+    )

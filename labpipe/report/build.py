@@ -1,4 +1,6 @@
-"""From an identification to the document that people read: verdict first, uncertainty beside every number, provenance last."""
+"""From an identification to the document that people read: verdict first, uncertainty beside every number,
+provenance last.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from labpipe.report.measurement import measurement_sections
 from labpipe.report.wording import fit_title
 from labpipe.sections import section
 
-# Name of a model or of a pipeline's section -> the function from an identification to what its results add to the report together.
+# Name of a model or of a pipeline's section -> the function from an identification to what its results add to
+# the report together.
 REPORT_PARTS = Registry("report part", {})
 
 # What a reader must know first: whether the result is accepted, and every warning and note in words.
@@ -26,7 +29,17 @@ MOST_NOTES = 12
 # Characters of all notes of one kind that are still read.
 LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
-SERIOUS = ("collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift", "unstable-loop", "feedback")
+SERIOUS = (
+    "collinear",
+    "no-convergence",
+    "unphysical",
+    "model-mismatch",
+    "negative-gof",
+    "mass",
+    "drift",
+    "unstable-loop",
+    "feedback",
+)
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
@@ -48,16 +61,25 @@ def _verdict(identification: Identification) -> tuple[Block, ...]:
 def _failed(identification: Identification) -> tuple[Block, ...]:
     """Missing results with their reasons, before all results."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
-    lead = Paragraph(f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.", "failed")
+    lead = Paragraph(
+        f"INCOMPLETE: {len(rows)} test(s) or comparison(s) could not be evaluated. What follows is the rest.",
+        "failed",
+    )
     return (lead, Table(("test", "why"), rows, "What could not be evaluated"))
 
 
 def _judged(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     codes = _by_code(identification, WARNING)
-    uncertainty = f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted." if codes else " No warnings."
+    uncertainty = (
+        f" {len(codes)} kind(s) of warning below limit how far the numbers can be trusted."
+        if codes
+        else " No warnings."
+    )
     if not outcomes:
-        lead = Paragraph(f"No acceptance rules were given, so nothing is accepted or refused.{uncertainty}", "note")
+        lead = Paragraph(
+            f"No acceptance rules were given, so nothing is accepted or refused.{uncertainty}", "note"
+        )
         return (lead, *_not_to_be_signed(identification))
     failed = sum(not outcome.passed for outcome in outcomes)
     if failed:
@@ -65,8 +87,13 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
     else:
         unchecked = _unchecked(identification)
         said = f" Not checked: {'; '.join(unchecked)}." if unchecked else ""
-        lead = Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold.{uncertainty}{said}", "note" if unchecked else "passed")
-    rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
+        lead = Paragraph(
+            f"ACCEPTED: all {len(outcomes)} rules hold.{uncertainty}{said}", "note" if unchecked else "passed"
+        )
+    rows = tuple(
+        (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
+        for outcome in outcomes
+    )
     table = Table(("section", "rule", "found", "outcome"), rows, "Rules of the pipeline")
     return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
 
@@ -92,15 +119,24 @@ def _listed(origins: list[str]) -> str:
 
 
 def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
-    """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could compare with."""
+    """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
+    compare with.
+    """
     unchecked = [origin for origin, finding in _of_fits(identification) if finding.code == "no-covariance"]
     if not unchecked:
         return ()
-    return (Paragraph(f"By G.o.F alone, chi-square could not be checked (no covariance): {'; '.join(unchecked)}.", "warning"),)
+    return (
+        Paragraph(
+            f"By G.o.F alone, chi-square could not be checked (no covariance): {'; '.join(unchecked)}.",
+            "warning",
+        ),
+    )
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
-    """Fits and comparisons that must not be used, named beside the verdict: a rule can pass for the wrong reason."""
+    """Fits and comparisons that must not be used, named beside the verdict: a rule can pass for the wrong
+    reason.
+    """
     serious: dict[str, list[str]] = {}
     for origin, finding in (*_of_fits(identification), *_of_sections(identification)):
         if finding.code in SERIOUS:
@@ -109,7 +145,9 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
         return ()
     listed = [f"{origin} ({', '.join(dict.fromkeys(codes))})" for origin, codes in serious.items()]
     more = [f"and {len(listed) - MOST_NOTES} more"] if len(listed) > MOST_NOTES else []
-    return (Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),)
+    return (
+        Paragraph(f"Read the warnings before using: {'; '.join([*listed[:MOST_NOTES], *more])}.", "warning"),
+    )
 
 
 def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
@@ -119,12 +157,18 @@ def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
 
 def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
     """The findings of the sections other than fits, with their origin."""
-    return [pair for name, record in identification.sections.items() for pair in section(name).findings(record)]
+    return [
+        pair for name, record in identification.sections.items() for pair in section(name).findings(record)
+    ]
 
 
 def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
     """Every finding of a level by its code, with where it comes from: measurements, fits, other sections."""
-    measured = [(response.name or "measurement", finding) for response in identification.responses for finding in response.findings]
+    measured = [
+        (response.name or "measurement", finding)
+        for response in identification.responses
+        for finding in response.findings
+    ]
     codes: dict[str, list[tuple[str, Finding]]] = {}
     for origin, finding in (*measured, *_of_fits(identification), *_of_sections(identification)):
         if finding.level == level:
@@ -134,7 +178,9 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
     """Each kind of warning once in full, with the number of fits that carry it."""
-    none = "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+    none = (
+        "None. No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
+    )
     blocks: list[Block] = []
     for code, entries in _by_code(identification, WARNING).items():
         origin, finding = entries[0]
@@ -143,11 +189,17 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
     if blocks:
         return tuple(blocks)
     unchecked = _unchecked(identification)
-    return (Paragraph(f"{none} Not checked: {'; '.join(unchecked)}.", "note") if unchecked else Paragraph(none, "passed"),)
+    return (
+        Paragraph(f"{none} Not checked: {'; '.join(unchecked)}.", "note")
+        if unchecked
+        else Paragraph(none, "passed"),
+    )
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of note in one box, every note in full where they are few, else the first alone with their number."""
+    """Each kind of note in one box, every note in full where they are few, else the first alone with their
+    number.
+    """
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
@@ -166,7 +218,10 @@ SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
 
 def provenance_sections(identification: Identification) -> tuple[Section, ...]:
     """Rig and conditions; sources with their checksums, settings, and how to repeat it all."""
-    return (Section("Rig and conditions", _rig(identification)), Section("Provenance", _provenance(identification)))
+    return (
+        Section("Rig and conditions", _rig(identification)),
+        Section("Provenance", _provenance(identification)),
+    )
 
 
 def rig_blocks(identification: Identification) -> tuple[Block, ...]:
@@ -196,7 +251,11 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
 def _rig(identification: Identification) -> tuple[Block, ...]:
     blocks = list(rig_blocks(identification))
     conditions = {name: entry for name, entry in identification.measured_tests if entry}
-    stated = tuple((test or "test", key, str(value)) for test, entry in conditions.items() for key, value in entry.items())
+    stated = tuple(
+        (test or "test", key, str(value))
+        for test, entry in conditions.items()
+        for key, value in entry.items()
+    )
     if stated:
         blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
     for facts in section_facts(identification) if not blocks else ():
@@ -206,7 +265,10 @@ def _rig(identification: Identification) -> tuple[Block, ...]:
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((source["path"], source["sha256"]) for source in identification.sources)
-    repeat = f"To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR` over files with these checksums."
+    repeat = (
+        f"To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR` "
+        "over files with these checksums."
+    )
     settings = {key: value for key, value in identification.settings.items() if key in SHOWN_SETTINGS}
     return (
         Table(("source file", "SHA-256"), rows, "Source files"),
@@ -222,13 +284,18 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
 
 def section_parts(identification: Identification) -> tuple[Section, ...]:
     """The parts of all sections of the pipeline beside its fits, in the order in which they were run."""
-    return tuple(part for name, record in identification.sections.items() for part in section(name).report(record, identification))
+    return tuple(
+        part
+        for name, record in identification.sections.items()
+        for part in section(name).report(record, identification)
+    )
 
 
 Part = Callable[[Identification], tuple[Section, ...]]
 
 
-# The parts of a report in their order; each gives its sections, or none where the result has nothing of its kind.
+# The parts of a report in their order; each gives its sections, or none where the result has nothing of its
+# kind.
 def added_sections(identification: Identification) -> tuple[Section, ...]:
     """Sections that models, or sections of the pipeline, add for all their results together."""
     there = {fit.model for fit in identification.fits} | set(identification.sections)
@@ -253,8 +320,8 @@ OF_TESTS = (fit_sections, measurement_sections)
 def build(identification: Identification, test: str = "") -> Document:
     """The report of an identification; a pure function of the result. *test*: only the pages of that test.
 
-    Pages of tests that a matrix sums up are left out and drawn test by test on demand; fits of other tests, such as a baseline, stay.
-    ConfigError for an unknown test.
+    Pages of tests that a matrix sums up are left out and drawn test by test on demand; fits of other tests,
+    such as a baseline, stay. ConfigError for an unknown test.
     """
     if test:
         return _document(_of_test(identification, test), OF_TESTS, f"{identification.title}: {test}")
@@ -264,13 +331,21 @@ def build(identification: Identification, test: str = "") -> Document:
 
 def _fits_outside(identification: Identification) -> tuple[Section, ...]:
     """The fits of tests that are at no point of a matrix."""
-    inside = {test for matrix in identification.sections["matrix"] for point in matrix.points for test in point.tests}
+    inside = {
+        test
+        for matrix in identification.sections["matrix"]
+        for point in matrix.points
+        for test in point.tests
+    }
     fits = tuple(fit for fit in identification.fits if fit.test not in inside)
     return fit_sections(replace(identification, fits=fits)) if fits else ()
 
 
 # What stands in a report instead of these parts where a matrix of tests sums them up.
-WITH_MATRIX: dict[Part, Part] = {fit_sections: _fits_outside, measurement_sections: lambda _identification: ()}
+WITH_MATRIX: dict[Part, Part] = {
+    fit_sections: _fits_outside,
+    measurement_sections: lambda _identification: (),
+}
 
 
 def _document(identification: Identification, parts: tuple[Part, ...], title: str) -> Document:

@@ -1,4 +1,6 @@
-"""The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who differs."""
+"""The report of a campaign: every coefficient over the conditions of its tests, its control limits, and who
+differs.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,14 @@ from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
 
-# One coefficient in many results: its values with their uncertainty, and the conditions of the tests that they
-# come from.
+# One coefficient in many results: its values with their uncertainty, and the conditions of the tests that
+# they come from.
 
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no condition gives it.
+    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no
+    condition gives it.
 
     random_error: standard error of this test alone; changes: by sources that tests may have in common.
     """
@@ -45,7 +48,9 @@ class Value:
 
 @dataclass(frozen=True)
 class CoefficientSeries:
-    """The values of one parameter of one fit, by their dates where all tests have one, else as the results were given."""
+    """The values of one parameter of one fit, by their dates where all tests have one, else as the results
+    were given.
+    """
 
     fit: str
     name: str
@@ -79,12 +84,18 @@ class CoefficientSeries:
         """Standard errors (n,) [display unit], NaN where a fit has none."""
         zero = to_display(0.0, self.unit)
         errors = [value.parameter.full_error for value in self.values]
-        return np.array([np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors])
+        return np.array(
+            [np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors]
+        )
 
     def joint_errors(self) -> FloatArray:
-        """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have sources in common."""
+        """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have
+        sources in common.
+        """
         scale = abs(to_display(1.0, self.unit) - to_display(0.0, self.unit))
-        alone = np.array([np.nan if value.random_error is None else scale * value.random_error for value in self.values])
+        alone = np.array(
+            [np.nan if value.random_error is None else scale * value.random_error for value in self.values]
+        )
         return joint_errors(alone, scale * matrix_of([value.changes for value in self.values]))
 
     def intervals(self) -> FloatArray:
@@ -93,8 +104,14 @@ class CoefficientSeries:
         return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
 
     def over(self) -> dict[str, tuple[Axis, FloatArray]]:
-        """condition -> (axis, values (n,) [axis unit]) for every amount that all tests have and that differs between them."""
-        names = [name for name in self.values[0].conditions if all(name in value.conditions for value in self.values)]
+        """condition -> (axis, values (n,) [axis unit]) for every amount that all tests have and that differs
+        between them.
+        """
+        names = [
+            name
+            for name in self.values[0].conditions
+            if all(name in value.conditions for value in self.values)
+        ]
         conditions = {}
         for name in names:
             units = {value.conditions[name][1] for value in self.values}
@@ -110,13 +127,22 @@ class CoefficientSeries:
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
-    """Every parameter that two results or more have, of fits and other sections; sliding fits are drawn over frequency instead."""
+    """Every parameter that two results or more have, of fits and other sections.
+
+    Sliding fits are drawn over frequency instead.
+    """
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
         for listed in single_parameters(identification):
             title = f"{listed.fit} of {listed.term}" if listed.term else listed.fit
-            groups.setdefault((title, listed.parameter.name), []).append(_value(result, identification, listed))
-    series = [CoefficientSeries(fit, name, _ordered(values)) for (fit, name), values in groups.items() if len(values) > 1]
+            groups.setdefault((title, listed.parameter.name), []).append(
+                _value(result, identification, listed)
+            )
+    series = [
+        CoefficientSeries(fit, name, _ordered(values))
+        for (fit, name), values in groups.items()
+        if len(values) > 1
+    ]
     return [entry for entry in series if len({value.parameter.unit for value in entry.values}) == 1]
 
 
@@ -124,7 +150,9 @@ def single_parameters(identification: Identification) -> list[ListedParameter]:
     """Parameters that occur once for their fit, test and term."""
     rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
     counts = Counter((listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows)
-    return [listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1]
+    return [
+        listed for listed in rows if counts[listed.fit, listed.test, listed.term, listed.parameter.name] == 1
+    ]
 
 
 def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
@@ -136,7 +164,9 @@ def _ordered(values: Sequence[Value]) -> tuple[Value, ...]:
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
     label = f"{result}, {listed.test}" if listed.test and result else listed.test or result
     conditions = identification.test_conditions.get(listed.test, {})
-    amounts = {name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None}
+    amounts = {
+        name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None
+    }
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
     day = next((day for day in days if day is not None), None)
     return Value(label, listed.parameter, amounts, day, listed.random_error, listed.changes)
@@ -167,12 +197,18 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition; the weighted line with its 95 % interval where there are three or more."""
+    """Values with their 95 % intervals over a condition.
+
+    The weighted line with its 95 % interval where there are three or more.
+    """
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
     chart = stacked([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
-    caption = f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight trend, shaded: its 95 % interval."
+    caption = (
+        f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight "
+        "trend, shaded: its 95 % interval."
+    )
     return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
 
 
@@ -193,14 +229,22 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
     values = series.shown()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
-    ringed = [dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)] if outside else []
+    ringed = (
+        [dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)]
+        if outside
+        else []
+    )
     ends = [level(end, 1, "--", width=1.0) for end in (limits.low, limits.high)]
     tests = curve("tests", places, values, marker=".", size=4.0)
     names = [_place_name(series, n) for n in range(values.size)]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
     chart = stacked([Panel(x, series.axis, (tests, *ringed, level(limits.centre, width=0.9), *ends))], 3.0)
-    caption = f"{series.title}: individuals chart; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
-    return Figure(chart, caption, f"Control chart of {series.title} with {len(outside)} values outside its limits")
+    caption = (
+        f"{series.title}: individuals chart; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
+    )
+    return Figure(
+        chart, caption, f"Control chart of {series.title} with {len(outside)} values outside its limits"
+    )
 
 
 def _place_name(series: CoefficientSeries, number: int) -> str:
@@ -209,7 +253,10 @@ def _place_name(series: CoefficientSeries, number: int) -> str:
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
-    """Every coefficient of sliding fits over frequency, one curve per test; where two tests or more have them."""
+    """Every coefficient of sliding fits over frequency, one curve per test.
+
+    Where two tests or more have them.
+    """
     groups: dict[tuple[str, str], dict[str, list[Fit]]] = {}
     for result, identification in results:
         for fit in identification.fits:
@@ -217,10 +264,15 @@ def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figu
             groups.setdefault((fit.name, fit.term), {}).setdefault(label, []).append(fit)
     figures: list[Figure] = []
     for (name, term), tests in groups.items():
-        sliding = {label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)}
+        sliding = {
+            label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)
+        }
         if len(sliding) > 1:
             title = f"{name} of {term}" if term else name
-            figures.extend(_overlay(title, parameter, sliding) for parameter in sliding_names(next(iter(sliding.values()))))
+            figures.extend(
+                _overlay(title, parameter, sliding)
+                for parameter in sliding_names(next(iter(sliding.values())))
+            )
     return figures
 
 
@@ -244,15 +296,18 @@ LEVEL = 0.05
 FEWEST = 3
 MOST_NAMED = 2
 EXPLAINED = (
-    "Every coefficient that at least two results share. Trends are straight lines weighted by the standard errors of the fits; where the "
-    "tests scatter more than these say, the line's errors are enlarged. Differences are of each value from the weighted mean of the "
-    f"others. All p-values of one kind are corrected together after Holm: at most {100 * LEVEL:g} % chance of any false alarm among them."
+    "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
+    "errors of the fits; where the tests scatter more than these say, the line's errors are enlarged. "
+    "Differences are of each value from the weighted mean of the others. All p-values of one kind are "
+    f"corrected together after Holm: at most {100 * LEVEL:g} % chance of any false alarm among them."
 )
 
 
 @dataclass(frozen=True)
 class Trend:
-    """The slope of a series over a condition [display unit per unit of the condition], and the chance of one as steep without any."""
+    """The slope of a series over a condition [display unit per unit of the condition], and the chance of one
+    as steep without any.
+    """
 
     series: CoefficientSeries
     condition: str
@@ -267,7 +322,9 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     series = coefficient_series(results)
     overlays = sliding_overlays(results)
     if not series and not overlays:
-        raise DataError("the results share no coefficient", hint="a campaign needs the same fit in at least two tests")
+        raise DataError(
+            "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
+        )
     trends = [trend for coefficient in series for trend in _trends(coefficient)]
     differences = [_Differences.of(coefficient) for coefficient in series]
     corrected = holm(np.array([trend.p_value for trend in trends]))
@@ -276,7 +333,10 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
         Section("Verdict", _verdict(series, trends, corrected, differences)),
         Section("Results", (_results(results),)),
         *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends, corrected)))] if trends else []),
-        *(Section(coefficient.title, _blocks(coefficient, apart)) for coefficient, apart in zip(series, differences, strict=True)),
+        *(
+            Section(coefficient.title, _blocks(coefficient, apart))
+            for coefficient, apart in zip(series, differences, strict=True)
+        ),
         *([Section("Over frequency", tuple(overlays))] if overlays else []),
         Section("Provenance", _provenance(results)),
     )
@@ -284,12 +344,16 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     titles = list(dict.fromkeys(identification.title for identification in identifications))
     title = titles[0] if len(titles) == 1 else f"{len(results)} results compared"
     version = identifications[0].version
-    return Document(f"Campaign: {title}", f"Campaign report, labpipe {version}", sections, cover_facts(identifications))
+    return Document(
+        f"Campaign: {title}", f"Campaign report, labpipe {version}", sections, cover_facts(identifications)
+    )
 
 
 @dataclass
 class _Differences:
-    """Each value of a series against the others: difference, p-value and, once all have one, that corrected."""
+    """Each value of a series against the others: difference, p-value and, once all have one, that
+    corrected.
+    """
 
     difference: FloatArray
     p_value: FloatArray
@@ -308,7 +372,10 @@ class _Differences:
 def _correct(differences: Sequence[_Differences]) -> None:
     """Holm's correction over all differences; two values are one test, not two."""
     tested = [coefficient for coefficient in differences if np.all(np.isfinite(coefficient.p_value))]
-    counted = [coefficient.p_value if coefficient.p_value.size > 2 else coefficient.p_value[:1] for coefficient in tested]
+    counted = [
+        coefficient.p_value if coefficient.p_value.size > 2 else coefficient.p_value[:1]
+        for coefficient in tested
+    ]
     if not counted:
         return
     corrected = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
@@ -331,11 +398,20 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
 
 
 def _verdict(
-    series: Sequence[CoefficientSeries], trends: Sequence[Trend], corrected: FloatArray, differences: Sequence[_Differences]
+    series: Sequence[CoefficientSeries],
+    trends: Sequence[Trend],
+    corrected: FloatArray,
+    differences: Sequence[_Differences],
 ) -> tuple[Block, ...]:
     """What a reader must know first: values out of control, trends, and values that differ."""
-    outside = [f"{coefficient.title} ({_few(labels)})" for coefficient in series if (labels := _outside(coefficient))]
-    steep = [f"{trend.series.title} over {trend.condition}" for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
+    outside = [
+        f"{coefficient.title} ({_few(labels)})" for coefficient in series if (labels := _outside(coefficient))
+    ]
+    steep = [
+        f"{trend.series.title} over {trend.condition}"
+        for trend, p in zip(trends, corrected, strict=True)
+        if p < LEVEL
+    ]
     n_apart = sum(int(np.sum(apart.corrected < LEVEL)) for apart in differences)
     charted = sum(len(coefficient.values) >= FEWEST for coefficient in series)
     if outside:
@@ -344,11 +420,17 @@ def _verdict(
     elif charted:
         lead = Paragraph(f"In control: no value of {charted} charts lies beyond its limits.", "passed")
     else:
-        lead = Paragraph(f"Too few tests for control limits: at least {FEWEST} of one coefficient are needed.", "note")
+        lead = Paragraph(
+            f"Too few tests for control limits: at least {FEWEST} of one coefficient are needed.", "note"
+        )
     blocks = [lead]
     if trends:
         which = "; ".join(steep) if steep else "none"
-        blocks.append(Paragraph(f"Trends beyond chance, of {len(trends)} looked at: {which}.", "warning" if steep else "note"))
+        blocks.append(
+            Paragraph(
+                f"Trends beyond chance, of {len(trends)} looked at: {which}.", "warning" if steep else "note"
+            )
+        )
     if series:
         values = sum(len(coefficient.values) for coefficient in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
@@ -370,12 +452,30 @@ def _outside(coefficient: CoefficientSeries) -> list[str]:
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     rows = []
     for name, identification in results:
-        verdict = "no rules" if not identification.outcomes else "accepted" if identification.accepted else "NOT ACCEPTED"
+        verdict = (
+            "no rules"
+            if not identification.outcomes
+            else "accepted"
+            if identification.accepted
+            else "NOT ACCEPTED"
+        )
         tests = str(len({fit.test for fit in identification.fits}))
         rows.append(
-            (name or "result", identification.title, tests, str(len(identification.fits)), verdict, f"labpipe {identification.version}")
+            (
+                name or "result",
+                identification.title,
+                tests,
+                str(len(identification.fits)),
+                verdict,
+                f"labpipe {identification.version}",
+            )
         )
-    return Table(("result", "title", "tests", "fits", "verdict", "computed by"), tuple(rows), "Results read together", (2, 3))
+    return Table(
+        ("result", "title", "tests", "fits", "verdict", "computed by"),
+        tuple(rows),
+        "Results read together",
+        (2, 3),
+    )
 
 
 def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
@@ -392,7 +492,16 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
         )
         for trend, p in zip(trends, corrected, strict=True)
     )
-    header = ("coefficient", "over", "slope", "unit", "95 % interval", "p-value", "after Holm", "beyond chance")
+    header = (
+        "coefficient",
+        "over",
+        "slope",
+        "unit",
+        "95 % interval",
+        "p-value",
+        "after Holm",
+        "beyond chance",
+    )
     return Table(header, rows, "Straight trends over the conditions", (2, 4, 5, 6))
 
 
@@ -404,7 +513,9 @@ def _slope_unit(trend: Trend) -> str:
 
 
 def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block, ...]:
-    """Figures over the conditions, the control chart in words and as a figure, and every value with its difference."""
+    """Figures over the conditions, the control chart in words and as a figure, and every value with its
+    difference.
+    """
     blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
         limits = control_limits(coefficient.shown())
@@ -418,7 +529,12 @@ def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block,
         )
         ends = f"{limits.low:.5g} to {limits.high:.5g} {coefficient.unit}"
         text = f"{limits.formula}; centre {limits.centre:.5g}, limits {ends}; {sentence}.{few}"
-        blocks.extend([Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"), control_figure(coefficient, limits)])
+        blocks.extend(
+            [
+                Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"),
+                control_figure(coefficient, limits),
+            ]
+        )
     return (*blocks, _value_table(coefficient, apart))
 
 
@@ -435,7 +551,9 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
                 rounded(value, error),
                 "none" if not np.isfinite(low) else " to ".join(written(value, error, low, high)[2:]),
                 "" if not np.isfinite(apart.difference[n]) else rounded(apart.difference[n], error),
-                "" if not np.isfinite(apart.corrected[n]) else f"{apart.corrected[n]:.2g}{' *' if apart.corrected[n] < LEVEL else ''}",
+                ""
+                if not np.isfinite(apart.corrected[n])
+                else f"{apart.corrected[n]:.2g}{' *' if apart.corrected[n] < LEVEL else ''}",
             )
         )
     named = tuple(axis.label for name, (axis, _) in over.items() if name != "date")
@@ -453,5 +571,9 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
 
 
 def _provenance(results: Sequence[tuple[str, Identification]]) -> tuple[Block, ...]:
-    rows = tuple((name, source["path"], source["sha256"]) for name, identification in results for source in identification.sources)
+    rows = tuple(
+        (name, source["path"], source["sha256"])
+        for name, identification in results
+        for source in identification.sources
+    )
     return (Table(("result", "source file", "SHA-256"), rows, "Source files"),)

@@ -29,11 +29,20 @@ def recording_card(overview: Overview) -> Document:
     sections = (
         Section("The file", _facts(overview)),
         Section("Findings", _findings(overview.findings, "No gaps, no clipping, no constant channel.")),
-        *([] if overview.contradictions is None else [Section("Against the rig file", _contradictions(overview.contradictions))]),
+        *(
+            []
+            if overview.contradictions is None
+            else [Section("Against the rig file", _contradictions(overview.contradictions))]
+        ),
         Section("Levels", (_levels(overview.plotted),)),
         Section("Channels", tuple(channel_figure(channel, overview) for channel in overview.plotted)),
     )
-    return Document(overview.file, f"{overview.kind[0].upper()}{overview.kind[1:]}, read by labpipe {__version__}", sections, to_sign=False)
+    return Document(
+        overview.file,
+        f"{overview.kind[0].upper()}{overview.kind[1:]}, read by labpipe {__version__}",
+        sections,
+        to_sign=False,
+    )
 
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
@@ -41,7 +50,10 @@ def response_card(response: FrequencyResponse, file: str) -> Document:
     sections = (
         Section("The file", _response_facts(response, file)),
         Section("Findings", _carried(response.findings)),
-        Section("Frequency response", (response_figure(response), phase_figure(response), *spectral_blocks(response))),
+        Section(
+            "Frequency response",
+            (response_figure(response), phase_figure(response), *spectral_blocks(response)),
+        ),
     )
     return Document(file, f"Frequency response, read by labpipe {__version__}", sections, to_sign=False)
 
@@ -57,14 +69,23 @@ def spectra_card(spectra: ChannelSpectra, file: str) -> Document:
 
 
 def _facts(overview: Overview) -> tuple[Block, ...]:
-    length = "not known" if overview.sample_rate is None else f"{overview.n_sample / overview.sample_rate:.6g} s"
-    rate = overview.rate if overview.sample_rate is None or "Hz" in overview.rate else f"{overview.sample_rate:g} Hz ({overview.rate})"
+    length = (
+        "not known" if overview.sample_rate is None else f"{overview.n_sample / overview.sample_rate:.6g} s"
+    )
+    rate = (
+        overview.rate
+        if overview.sample_rate is None or "Hz" in overview.rate
+        else f"{overview.sample_rate:g} Hz ({overview.rate})"
+    )
     rows = [("samples per channel", str(overview.n_sample)), ("rate", rate), ("length", length)]
     if overview.time:
         rows.append(("time column", overview.time))
     about = any(channel.about for channel in overview.channels)
     header = ("channel", "unit", *(["role and direction"] if about else []))
-    channels = tuple((channel.name, channel.unit or "not stated", *([channel.about] if about else [])) for channel in overview.plotted)
+    channels = tuple(
+        (channel.name, channel.unit or "not stated", *([channel.about] if about else []))
+        for channel in overview.plotted
+    )
     return Table(("what", "which"), tuple(rows), "Entries of the file"), Table(header, channels, "Channels")
 
 
@@ -76,10 +97,15 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
         ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
-        ("uncertainty", " and ".join(uncertainties) or "neither covariance nor coherence: ml needs one, ls does not"),
+        (
+            "uncertainty",
+            " and ".join(uncertainties) or "neither covariance nor coherence: ml needs one, ls does not",
+        ),
     )
     ports = tuple(
-        _port(kind, port) for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs)) for port in ports_of_kind
+        _port(kind, port)
+        for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs))
+        for port in ports_of_kind
     )
     return (
         Table(("what", "which"), rows, "Entries of the file"),
@@ -99,7 +125,11 @@ def _findings(findings: Sequence[Finding], nothing: str) -> tuple[Block, ...]:
 
 def _carried(findings: Sequence[Finding]) -> tuple[Block, ...]:
     """What the file says of itself: that it says nothing is no test that was passed."""
-    return _findings(findings, "") if findings else (Paragraph("The file carries no warnings; nothing was checked here.", "note"),)
+    return (
+        _findings(findings, "")
+        if findings
+        else (Paragraph("The file carries no warnings; nothing was checked here.", "note"),)
+    )
 
 
 def _contradictions(sentences: Sequence[str]) -> tuple[Block, ...]:
@@ -110,7 +140,11 @@ def _contradictions(sentences: Sequence[str]) -> tuple[Block, ...]:
 
 def _levels(channels: Sequence[ChannelOverview]) -> Table:
     rows = tuple(
-        (channel.label, *(f"{value:.5g}" for value in (channel.minimum, channel.maximum, channel.mean, channel.rms)), _crest(channel))
+        (
+            channel.label,
+            *(f"{value:.5g}" for value in (channel.minimum, channel.maximum, channel.mean, channel.rms)),
+            _crest(channel),
+        )
         for channel in channels
     )
     header = ("channel", "min", "max", "mean", "rms (ac)", "peak / rms")
@@ -126,15 +160,26 @@ def _crest(channel: ChannelOverview) -> str:
 def channel_figure(channel: ChannelOverview, overview: Overview) -> Figure:
     """Envelope over time beside the spectrum of one channel."""
     panels = (_envelope(channel, overview.sample_rate), _spectrum(channel, overview.sample_rate))
-    stretch = f", smallest and largest of every {channel.envelope.step} samples" if channel.envelope.step > 1 else ""
+    stretch = (
+        f", smallest and largest of every {channel.envelope.step} samples"
+        if channel.envelope.step > 1
+        else ""
+    )
     blocks = channel.spectrum.blocks
     averaged = f"mean of {blocks} block{'s' if blocks > 1 else ''}" if blocks else "no block without gaps"
     caption = f"{channel.label}: the signal over time{stretch}; its spectrum, {averaged}."
-    return Figure(Chart(panels, 1, 2, (WIDTH, HEIGHT), legend="none"), caption, f"{channel.label} over time and its spectrum")
+    return Figure(
+        Chart(panels, 1, 2, (WIDTH, HEIGHT), legend="none"),
+        caption,
+        f"{channel.label} over time and its spectrum",
+    )
 
 
 def _envelope(channel: ChannelOverview, rate: float | None) -> Panel:
-    """One line up and down through the ends of every stretch; the samples themselves where stretches are single samples."""
+    """One line up and down through the ends of every stretch.
+
+    The samples themselves where stretches are single samples.
+    """
     envelope = channel.envelope
     starts = np.arange(envelope.low.size) * envelope.step / (rate or 1.0)
     x = Axis("time", "s") if rate else Axis("sample")
@@ -150,7 +195,11 @@ def _spectrum(channel: ChannelOverview, rate: float | None) -> Panel:
     largest = float(np.max(spectrum.density, initial=0.0))
     density = np.maximum(spectrum.density, DEEPEST * largest)
     x = Axis("frequency", "Hz" if rate else "cycles per sample")
-    y = Axis("spectrum" if rate else "root of the density", f"{channel.unit or 'unit'}/Hz^0.5" if rate else "", logarithmic=largest > 0)
+    y = Axis(
+        "spectrum" if rate else "root of the density",
+        f"{channel.unit or 'unit'}/Hz^0.5" if rate else "",
+        logarithmic=largest > 0,
+    )
     return Panel(x, y, (curve("spectrum", spectrum.frequency, density, 1, width=0.8),))
 
 
@@ -158,7 +207,21 @@ def phase_figure(response: FrequencyResponse) -> Figure:
     """The phase of every element over frequency."""
     series = []
     for number, (o, i, name) in enumerate(element_names(response)):
-        series.append(dots(name, response.frequency, phase_degrees(response.matrix[:, o, i]), number % PALETTE_SIZE, size=1.0))
-    y = Axis(PHASE.title, PHASE.unit, -PHASE_END, PHASE_END, ticks=tuple((float(angle), str(angle)) for angle in range(-180, 181, 90)))
+        series.append(
+            dots(
+                name,
+                response.frequency,
+                phase_degrees(response.matrix[:, o, i]),
+                number % PALETTE_SIZE,
+                size=1.0,
+            )
+        )
+    y = Axis(
+        PHASE.title,
+        PHASE.unit,
+        -PHASE_END,
+        PHASE_END,
+        ticks=tuple((float(angle), str(angle)) for angle in range(-180, 181, 90)),
+    )
     chart = stacked([over_frequency(y, series)], 2.4)
     return Figure(chart, f"Phase of the {response.form}.", f"Phase of the {response.form} over frequency")

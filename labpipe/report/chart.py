@@ -1,4 +1,7 @@
-"""Figures as numbers: panels of series over axes. Pages, prints, tables and tests read the same numbers; nothing here draws."""
+"""Figures as numbers: panels of series over axes. Pages, prints, tables and tests read the same numbers.
+
+Nothing here draws.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +29,15 @@ MARGIN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline', 'vline', 'hspan', 'vspan',
-    'cells' (a matrix of values between -1 and 1 with a text in each), 'arrow' (from the first point to the second) or 'text' (words at
-    points).
+    """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline',
+    'vline', 'hspan', 'vspan', 'cells' (a matrix of values between -1 and 1 with a text in each), 'arrow'
+    (from the first point to the second) or 'text' (words at points).
 
-    x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them is empty.
-    cells: y is (n_row, n_column), texts the same; of 'text' texts is one row (n,), size that of its letters [pt].
-    low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar').
-    line: '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and line [pt].
-    entry: the name in the legend, where it is not *name*: series of one entry share it.
+    x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them
+    is empty. cells: y is (n_row, n_column), texts the same; of 'text' texts is one row (n,), size that of its
+    letters [pt]. low, high: (n,) ends of an interval around y, shown as *interval* ('shaded' or 'bar'). line:
+    '-', '--', ':' or '-.', '' for none; marker: '.', 'o', 's' or 'v', '' for none; size, width: diameter and
+    line [pt]. entry: the name in the legend, where it is not *name*: series of one entry share it.
     """
 
     kind: str
@@ -71,7 +74,9 @@ class Series:
             raise ValueError(f"no series of kind '{self.kind}'")
         if self.kind in ("line", "area", "arrow", "text") and self.x.shape != self.y.shape:
             raise ValueError(f"series '{self.name}': {self.x.shape} over {self.y.shape}")
-        if (self.low is None) != (self.high is None) or any(end is not None and end.shape != self.y.shape for end in (self.low, self.high)):
+        if (self.low is None) != (self.high is None) or any(
+            end is not None and end.shape != self.y.shape for end in (self.low, self.high)
+        ):
             raise ValueError(f"series '{self.name}': both ends of its interval must be as long as its values")
 
 
@@ -91,8 +96,14 @@ def curve(
     hollow: bool = False,
     entry: str = "",
 ) -> Series:
-    """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with *opacity*) or as bars."""
-    low, high = (None, None) if band is None and bars is None else (np.asarray(end, float) for end in band or bars or ())
+    """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with
+    *opacity*) or as bars.
+    """
+    low, high = (
+        (None, None)
+        if band is None and bars is None
+        else (np.asarray(end, float) for end in band or bars or ())
+    )
     interval = "shaded" if band is not None else "bar" if bars is not None else ""
     across, along = np.asarray(x, float), np.asarray(y, float)
     marked = size if marker else 0.0
@@ -135,15 +146,34 @@ def span(low: float, high: float, colour: int, opacity: float = 0.15) -> Series:
     return Series("hspan", "", x=np.empty(0), y=np.array([low, high]), colour=colour, opacity=opacity)
 
 
-def outline(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15, *, width: float = 0.0) -> Series:
+def outline(
+    name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15, *, width: float = 0.0
+) -> Series:
     """The shaded inside of a closed path (n,), which itself is drawn in grey where it has a *width* [pt]."""
-    return Series("area", name, x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, opacity=opacity, width=width)
+    return Series(
+        "area",
+        name,
+        x=np.asarray(x, float),
+        y=np.asarray(y, float),
+        colour=colour,
+        opacity=opacity,
+        width=width,
+    )
 
 
 def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> Series:
-    """A matrix (n_row, n_column) of values between -1 and 1, which *name* says, as colours with a text in each; row 0 is above."""
+    """A matrix (n_row, n_column) of values between -1 and 1, which *name* says, as colours with a text in
+    each; row 0 is above.
+    """
     matrix = np.asarray(values, float)
-    return Series("cells", name, x=np.arange(matrix.shape[1], dtype=float), y=matrix, colour=INK, texts=tuple(tuple(row) for row in texts))
+    return Series(
+        "cells",
+        name,
+        x=np.arange(matrix.shape[1], dtype=float),
+        y=matrix,
+        colour=INK,
+        texts=tuple(tuple(row) for row in texts),
+    )
 
 
 def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
@@ -152,19 +182,34 @@ def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
     return Series("arrow", "", x=across, y=along, colour=colour)
 
 
-def labels(x: ArrayLike, y: ArrayLike, texts: Sequence[str], colour: int = INK, *, size: float = 8.0) -> Series:
+def labels(
+    x: ArrayLike, y: ArrayLike, texts: Sequence[str], colour: int = INK, *, size: float = 8.0
+) -> Series:
     """Words (n,) in letters of *size* [pt] with their middle at points (n,)."""
-    return Series("text", "", x=np.asarray(x, float), y=np.asarray(y, float), colour=colour, size=size, texts=(tuple(texts),))
+    return Series(
+        "text",
+        "",
+        x=np.asarray(x, float),
+        y=np.asarray(y, float),
+        colour=colour,
+        size=size,
+        texts=(tuple(texts),),
+    )
 
 
 def look(number: int) -> tuple[int, str]:
-    """Colour and line of the curve of this number among many: where colours begin anew the lines are dashed."""
+    """Colour and line of the curve of this number among many: where colours begin anew the lines are
+    dashed.
+    """
     return number % PALETTE_SIZE, LINES[number // PALETTE_SIZE % len(LINES)]
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis with its *title* and *unit*; *low*, *high*: ends that do not follow from the series; *ticks* where places have names."""
+    """An axis with its *title* and *unit*; *low*, *high*: ends that do not follow from the series.
+
+    *ticks* where places have names.
+    """
 
     title: str = ""
     unit: str = ""
@@ -186,7 +231,8 @@ def named_ticks(names: Sequence[str], first: float = 0.0) -> Ticks:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text where there is no series.
+    """One pair of axes; *equal*: both have one scale; *share* of the height among the rows; *note*: text
+    where there is no series.
 
     pick: key of a pipeline for which values of x can be chosen on a page with a click, '' for none.
     """
@@ -203,7 +249,8 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """Panels row by row in a grid of *rows* and *columns*; *size* (width, height) [in]; *shared*: the axes that move together, 'x' or 'xy'.
+    """Panels row by row in a grid of *rows* and *columns*; *size* (width, height) [in]; *shared*: the axes
+    that move together, 'x' or 'xy'.
 
     legend: 'panels' (the names that are new in each panel), 'above' (all of them above the panels) or 'none'.
     """
@@ -222,7 +269,9 @@ class Chart:
     @property
     def names(self) -> tuple[str, ...]:
         """The names of all series, each once."""
-        return tuple(dict.fromkeys(series.name for panel in self.panels for series in panel.series if series.name))
+        return tuple(
+            dict.fromkeys(series.name for panel in self.panels for series in panel.series if series.name)
+        )
 
     @property
     def heights(self) -> tuple[float, ...]:
@@ -231,16 +280,24 @@ class Chart:
         return tuple(share / sum(shares) for share in shares)
 
     def group(self, number: int, which: str) -> int:
-        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with; its own number where it moves alone."""
+        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with.
+
+        Its own number where it moves alone.
+        """
         return 0 if which in self.shared else number
 
     def limits(self, number: int, which: str) -> tuple[float, float]:
-        """Both ends of an axis of a panel: as stated, else from all series of the panels that it moves with."""
+        """Both ends of an axis of a panel: as stated, else from all series of the panels that it moves
+        with.
+        """
         panels = self.panels if which in self.shared else (self.panels[number],)
         axis = getattr(self.panels[number], which)
         if any(series.kind == "cells" for panel in panels for series in panel.series):
             return _cell_limits(panels[0], which)
-        values = np.concatenate([part for panel in panels for series in panel.series for part in _extent(series, which)] or [np.empty(0)])
+        values = np.concatenate(
+            [part for panel in panels for series in panel.series for part in _extent(series, which)]
+            or [np.empty(0)]
+        )
         low, high = _with_margin(values, axis.logarithmic)
         return low if axis.low is None else axis.low, high if axis.high is None else axis.high
 
@@ -252,7 +309,8 @@ def stacked(panels: Sequence[Panel], height: float, legend: str = "panels") -> C
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A drawing without axes: *kind* selects the drawing function in the tables of `document`, *subject* is its data.
+    """A drawing without axes: *kind* selects the drawing function in the tables of `document`, *subject* is
+    its data.
 
     size: (width, height) [in].
     """
@@ -284,7 +342,11 @@ def _with_margin(values: FloatArray, logarithmic: bool) -> tuple[float, float]:
         return (1.0, 10.0) if logarithmic else (0.0, 1.0)
     ends = np.array([there.min(), there.max()])
     if logarithmic:
-        low, high = _with_margin(np.log10(ends), False) if ends[1] > ends[0] else np.log10(ends[0]) + np.array([-1.0, 1.0])
+        low, high = (
+            _with_margin(np.log10(ends), False)
+            if ends[1] > ends[0]
+            else np.log10(ends[0]) + np.array([-1.0, 1.0])
+        )
         return float(10**low), float(10**high)
     room = MARGIN * float(ends[1] - ends[0]) or MARGIN * abs(float(ends[0])) or MARGIN
     return float(ends[0]) - room, float(ends[1]) + room

@@ -1,4 +1,7 @@
-"""The part of a report that a comparison of tests fills: the answer in words, amounts and figures. FIGURES by kind."""
+"""The part of a report that a comparison of tests fills: the answer in words, amounts and figures.
+
+FIGURES by kind.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,27 @@ from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.report.budget import comparison_budget_blocks
-from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, curve, dots, level, named_ticks, span, stacked
+from labpipe.report.chart import (
+    PALETTE_SIZE,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    curve,
+    dots,
+    level,
+    named_ticks,
+    span,
+    stacked,
+)
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import over_frequency, scale_of
-from labpipe.report.loop_figures import band_figures, certificate_figures, prediction_figures, sensitivity_figures
+from labpipe.report.loop_figures import (
+    band_figures,
+    certificate_figures,
+    prediction_figures,
+    sensitivity_figures,
+)
 from labpipe.report.wording import legible, unit_text
 
 # Tables of comparisons band by band, and of correlations between fitted unknowns.
@@ -28,13 +48,28 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
     blocks: list[Block] = []
     warnings = of_level(WARNING, comparison.findings)
     if warnings:
-        blocks.append(Paragraph(f"{'; '.join(f'{finding.code}: {finding.message}' for finding in warnings)}.", "warning"))
+        blocks.append(
+            Paragraph(
+                f"{'; '.join(f'{finding.code}: {finding.message}' for finding in warnings)}.", "warning"
+            )
+        )
     if comparison.correlations:
         rows = tuple((first, second, f"{value:+.3f}") for first, second, value in comparison.correlations)
-        blocks.append(Table(("unknown", "and", "correlation"), rows, f"Correlation of the unknowns of {comparison.name}", (2,)))
-    # Fitted unknowns are judged by their errors; the bands of the loop as stated belong to a comparison without them.
+        blocks.append(
+            Table(
+                ("unknown", "and", "correlation"),
+                rows,
+                f"Correlation of the unknowns of {comparison.name}",
+                (2,),
+            )
+        )
+    # Fitted unknowns are judged by their errors; the bands of the loop as stated belong to a comparison
+    # without them.
     if comparison.bands and not comparison.correlations:
-        blocks.extend(_band_table(comparison, name) for name in dict.fromkeys(band.parameter for band in comparison.bands))
+        blocks.extend(
+            _band_table(comparison, name)
+            for name in dict.fromkeys(band.parameter for band in comparison.bands)
+        )
     return blocks
 
 
@@ -44,7 +79,13 @@ def _band_table(comparison: Comparison, name: str) -> Table:
     several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
     other, last = ("the other test", ("p-value, corrected",)) if tested else ("predicted", ())
-    header = (f"{name} [{unit_text(bands[0].unit)}]", "95 % interval", other, "ratio with 95 % interval", *last)
+    header = (
+        f"{name} [{unit_text(bands[0].unit)}]",
+        "95 % interval",
+        other,
+        "ratio with 95 % interval",
+        *last,
+    )
     first = ("test", "band [Hz]") if several else ("band [Hz]",)
     rows = tuple(_row(band, several) for band in bands)
     meaning = f"{bands[0].test}" if tested else "* where the 95 % interval does not hold the prediction"
@@ -103,13 +144,17 @@ def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, c
     factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
     ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
-    return dots(name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1]))
+    return dots(
+        name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1])
+    )
 
 
 def _trend(comparison: Comparison) -> Figure:
     x, y = np.array(comparison.line).T
     law = curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
-    panel = Panel(_condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law))
+    panel = Panel(
+        _condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law)
+    )
     mean = f" at the mean {comparison.second}" if comparison.second else ""
     return _figure(comparison, stacked([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}")
 
@@ -136,13 +181,18 @@ def _difference(comparison: Comparison) -> Figure:
         Panel(x, _subject(comparison), tuple(above), share=3.0),
         Panel(x, Axis("from the mean", "%"), (*below, level(0.0)), share=2.0),
     )
-    meaning = f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a condition"
+    meaning = (
+        f"{' and '.join(groups)} with 95 % intervals of the fits; below: distance from the mean of a "
+        "condition"
+    )
     return _figure(comparison, stacked(panels, 4.4), meaning)
 
 
 def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
     here = (point.condition, point.second)
-    return float(np.mean([other.value for other in comparison.points if (other.condition, other.second) == here]))
+    return float(
+        np.mean([other.value for other in comparison.points if (other.condition, other.second) == here])
+    )
 
 
 def _repeatability(comparison: Comparison) -> Figure:
@@ -154,7 +204,9 @@ def _repeatability(comparison: Comparison) -> Figure:
         values = [factor * point.value for point in points]
         places = order + np.linspace(-BESIDE, BESIDE, len(points))
         series.append(dots("tests", places, values, marker="o", size=4.0))
-        series.append(curve("mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5))
+        series.append(
+            curve("mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5)
+        )
     x = Axis(_condition(comparison).title, _condition(comparison).unit, ticks=named_ticks(list(groups)))
     panel = Panel(x, _subject(comparison), (*series, level(mean), span(mean - within, mean + within, 0)))
     meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
@@ -164,14 +216,21 @@ def _repeatability(comparison: Comparison) -> Figure:
 def _ratio(comparison: Comparison) -> Figure:
     """Measured and theory over the condition, and their ratio with the common one."""
     chart = _beside(comparison, "theory", "bearing: measured / theory")
-    meaning = "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' stiffness, shaded: the common one"
+    meaning = (
+        "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' "
+        "stiffness, shaded: the common one"
+    )
     return _figure(comparison, chart, meaning)
 
 
 def _rayleigh(comparison: Comparison) -> Figure:
     """Measured damping beside beta times stiffness."""
     chart = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
-    return _figure(comparison, chart, "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals")
+    return _figure(
+        comparison,
+        chart,
+        "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals",
+    )
 
 
 def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
@@ -184,7 +243,9 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> Chart:
     ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
     measured = dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
     common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
-    above = Panel(condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0)
+    above = Panel(
+        condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0
+    )
     below = Panel(condition, Axis(ratio), (measured, *common, level(1.0)), share=2.0)
     return stacked([above, below], 5.0)
 
@@ -197,10 +258,19 @@ def _common(comparison: Comparison, name: str) -> tuple[Series, ...]:
 
 
 def _overlays(comparison: Comparison) -> Figure:
-    """The measured curve, the theory's, and the theory times the test's own ratio, at the first and the last condition."""
+    """The measured curve, the theory's, and the theory times the test's own ratio, at the first and the last
+    condition.
+    """
     panels = [_overlay(overlay) for overlay in comparison.overlays]
-    caption = f"{comparison.name}: the term's measured curve and the theory's with the measured damping, before and after the ratio."
-    return Figure(stacked(panels, 0.6 + 2.5 * len(panels)), caption, f"Measured and theoretical response of {comparison.subject}")
+    caption = (
+        f"{comparison.name}: the term's measured curve and the theory's with the measured damping, "
+        "before and after the ratio."
+    )
+    return Figure(
+        stacked(panels, 0.6 + 2.5 * len(panels)),
+        caption,
+        f"Measured and theoretical response of {comparison.subject}",
+    )
 
 
 def _overlay(overlay: Overlay) -> Panel:
@@ -222,8 +292,14 @@ def _reciprocity(comparison: Comparison, responses: Sequence[FrequencyResponse])
 def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyResponse) -> Figure:
     first, _, second = point.group.partition("-")
     rows, columns = [port.dof for port in response.outputs], [port.dof for port in response.inputs]
-    forth, back = (np.abs(response.matrix[:, rows.index(to), columns.index(by)]) for to, by in ((first, second), (second, first)))
-    series = (dots(f"{first}/{second}", response.frequency, forth, size=1.5), curve(f"{second}/{first}", response.frequency, back, 1))
+    forth, back = (
+        np.abs(response.matrix[:, rows.index(to), columns.index(by)])
+        for to, by in ((first, second), (second, first))
+    )
+    series = (
+        dots(f"{first}/{second}", response.frequency, forth, size=1.5),
+        curve(f"{second}/{first}", response.frequency, back, 1),
+    )
     chart = stacked([over_frequency(Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0)
     both = f"{first}/{second} and {second}/{first}"
     caption = f"{comparison.name}, test {point.test}: {both}; rms difference {100 * point.value:.2g} %."
@@ -257,48 +333,61 @@ OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
-    "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
-    "quotient": "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
-    "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the settings beyond it.",
+    "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
+    "weights.",
+    "quotient": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
+    "weights.",
+    "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the "
+    "settings beyond it.",
     "ratio": (
-        "A one-dof fit of a coupled transfer function is not K_ii, and the shaft bends. So the theory's stiffness matrix times the ratio, "
-        "in series with the shaft, gives a curve whose fit on the same lines equals the measured fit. The intervals hold the noise of "
-        "the fits, the error of setting the condition and that of the shaft's stiffness."
+        "A one-dof fit of a coupled transfer function is not K_ii, and the shaft bends. So the theory's "
+        "stiffness matrix times the ratio, in series with the shaft, gives a curve whose fit on the same "
+        "lines equals the measured fit. The intervals hold the noise of the fits, the error of setting the "
+        "condition and that of the shaft's stiffness."
     ),
-    "rayleigh": "Rayleigh damping has one beta = c / k for all tests; the chi-square of the tests' beta about their mean judges it.",
+    "rayleigh": "Rayleigh damping has one beta = c / k for all tests; the chi-square of the tests' beta "
+    "about their mean judges it.",
     "prediction": (
-        "The bearing's loop as its file states it, on the rig's mass and support, gives a response; the same fits of it, on the same lines "
-        "with the same weights, are the prediction for each band; share_k and share_c are the bands whose 95 % interval, by noise and "
-        "given numbers, holds it. Unknowns are fitted to all lines of the response at once, weighted by their noise, with the support free "
-        "within its stated uncertainty; their intervals hold the uncertainties of channels, mass and support. "
-        "Neighbouring bands share lines, so they miss together. unstable_poles and sensitivity_peak are those of the bearing file's mass."
+        "The bearing's loop as its file states it, on the rig's mass and support, gives a response; the same "
+        "fits of it, on the same lines with the same weights, are the prediction for each band; share_k and "
+        "share_c are the bands whose 95 % interval, by noise and given numbers, holds it. Unknowns are "
+        "fitted to all lines of the response at once, weighted by their noise, with the support free within "
+        "its stated uncertainty; their intervals hold the uncertainties of channels, mass and support. "
+        "Neighbouring bands share lines, so they miss together. unstable_poles and sensitivity_peak are "
+        "those of the bearing file's mass."
     ),
     "bands": (
-        "Every coefficient of every band of the second test is held against the first one's by Welch's t-test; the p-values are corrected "
-        "after Holm for the number of tests, whatever neighbouring bands share. What both tests have in common, such as the uncertainty "
-        "of the support, is no part of their difference."
+        "Every coefficient of every band of the second test is held against the first one's by Welch's "
+        "t-test; the p-values are corrected after Holm for the number of tests, whatever neighbouring bands "
+        "share. What both tests have in common, such as the uncertainty of the support, is no part of their "
+        "difference."
     ),
     "sensitivity": (
-        "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both against the excitation. The peak "
-        "is that of a parabola around the highest line, since the line itself would be too high by its noise. Intervals hold noise and the "
-        "uncertainties of the channels; what both sides of the sum have in common cancels."
+        "An excitation is added between two points of the loop; S = H_after / (H_after - H_before), both "
+        "against the excitation. The peak is that of a parabola around the highest line, since the line "
+        "itself would be too high by its noise. Intervals hold noise and the uncertainties of the channels; "
+        "what both sides of the sum have in common cancels."
     ),
     "certificate": (
-        "S = H_after (H_after - H_before)^-1, both against what is added in the loop, and L = S^-1 - 1, without a model; 95 % bands by "
-        "the covariance of the lines. With a bearing file its unknowns are fitted to all recorded signals; poles, decrements and margins "
-        "are those of the fitted loop, with intervals to first order in the unknowns, by noise and the uncertainties of the channels. "
-        "gain_margin_lower and _upper: factors of the gain "
-        "down to and up to the border of stability; phase_margin to either side; disk_margin 1 / max|S - 1/2|. A limit counts as kept, "
-        "or as broken, where the probability of it is at least the stated confidence."
+        "S = H_after (H_after - H_before)^-1, both against what is added in the loop, and L = S^-1 - 1, "
+        "without a model; 95 % bands by the covariance of the lines. With a bearing file its unknowns are "
+        "fitted to all recorded signals; poles, decrements and margins are those of the fitted loop, with "
+        "intervals to first order in the unknowns, by noise and the uncertainties of the channels. "
+        "gain_margin_lower and _upper: factors of the gain down to and up to the border of stability; "
+        "phase_margin to either side; disk_margin 1 / max|S - 1/2|. A limit counts as kept, or as broken, "
+        "where the probability of it is at least the stated confidence."
     ),
-    "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % are noise, so not coupled.",
+    "reciprocity": "H of a response to a force against H of the reverse; pairs with a difference near 140 % "
+    "are noise, so not coupled.",
 }
 
 
 def comparison_sections(comparisons: Comparisons, identification: Identification) -> tuple[Section, ...]:
     """One section for every comparison of tests."""
     responses = identification.responses
-    return tuple(Section(f"Comparison: {part.name}", comparison_blocks(part, responses)) for part in comparisons)
+    return tuple(
+        Section(f"Comparison: {part.name}", comparison_blocks(part, responses)) for part in comparisons
+    )
 
 
 def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:
@@ -306,7 +395,12 @@ def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyRespo
     return (
         Paragraph(comparison.statement, "note"),
         Paragraph(EXPLAINED[comparison.kind]),
-        Table(AMOUNT_HEADER, tuple(_amount_row(amount) for amount in comparison.amounts), f"Amounts of {comparison.name}", (1, 3, 4)),
+        Table(
+            AMOUNT_HEADER,
+            tuple(_amount_row(amount) for amount in comparison.amounts),
+            f"Amounts of {comparison.name}",
+            (1, 3, 4),
+        ),
         *comparison_figures(comparison, responses),
         *([_point_table(comparison)] if comparison.points else []),
         *loop_blocks(comparison),
@@ -319,7 +413,13 @@ def _amount_row(amount: Parameter) -> tuple[str, ...]:
     error = None if amount.full_error is None else difference_in(amount.full_error, unit)
     ends = () if amount.ci95 is None else tuple(to_display(end, unit) for end in amount.ci95)
     value, uncertainty, *interval = written(to_display(amount.value, unit), error, *ends)
-    return (amount.name, "not tested" if math.isnan(amount.value) else value, legible(unit), uncertainty, " to ".join(interval))
+    return (
+        amount.name,
+        "not tested" if math.isnan(amount.value) else value,
+        legible(unit),
+        uncertainty,
+        " to ".join(interval),
+    )
 
 
 def _point_table(comparison: Comparison) -> Table:
@@ -340,7 +440,12 @@ def _point_table(comparison: Comparison) -> Table:
     rows = [_point_row(comparison, point) for point in comparison.points]
     used = [number for number in range(len(titles)) if any(row[number] for row in rows)]
     shown = tuple(tuple(row[number] for number in used) for row in rows)
-    return Table(tuple(titles[number] for number in used), shown, f"Tests of {comparison.name}", tuple(range(1, len(used))))
+    return Table(
+        tuple(titles[number] for number in used),
+        shown,
+        f"Tests of {comparison.name}",
+        tuple(range(1, len(used))),
+    )
 
 
 def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
@@ -353,7 +458,10 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
         point.test,
         *(
             "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
-            for amount, of in ((point.condition, comparison.condition_unit), (point.second, comparison.second_unit))
+            for amount, of in (
+                (point.condition, comparison.condition_unit),
+                (point.second, comparison.second_unit),
+            )
         ),
         point.group,
         text(point.value),

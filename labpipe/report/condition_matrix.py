@@ -1,4 +1,6 @@
-"""The part of a report that a matrix of tests fills: what was tested, every coefficient over the conditions, figures."""
+"""The part of a report that a matrix of tests fills: what was tested, every coefficient over the conditions,
+figures.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,18 @@ from labpipe.records.comparison import (
 )
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
-from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Panel, Series, cells, curve, look, named_ticks, stacked
+from labpipe.report.chart import (
+    PALETTE_SIZE,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    cells,
+    curve,
+    look,
+    named_ticks,
+    stacked,
+)
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, rounded
 
@@ -37,7 +50,10 @@ CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
 
 def coverage_figure(matrix: ConditionMatrix) -> list[Figure]:
-    """Number of tests at every combination of the first two conditions; nothing where there is one condition."""
+    """Number of tests at every combination of the first two conditions.
+
+    Nothing where there is one condition.
+    """
     if len(matrix.axes) < 2:
         return []
     counts = np.zeros((len(matrix.axes[1].levels), len(matrix.axes[0].levels)), int)
@@ -48,11 +64,20 @@ def coverage_figure(matrix: ConditionMatrix) -> list[Figure]:
     return [Figure(chart, "Tests at each combination of conditions.", f"Map of the tests of {matrix.name}")]
 
 
-def _map(axes: Sequence[ConditionAxis], values: np.ndarray, texts: Sequence[Sequence[str]], name: str) -> Chart:
-    """A matrix (second, first) over the levels of two conditions, the first along the abscissa, the second upwards."""
+def _map(
+    axes: Sequence[ConditionAxis], values: np.ndarray, texts: Sequence[Sequence[str]], name: str
+) -> Chart:
+    """A matrix (second, first) over the levels of two conditions, the first along the abscissa, the second
+    upwards.
+    """
     across, up = ([f"{axis.shown(level):.4g}" for level in axis.levels] for axis in axes[:2])
-    x, y = (Axis(axis.name, _unit(axis), ticks=named_ticks(ticks)) for axis, ticks in zip(axes, (across, up[::-1]), strict=False))
-    return stacked([Panel(x, y, (cells(values[::-1], texts[::-1], name),))], ROOM + MAP_HEIGHT * values.shape[0])
+    x, y = (
+        Axis(axis.name, _unit(axis), ticks=named_ticks(ticks))
+        for axis, ticks in zip(axes, (across, up[::-1]), strict=False)
+    )
+    return stacked(
+        [Panel(x, y, (cells(values[::-1], texts[::-1], name),))], ROOM + MAP_HEIGHT * values.shape[0]
+    )
 
 
 def _unit(axis: ConditionAxis) -> str:
@@ -60,7 +85,10 @@ def _unit(axis: ConditionAxis) -> str:
 
 
 def coefficient_figures(matrix: ConditionMatrix, name: str) -> list[Figure]:
-    """One figure of lines for every combination of the third and further conditions; of two conditions a map as well."""
+    """One figure of lines for every combination of the third and further conditions.
+
+    Of two conditions a map as well.
+    """
     figures = []
     for further, points in _further(matrix).items():
         at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(matrix.axes[2:], further, strict=True))
@@ -82,7 +110,9 @@ def _valued(points: Sequence[MatrixPoint], name: str) -> list[tuple[MatrixPoint,
 
 
 def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
-    """The coefficient over the first condition, one line with bars for every level of the second; dashed: the theory."""
+    """The coefficient over the first condition, one line with bars for every level of the second; dashed: the
+    theory.
+    """
     first, unit = matrix.axes[0], matrix.unit_of(name)
     having = _valued(points, name)
     series: list[Series] = []
@@ -95,9 +125,13 @@ def _lines(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at
         expected.extend(_theory_line(first, line, unit, number))
     if expected:
         expected[0] = replace(expected[0], name="theory")
-    chart = stacked([Panel(Axis(first.name, _unit(first)), Axis(name, legible(unit)), (*series, *expected))], 3.2)
+    chart = stacked(
+        [Panel(Axis(first.name, _unit(first)), Axis(name, legible(unit)), (*series, *expected))], 3.2
+    )
     theory = "; dashed: theory" if expected else ""
-    caption = f"{name} over {first.name}{f' at {at}' if at else ''}: means of repeats with 95 % intervals{theory}."
+    caption = (
+        f"{name} over {first.name}{f' at {at}' if at else ''}: means of repeats with 95 % intervals{theory}."
+    )
     return Figure(chart, caption, f"{name} of {matrix.name} over {first.name}")
 
 
@@ -105,7 +139,9 @@ def _abscissa(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]]
     return np.array([first.shown(first.levels[point.place[0]]) for point, _ in line])
 
 
-def _line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], title: str, unit: str, number: int) -> Series:
+def _line(
+    first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], title: str, unit: str, number: int
+) -> Series:
     y = np.array([to_display(value.parameter.value, unit) for _, value in line])
     ends = [value.parameter.ci95 or (value.parameter.value,) * 2 for _, value in line]
     low, high = (np.array([to_display(pair[end], unit) for pair in ends]) for end in (0, 1))
@@ -113,11 +149,19 @@ def _line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], ti
     return curve(title, _abscissa(first, line), y, colour, dash, marker="o", size=4.0, bars=(low, high))
 
 
-def _theory_line(first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], unit: str, number: int) -> list[Series]:
+def _theory_line(
+    first: ConditionAxis, line: Sequence[tuple[MatrixPoint, Repeated]], unit: str, number: int
+) -> list[Series]:
     """The theory of a line in its colour, without a name; nothing where there is none."""
-    theory = np.array([np.nan if value.theory is None else to_display(value.theory, unit) for _, value in line])
+    theory = np.array(
+        [np.nan if value.theory is None else to_display(value.theory, unit) for _, value in line]
+    )
     has_theory = bool(np.any(np.isfinite(theory)))
-    return [curve("", _abscissa(first, line), theory, number % PALETTE_SIZE, "--", width=0.9)] if has_theory else []
+    return (
+        [curve("", _abscissa(first, line), theory, number % PALETTE_SIZE, "--", width=0.9)]
+        if has_theory
+        else []
+    )
 
 
 def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint], at: str) -> Figure:
@@ -132,7 +176,11 @@ def _value_map(matrix: ConditionMatrix, name: str, points: Sequence[MatrixPoint]
     chart = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
     shown = f" [{legible(unit)}]" if legible(unit) else ""
-    return Figure(chart, f"{name}{shown} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}.", f"Map of {name} of {matrix.name}")
+    return Figure(
+        chart,
+        f"{name}{shown} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}.",
+        f"Map of {name} of {matrix.name}",
+    )
 
 
 def _plain(value: float) -> str:
@@ -143,7 +191,9 @@ def _plain(value: float) -> str:
 
 
 def path_figure(matrix: ConditionMatrix) -> Figure:
-    """The rest positions over the load, one line per level of the other conditions, within the clearance circle where it is known."""
+    """The rest positions over the load, one line per level of the other conditions, within the clearance
+    circle where it is known.
+    """
     series: list[Series] = []
     for number, path in enumerate(matrix.paths):
         scale = 1e6 if path.clearance is None else 1.0 / path.clearance
@@ -163,13 +213,14 @@ def path_figure(matrix: ConditionMatrix) -> Figure:
 # rest positions.
 
 EXPLAINED = (
-    "Each point is the weighted mean of its repeats. What noise leaves shrinks with their number, and is enlarged where they scatter more "
-    "than it says; what is common to all of them, such as the uncertainty of a mass, does not shrink. Bars are 95 % intervals."
+    "Each point is the weighted mean of its repeats. What noise leaves shrinks with their number, and is "
+    "enlarged where they scatter more than it says; what is common to all of them, such as the uncertainty "
+    "of a mass, does not shrink. Bars are 95 % intervals."
 )
 PATH_EXPLAINED = (
-    "Rest positions are means of the repeats. The slope of the path over the load is a displacement per static force; beside it the same "
-    "by the stiffness from shaking. A film that depends on amplitude, a probe that drifts or a support that carries a part of the load "
-    "makes them differ."
+    "Rest positions are means of the repeats. The slope of the path over the load is a displacement per "
+    "static force; beside it the same by the stiffness from shaking. A film that depends on amplitude, a "
+    "probe that drifts or a support that carries a part of the load makes them differ."
 )
 
 
@@ -180,19 +231,30 @@ def matrix_sections(matrices: ConditionMatrices, identification: Identification)
 
 def _sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
     paths = [Section(f"Rest position: {matrix.name}", _path_blocks(matrix))] if matrix.paths else []
-    return (Section(f"Test matrix: {matrix.name}", _matrix_blocks(matrix)), *_coefficient_sections(matrix), *paths)
+    return (
+        Section(f"Test matrix: {matrix.name}", _matrix_blocks(matrix)),
+        *_coefficient_sections(matrix),
+        *paths,
+    )
 
 
 def _matrix_blocks(matrix: ConditionMatrix) -> tuple[Block, ...]:
     warnings = (Paragraph(finding.message, "warning") for finding in of_level(WARNING, matrix.findings))
-    missing = [Paragraph(f"Without a test: {'; '.join(_place_text(matrix, place) for place in matrix.missing)}.", "note")]
+    missing = [
+        Paragraph(
+            f"Without a test: {'; '.join(_place_text(matrix, place) for place in matrix.missing)}.", "note"
+        )
+    ]
     return (
         Paragraph(matrix.statement, "note"),
         *warnings,
         *(missing if matrix.missing else []),
         *coverage_figure(matrix),
         _points_table(matrix),
-        Paragraph(f"The pages of a single test are drawn on demand: labpipe report FOLDER --test {matrix.points[0].tests[0]} -o FILE."),
+        Paragraph(
+            "The pages of a single test are drawn on demand: labpipe report FOLDER --test "
+            f"{matrix.points[0].tests[0]} -o FILE."
+        ),
     )
 
 
@@ -203,19 +265,34 @@ def _place_text(matrix: ConditionMatrix, place: tuple[int, ...]) -> str:
 def _points_table(matrix: ConditionMatrix) -> Table:
     """Every point with its tests, what stands beside, and warnings of its tests."""
     beside = [(entry.name, condition_unit(entry.name, entry.unit)) for entry in matrix.points[0].beside]
-    header = (*_axis_titles(matrix), "tests", *(f"{name} [{unit}]" if unit != "1" else name for name, unit in beside), "warnings")
-    rows = tuple(
-        (*_levels(matrix, point), str(len(point.tests)), *_beside(point), ", ".join(point.warnings) or "none") for point in matrix.points
+    header = (
+        *_axis_titles(matrix),
+        "tests",
+        *(f"{name} [{unit}]" if unit != "1" else name for name, unit in beside),
+        "warnings",
     )
-    return Table(header, rows, f"Points of {matrix.name}; beside: means over the tests ± their scatter", tuple(range(len(header) - 1)))
+    rows = tuple(
+        (*_levels(matrix, point), str(len(point.tests)), *_beside(point), ", ".join(point.warnings) or "none")
+        for point in matrix.points
+    )
+    return Table(
+        header,
+        rows,
+        f"Points of {matrix.name}; beside: means over the tests ± their scatter",
+        tuple(range(len(header) - 1)),
+    )
 
 
 def _axis_titles(matrix: ConditionMatrix) -> tuple[str, ...]:
-    return tuple(f"{axis.name} [{axis.shown_unit}]" if axis.shown_unit != "1" else axis.name for axis in matrix.axes)
+    return tuple(
+        f"{axis.name} [{axis.shown_unit}]" if axis.shown_unit != "1" else axis.name for axis in matrix.axes
+    )
 
 
 def _levels(matrix: ConditionMatrix, point: MatrixPoint) -> tuple[str, ...]:
-    return tuple(f"{axis.shown(level):.4g}" for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True))
+    return tuple(
+        f"{axis.shown(level):.4g}" for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True)
+    )
 
 
 def _beside(point: MatrixPoint) -> tuple[str, ...]:
@@ -231,7 +308,11 @@ def _coefficient_sections(matrix: ConditionMatrix) -> tuple[Section, ...]:
     return tuple(
         Section(
             f"{name} over {' and '.join(axis.name for axis in matrix.axes)}",
-            (*([Paragraph(EXPLAINED)] if number == 0 else []), *coefficient_figures(matrix, name), _coefficient_table(matrix, name)),
+            (
+                *([Paragraph(EXPLAINED)] if number == 0 else []),
+                *coefficient_figures(matrix, name),
+                _coefficient_table(matrix, name),
+            ),
         )
         for number, name in enumerate(matrix.names)
     )
@@ -253,8 +334,14 @@ def _coefficient_table(matrix: ConditionMatrix, name: str) -> Table:
         *(["theory"] if theory else []),
     )
     cells = ((*_value_cells(value, unit), *([_theory(value, unit)] if theory else [])) for _, value in having)
-    rows = tuple((*_levels(matrix, point), *of_value) for (point, _), of_value in zip(having, cells, strict=True))
-    outside = "; *: the theory lies outside the interval" if any(value.holds_theory is False for _, value in having) else ""
+    rows = tuple(
+        (*_levels(matrix, point), *of_value) for (point, _), of_value in zip(having, cells, strict=True)
+    )
+    outside = (
+        "; *: the theory lies outside the interval"
+        if any(value.holds_theory is False for _, value in having)
+        else ""
+    )
     return Table(header, rows, f"{name} at every point{outside}", tuple(range(len(header))))
 
 
@@ -295,8 +382,13 @@ def _path_table(path: EquilibriumPath) -> Table:
     rows = tuple(
         (
             f"{point.load:.4g}",
-            *(rounded(1e6 * value, 1e6 * error) for value, error in zip(point.position, point.position_error, strict=True)),
-            f"{1e6 * point.eccentricity:.4g}" if path.clearance is None else f"{point.eccentricity / path.clearance:.4g}",
+            *(
+                rounded(1e6 * value, 1e6 * error)
+                for value, error in zip(point.position, point.position_error, strict=True)
+            ),
+            f"{1e6 * point.eccentricity:.4g}"
+            if path.clearance is None
+            else f"{point.eccentricity / path.clearance:.4g}",
             f"{point.attitude * 180 / 3.141592653589793:.4g}",
             *_slopes(point.statics, point.statics_error),
             *_slopes(point.shaking, point.shaking_error),
@@ -316,7 +408,9 @@ def _path_table(path: EquilibriumPath) -> Table:
         "y [nm/N]",
         "p-value",
     )
-    caption = f"Rest positions{f' at {path.at}' if path.at else ''}; p-value: that static slope and shaking agree"
+    caption = (
+        f"Rest positions{f' at {path.at}' if path.at else ''}; p-value: that static slope and shaking agree"
+    )
     return Table(header, rows, caption, tuple(range(len(header))))
 
 

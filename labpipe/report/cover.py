@@ -12,7 +12,9 @@ MOST_CONDITIONS = 6
 
 
 def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, str], ...]:
-    """(what, which): rig, dates of the recordings where their conditions give them, conditions, sources, version; no clock."""
+    """(what, which): rig, dates of the recordings where their conditions give them, conditions, sources,
+    version; no clock.
+    """
     rigs = dict.fromkeys(str(result.rig["name"]) for result in identifications if result.rig.get("name"))
     of_sections = [facts for result in identifications for facts in section_facts(result)]
     rigs |= dict.fromkeys(facts["rig"] for facts in of_sections if "rig" in facts)
@@ -30,7 +32,9 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
         **{key: _listed(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
-        "pipeline": ", ".join(dict.fromkeys(result.pipeline for result in identifications if result.pipeline)),
+        "pipeline": ", ".join(
+            dict.fromkeys(result.pipeline for result in identifications if result.pipeline)
+        ),
         "computed by": ", ".join(dict.fromkeys(f"labpipe {result.version}" for result in identifications)),
     }
     return tuple((what, which) for what, which in facts.items() if which)

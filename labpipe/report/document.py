@@ -27,7 +27,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A chart or drawing, its caption, and what it shows for those who cannot see it; each format of a document draws it its own way."""
+    """A chart or drawing, its caption, and what it shows for those who cannot see it.
+
+    Each format of a document draws it its own way.
+    """
 
     graphic: Graphic
     caption: str
@@ -57,7 +60,10 @@ SIGNATURE = Table(("tested by", "date", "signature"), (("\n\n", "\n\n", "\n\n"),
 
 @dataclass(frozen=True)
 class Document:
-    """The whole report; *cover*: entries of the first page, (what, which) in order. It ends with a place to sign, where *to_sign*."""
+    """The whole report; *cover*: entries of the first page, (what, which) in order.
+
+    It ends with a place to sign, where *to_sign*.
+    """
 
     title: str
     subtitle: str

@@ -72,32 +72,54 @@ def phase_degrees(values: ComplexArray) -> FloatArray:
 
 
 def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude, phase and residual of measured against fitted FRF; the residual with its 95 % band where the covariance is known."""
+    """Amplitude, phase and residual of measured against fitted FRF.
+
+    The residual with its 95 % band where the covariance is known.
+    """
     pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
     amplitude, phase, residual = [], [], []
     for number, (o, i) in enumerate(pairs):
         colour = number % PALETTE_SIZE
         factor, label = form_unit(fitted.form)[1], f"{fitted.outputs[o]}/{fitted.inputs[i]}"
         lines, values = fitted.drawn
-        # With several elements dots and line of one share an entry of the legend; the caption says which is which.
+        # With several elements dots and line of one share an entry of the legend; the caption says which is
+        # which.
         entry = label if len(pairs) > 1 else ""
-        pair = ((f"{label} measured", fitted.frequency, fitted.measured[:, o, i]), (f"{label} fitted", lines, values[:, o, i]))
+        pair = (
+            (f"{label} measured", fitted.frequency, fitted.measured[:, o, i]),
+            (f"{label} fitted", lines, values[:, o, i]),
+        )
         for (name, x, h), style, marker in zip(pair, ("", "-"), (".", ""), strict=True):
-            amplitude.append(curve(name, x, factor * np.abs(h), colour, style, width=1.5, marker=marker, entry=entry))
-            phase.append(curve(name, x, phase_degrees(h), colour, style, width=1.5, marker=marker, entry=entry))
-        residual.append(dataclasses.replace(_residual(fitted, o, i, colour, f"{label} measured"), entry=entry))
+            amplitude.append(
+                curve(name, x, factor * np.abs(h), colour, style, width=1.5, marker=marker, entry=entry)
+            )
+            phase.append(
+                curve(name, x, phase_degrees(h), colour, style, width=1.5, marker=marker, entry=entry)
+            )
+        residual.append(
+            dataclasses.replace(_residual(fitted, o, i, colour, f"{label} measured"), entry=entry)
+        )
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),
         over_frequency(Axis("|residual| / |H|", "%"), residual, 2.0),
     )
-    band = "; shaded: 95 % of residuals lie below when only the measured noise is left" if fitted.variance is not None else ""
+    band = (
+        "; shaded: 95 % of residuals lie below when only the measured noise is left"
+        if fitted.variance is not None
+        else ""
+    )
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual{band}."
-    return Figure(stacked(panels, 6.2), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency")
+    return Figure(
+        stacked(panels, 6.2), caption, f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
+    )
 
 
 def _residual(fitted: FittedCurve, o: int, i: int, colour: int, name: str) -> Series:
-    """Residual relative to the fitted FRF [%]; |e|^2 / var is exponential, so 95 % lie below sqrt(ln 20 var)."""
+    """Residual relative to the fitted FRF [%].
+
+    |e|^2 / var is exponential, so 95 % lie below sqrt(ln 20 var).
+    """
     size = np.abs(fitted.fitted[:, o, i])
     values = 100 * np.abs(fitted.measured[:, o, i] - fitted.fitted[:, o, i]) / size
     band = None
@@ -113,7 +135,10 @@ def correlation_figure(fit: Fit) -> Figure:
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
     axis = Axis(ticks=named_ticks(names))
     chart = Chart((Panel(axis, axis, (cells(fit.correlation, texts),)),), size=(side + 0.9, side))
-    caption = f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of two parameters is determined."
+    caption = (
+        f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of "
+        "two parameters is determined."
+    )
     return Figure(chart, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
@@ -135,7 +160,9 @@ def sliding_curve(fits: Sequence[Fit], parameter: str, label: str, number: int, 
     values = factor * np.array([amount.value for amount in amounts])
     ends = factor * np.array([amount.ci95 or (np.nan, np.nan) for amount in amounts], float)
     centres, (colour, line) = [fit.centre_hz for fit in fits], look(number)
-    return curve(label, centres, values, colour, line, marker=".", band=(ends[:, 0], ends[:, 1]), opacity=opacity)
+    return curve(
+        label, centres, values, colour, line, marker=".", band=(ends[:, 0], ends[:, 1]), opacity=opacity
+    )
 
 
 def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
@@ -144,7 +171,9 @@ def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     return Figure(
-        stacked([Panel(CENTRE, y, tuple(series))], 3.2), caption, f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"
+        stacked([Panel(CENTRE, y, tuple(series))], 3.2),
+        caption,
+        f"{what} of {fit_title(fits[0])} over frequency with 95 % interval",
     )
 
 
@@ -154,13 +183,19 @@ def _goodness_figure(fits: Sequence[Fit]) -> Figure:
     chi2 = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
     panels = (
         Panel(CENTRE, Axis("G.o.F (adj. R²)"), (goodness,)),
-        Panel(CENTRE, Axis("chi² per datum"), (curve("chi² per datum", centres, chi2, 1, marker="."), level(1.0))),
+        Panel(
+            CENTRE,
+            Axis("chi² per datum"),
+            (curve("chi² per datum", centres, chi2, 1, marker="."), level(1.0)),
+        ),
     )
     caption = (
         f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
         "chi² per datum near 1 says that the model leaves nothing but the measured noise."
     )
-    return Figure(stacked(panels, 3.6, "none"), caption, f"Goodness of fit of {fit_title(fits[0])} over frequency")
+    return Figure(
+        stacked(panels, 3.6, "none"), caption, f"Goodness of fit of {fit_title(fits[0])} over frequency"
+    )
 
 
 def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
@@ -170,22 +205,41 @@ def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
-    """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel (periodic data)."""
+    """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel
+    (periodic data).
+    """
     name, factor = response.name or "the measurement", form_unit(response.form)[1]
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
     chart = stacked([over_frequency(form_axis(response.form), amplitude, 3.0), quality], 4.4)
-    return Figure(chart, f"Measured {response.form} of {name}, and {what}.", f"Measured {response.form} of {name} and {what}")
+    return Figure(
+        chart,
+        f"Measured {response.form} of {name}, and {what}.",
+        f"Measured {response.form} of {name} and {what}",
+    )
 
 
 def _elements(response: FrequencyResponse, values: FloatArray) -> list[Series]:
-    """One curve for every element of (n_frequency, n_output, n_input); of very many the largest, the median and the least."""
+    """One curve for every element of (n_frequency, n_output, n_input).
+
+    Of very many the largest, the median and the least.
+    """
     if values[0].size > MOST_CURVES:
         flat = values.reshape(values.shape[0], -1)
-        statistics = {"largest": np.max(flat, axis=1), "median": np.median(flat, axis=1), "least": np.min(flat, axis=1)}
+        statistics = {
+            "largest": np.max(flat, axis=1),
+            "median": np.median(flat, axis=1),
+            "least": np.min(flat, axis=1),
+        }
         named = enumerate(statistics.items())
-        return [curve(f"{name} of {flat.shape[1]}", response.frequency, over, *look(number)) for number, (name, over) in named]
-    return [curve(name, response.frequency, values[:, o, i], *look(number)) for number, (o, i, name) in enumerate(element_names(response))]
+        return [
+            curve(f"{name} of {flat.shape[1]}", response.frequency, over, *look(number))
+            for number, (name, over) in named
+        ]
+    return [
+        curve(name, response.frequency, values[:, o, i], *look(number))
+        for number, (o, i, name) in enumerate(element_names(response))
+    ]
 
 
 def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
@@ -194,16 +248,29 @@ def _quality(response: FrequencyResponse) -> tuple[Panel, str]:
     coherence = response.partial_coherence if several else response.coherence
     if coherence is not None:
         axis = Axis("partial coherence" if several else "coherence", low=0.0, high=HIGHEST_COHERENCE)
-        what = "the partial coherence of each response and force, the other forces removed" if several else "its coherence"
+        what = (
+            "the partial coherence of each response and force, the other forces removed"
+            if several
+            else "its coherence"
+        )
         return over_frequency(axis, _elements(response, coherence), 2.0), what
     if response.snr is not None:
         ratio = np.maximum(response.snr, LEAST_SNR)
-        series = [curve(channel, response.frequency, ratio[:, n], *look(n)) for n, channel in enumerate(response.snr_channels)]
-        return over_frequency(Axis("signal / noise", logarithmic=True), series, 2.0), "the signal-to-noise ratio of its channels"
+        series = [
+            curve(channel, response.frequency, ratio[:, n], *look(n))
+            for n, channel in enumerate(response.snr_channels)
+        ]
+        return over_frequency(Axis("signal / noise", logarithmic=True), series, 2.0), (
+            "the signal-to-noise ratio of its channels"
+        )
     if response.variance is not None:
         relative = np.sqrt(response.variance) / np.abs(response.matrix)
-        return over_frequency(Axis("std / |H|", logarithmic=True), _elements(response, relative), 2.0), "its relative standard deviation"
-    return Panel(FREQUENCY, Axis(), (), share=2.0, note="the uncertainty of this FRF is not known"), "no statement of its uncertainty"
+        return over_frequency(
+            Axis("std / |H|", logarithmic=True), _elements(response, relative), 2.0
+        ), "its relative standard deviation"
+    return Panel(
+        FREQUENCY, Axis(), (), share=2.0, note="the uncertainty of this FRF is not known"
+    ), "no statement of its uncertainty"
 
 
 def line_figure(fits: Sequence[Fit]) -> Figure:
@@ -215,16 +282,25 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
     x = Axis(ticks=named_ticks([fit.test or fit.name for fit in fits]))
     y = Axis("slope", slopes[0].unit, low=0.0 if values.min() > 0 else None)
     chart = stacked([Panel(x, y, (series,))], 3.0, "none")
-    return Figure(chart, f"{fits[0].name}: slope of each line with its 95 % interval.", f"Slopes of calibration {fits[0].name}")
+    return Figure(
+        chart,
+        f"{fits[0].name}: slope of each line with its 95 % interval.",
+        f"Slopes of calibration {fits[0].name}",
+    )
 
 
 def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Measured amplitude of every term with the model before and after its tuning."""
     terms = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
     panels = [_before_and_after(fitted, o, i) for o, i in terms]
-    caption = f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one panel per term."
+    caption = (
+        f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one "
+        "panel per term."
+    )
     chart = stacked(panels, 0.8 + 1.6 * len(terms))
-    return Figure(chart, caption, f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}")
+    return Figure(
+        chart, caption, f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
+    )
 
 
 def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
@@ -237,7 +313,11 @@ def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
         curve("before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5),
         curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
     )
-    return Panel(FREQUENCY, Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True), series)
+    return Panel(
+        FREQUENCY,
+        Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True),
+        series,
+    )
 
 
 # A fitted FRF matrix of many elements: one small panel per element in matrix order, or of very many the sum
@@ -245,9 +325,11 @@ def _before_and_after(fitted: FittedCurve, o: int, i: int) -> Panel:
 
 # Largest number of elements in one pair of axes.
 MOST_TOGETHER = 4
-# Largest number of elements that are all shown; of more the mean over all, and the WORST in this many columns.
+# Largest number of elements that are all shown; of more the mean over all, and the WORST in this many
+# columns.
 MOST_SHOWN, WORST, COLUMNS = 24, 12, 3
-# Part of the amplitude at which a band ends that would reach below zero, for which a logarithmic axis has no place.
+# Part of the amplitude at which a band ends that would reach below zero, for which a logarithmic axis has no
+# place.
 LEAST_SHARE = 0.05
 
 
@@ -269,10 +351,15 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         series.append(curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--"))
     number = len(fitted.outputs) * len(fitted.inputs)
     caption = (
-        f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, and what is left between them."
+        f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
+        "and what is left between them."
     )
     chart = stacked([Panel(FREQUENCY, form_axis(fitted.form), tuple(series))], 3.6)
-    return Figure(chart, caption, f"Root mean square of the FRF matrix of fit {fit_title(fit)} over frequency, with the residual")
+    return Figure(
+        chart,
+        caption,
+        f"Root mean square of the FRF matrix of fit {fit_title(fit)} over frequency, with the residual",
+    )
 
 
 def _mean_size(values: ComplexArray) -> FloatArray:
@@ -282,15 +369,22 @@ def _mean_size(values: ComplexArray) -> FloatArray:
 
 def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """The elements with the largest residual in relation to their size, the worst first."""
-    left = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0) / np.sum(np.abs(fitted.measured) ** 2, axis=0)
+    left = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0) / np.sum(
+        np.abs(fitted.measured) ** 2, axis=0
+    )
     worst = np.argsort(-left, axis=None)[:WORST]
     panels = tuple(_element(fitted, *map(int, np.unravel_index(place, left.shape))) for place in worst)
     chart = Chart(panels, WORST // COLUMNS, COLUMNS, (WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above")
     caption = (
-        f"{fit_title(fit)}: the {WORST} of {left.size} elements that the fit meets worst in relation to their size (residual "
-        f"{100 * np.sqrt(left.flat[worst[0]]):.2g} to {100 * np.sqrt(left.flat[worst[-1]]):.2g} %), response/force; the rest meets better."
+        f"{fit_title(fit)}: the {WORST} of {left.size} elements that the fit meets worst in relation to "
+        f"their size (residual {100 * np.sqrt(left.flat[worst[0]]):.2g} to "
+        f"{100 * np.sqrt(left.flat[worst[-1]]):.2g} %), response/force; the rest meets better."
     )
-    return Figure(chart, caption, f"Amplitude of the {WORST} worst elements of the FRF matrix of fit {fit_title(fit)} over frequency")
+    return Figure(
+        chart,
+        caption,
+        f"Amplitude of the {WORST} worst elements of the FRF matrix of fit {fit_title(fit)} over frequency",
+    )
 
 
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -298,8 +392,13 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     rows, columns = len(fitted.outputs), len(fitted.inputs)
     panels = tuple(_element(fitted, o, i) for o in range(rows) for i in range(columns))
     chart = Chart(panels, rows, columns, (WIDTH, 0.6 + 1.7 * rows), "xy", "above")
-    caption = f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) {fitted.form}, response/force."
-    return Figure(chart, caption, f"Amplitude of every element of the FRF matrix of fit {fit_title(fit)} over frequency")
+    caption = (
+        f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
+        f"{fitted.form}, response/force."
+    )
+    return Figure(
+        chart, caption, f"Amplitude of every element of the FRF matrix of fit {fit_title(fit)} over frequency"
+    )
 
 
 def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
@@ -312,7 +411,9 @@ def _element(fitted: FittedCurve, o: int, i: int) -> Panel:
     lines, values = fitted.drawn
     measured = dots("measured", fitted.frequency, size, 0, size=1.5, band=band)
     model = curve("fitted", lines, factor * np.abs(values[:, o, i]), 1)
-    return Panel(FREQUENCY, form_axis(fitted.form), (measured, model), f"{fitted.outputs[o]}/{fitted.inputs[i]}")
+    return Panel(
+        FREQUENCY, form_axis(fitted.form), (measured, model), f"{fitted.outputs[o]}/{fitted.inputs[i]}"
+    )
 
 
 def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
@@ -323,12 +424,22 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
         assert repeats is not None
         used, recorded = repeats.used, repeats.n
         values = factor * np.array(repeats.values)
-        series = [dots("repeats", np.arange(1, values.size + 1), values, marker="o"), level(factor * parameter.value)]
+        series = [
+            dots("repeats", np.arange(1, values.size + 1), values, marker="o"),
+            level(factor * parameter.value),
+        ]
         if parameter.ci95 is not None:
             series.append(span(factor * parameter.ci95[0], factor * parameter.ci95[1], GREY))
         panels.append(Panel(Axis("repeat"), Axis(parameter.name, unit_text(parameter.unit)), tuple(series)))
     left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
-    caption = f"{fit_title(fit)}: {used} repeats whose means the values are{left_out}. Line and shade: mean and 95 % interval."
+    caption = (
+        f"{fit_title(fit)}: {used} repeats whose means the values are{left_out}. Line and shade: mean "
+        "and 95 % interval."
+    )
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    return Figure(Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none"), caption, f"Repeats of {fit_title(fit)}")
+    return Figure(
+        Chart(tuple(panels), rows, columns, (WIDTH, 2.2 * rows), "x", "none"),
+        caption,
+        f"Repeats of {fit_title(fit)}",
+    )

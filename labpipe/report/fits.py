@@ -1,4 +1,6 @@
-"""The sections of fits: every single fit in full, the bands of a sliding fit, lines of a calibration, model selection."""
+"""The sections of fits: every single fit in full, the bands of a sliding fit, lines of a calibration, model
+selection.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,13 @@ from labpipe.report.wording import (
 # Model selection: candidate models of a fit as a table.
 
 EXPLAINED = (
-    "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no support. p: chance of so large "
+    "AIC = chi² + 2 parameters: the least is the best supported; 10 above it a model has practically no "
+    "support. p: chance of so large "
     "an improvement by the richer model that contains this one, if this one is right."
 )
 BY_BIC = (
-    "BIC = chi² + parameters ln(equations): the least is the best supported, and 10 above it a form is very strongly spoken against. p: "
+    "BIC = chi² + parameters ln(equations): the least is the best supported, and 10 above it a form is very "
+    "strongly spoken against. p: "
     "chance of so large a chi² if this form is right; below 1 % it is not, whatever its BIC."
 )
 HEADER = ("model", "parameters", "chi²", "dof", "AIC - best", "p")
@@ -80,13 +84,25 @@ def _by_bic(fit: Fit) -> tuple[Block, ...]:
 # The sections of fits: every single fit in full, the bands of a sliding fit over frequency, the lines of a
 # calibration together.
 
-PARAMETER_HEADER = ("parameter", "value", "unit", "std. error", "95 % interval", "t-ratio", "significance", "VIF")
+PARAMETER_HEADER = (
+    "parameter",
+    "value",
+    "unit",
+    "std. error",
+    "95 % interval",
+    "t-ratio",
+    "significance",
+    "VIF",
+)
 NUMERIC = (1, 3, 4, 5, 7)
 _EXPLANATION = Paragraph(STARS_EXPLAINED)
 
 
 def fit_sections(identification: Identification) -> tuple[Section, ...]:
-    """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs. Signs are explained once."""
+    """One section for every fit; the bands of a sliding fit and the lines of a calibration share theirs.
+
+    Signs are explained once.
+    """
     sections, is_explained = [], False
     for fits in _groups(identification.fits):
         blocks = _result(fits)
@@ -98,14 +114,20 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
-    """The figures of a single fit: measured and fitted FRF, the repeats that values are means of, correlation of the estimates."""
+    """The figures of a single fit: measured and fitted FRF, the repeats that values are means of, correlation
+    of the estimates.
+    """
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
-        shown.extend(matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)])
+        shown.extend(
+            matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)]
+        )
         if fit.curve.before is not None:
             shown.append(figures.tuning_figure(fit, fit.curve))
-    repeated = [parameter for parameter in fit.parameters if parameter.repeats is not None and not parameter.derived]
+    repeated = [
+        parameter for parameter in fit.parameters if parameter.repeats is not None and not parameter.derived
+    ]
     if repeated:
         shown.append(figures.repeats_figure(fit, repeated))
     if fit.correlation.shape[0] > 2:
@@ -165,29 +187,44 @@ def _correlation_of_two(fit: Fit) -> tuple[Block, ...]:
 
 def _described(fit: Fit) -> str:
     """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
-    chi2, lines = "", "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines"
+    chi2, lines = (
+        "",
+        "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines",
+    )
     if fit.gof.chi2_reduced is not None:
         p_value = "" if fit.gof.chi2_p is None else f" (p = {fit.gof.chi2_p:.3g})"
-        chi2 = f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; 1 is expected."
+        chi2 = (
+            f" The weighted residual has chi² per degree of freedom {fit.gof.chi2_reduced:.3f}{p_value}; "
+            "1 is expected."
+        )
     end = f"converged after {fit.iterations} iterations" if fit.iterations else "solved directly"
     if not fit.converged:
         end = "NOT converged"
     return (
-        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} {lines}, {fit.equations} real "
-        f"equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}.{chi2} "
-        f"Condition number {fit.condition_number:.3g}.{interval_text(fit)}"
+        f"Model {fit.model}, estimator {fit.estimator}, band {band_text(fit)}: {fit.lines} {lines}, "
+        f"{fit.equations} real equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) "
+        f"{fit.gof.r2_adjusted:.5f}.{chi2} Condition number {fit.condition_number:.3g}.{interval_text(fit)}"
     )
 
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     """Coefficients over frequency as figures, and as a table."""
     names = figures.sliding_names(fits)
-    units = {name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits)) for name in names}
+    units = {
+        name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
+        for name in names
+    }
     titles = (f"{name} [{legible(unit)}]" if legible(unit) else name for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
-    first = f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model {fits[0].model}, {fits[0].estimator}. "
-    meaning = "Each value belongs to the centre of its band; ± is one standard error, n.s.: not significantly different from zero."
+    first = (
+        f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model "
+        f"{fits[0].model}, {fits[0].estimator}. "
+    )
+    meaning = (
+        "Each value belongs to the centre of its band; ± is one standard error, n.s.: not "
+        "significantly different from zero."
+    )
     table = Table(header, rows, f"Bands of {fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
     return (Paragraph(first + meaning), *figures.sliding_figures(fits), table)
 
@@ -211,9 +248,20 @@ def _with_error(fit: Fit, name: str, unit: str) -> str:
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
     """Straight lines: slope, intercept and linear range of each; without inflation factors."""
-    rows = tuple((fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1]) for fit in fits for parameter in fit.parameters)
-    table = Table(("line", *PARAMETER_HEADER[:-1]), rows, f"Straight lines of {fits[0].name}", tuple(n + 1 for n in NUMERIC[:-1]))
-    goodness = tuple((fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits)
+    rows = tuple(
+        (fit.test or fit.name, *parameter_row(parameter, fit.dof)[:-1])
+        for fit in fits
+        for parameter in fit.parameters
+    )
+    table = Table(
+        ("line", *PARAMETER_HEADER[:-1]),
+        rows,
+        f"Straight lines of {fits[0].name}",
+        tuple(n + 1 for n in NUMERIC[:-1]),
+    )
+    goodness = tuple(
+        (fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits
+    )
     quality = Table(("line", "R²", "points", "remarks"), goodness, "Goodness of the lines", (1, 2))
     slopes = [figures.line_figure(fits)] if len(fits) > 1 else []
     return (table, Paragraph(STARS_EXPLAINED), quality, *slopes)

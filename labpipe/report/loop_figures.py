@@ -1,4 +1,6 @@
-"""Figures of comparisons over frequency: predicted stiffness and damping of a control loop, two tests band by band, sensitivity."""
+"""Figures of comparisons over frequency: predicted stiffness and damping of a control loop, two tests band by
+band, sensitivity.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from labpipe.report.document import Figure
 from labpipe.report.figures import FREQUENCY, over_frequency, scale_of
 from labpipe.report.wording import unit_text
 
-# Ratios and damping of the lowest bands have intervals many times their value, which would flatten all others.
+# Ratios and damping of the lowest bands have intervals many times their value, which would flatten all
+# others.
 LEAST_RATIO_RANGE = 0.2
 # Upper ends of the zones of ISO 14839-3; D lies above the last.
 ZONE_LIMITS = (("A", 3.0), ("B", 4.0), ("C", 5.0))
@@ -20,7 +23,10 @@ SMALL_DOT = 2.5
 
 
 def prediction_figures(comparison: Comparison) -> list[Figure]:
-    """k and c of the bands beside the prediction and, below, measured / predicted stiffness; every test in its colour."""
+    """k and c of the bands beside the prediction and, below, measured / predicted stiffness.
+
+    Every test in its colour.
+    """
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
     tests = list(dict.fromkeys(band.test for band in comparison.bands))
     first = [_of(comparison.bands, names[0], test) for test in tests]
@@ -34,23 +40,34 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
     chart = stacked([*panels, over_frequency(ratio_axis, (level(1.0), *ratios), 2.0)], 7.4)
     fitted = ", dashed: with the fitted unknowns" if any(part.matched for part in comparison.curves) else ""
     caption = (
-        f"{comparison.name}: bands with 95 % intervals (dots); lines: the prediction as the same fit sees it; dotted: the loop's K_eq and "
+        f"{comparison.name}: bands with 95 % intervals (dots); lines: the prediction as the same fit sees "
+        "it; dotted: the loop's K_eq and "
         f"C_eq at each frequency{fitted}; below: ratio of the stiffness with 95 % intervals."
     )
     return [Figure(chart, caption, f"Measured and predicted {comparison.subject} over frequency")]
 
 
 def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) -> Panel:
-    """One coefficient of every test beside its prediction; the axis shows nine values in ten and all of the prediction."""
+    """One coefficient of every test beside its prediction.
+
+    The axis shows nine values in ten and all of the prediction.
+    """
     series: list[Series] = []
     for number, test in enumerate(tests):
         label = f"{test} " if len(tests) > 1 else ""
         aside = _aside(comparison, number, len(tests))
-        series += _coefficient(comparison, _of(comparison.bands, name, test), label, number % PALETTE_SIZE, aside)
+        series += _coefficient(
+            comparison, _of(comparison.bands, name, test), label, number % PALETTE_SIZE, aside
+        )
     ends = [_focus(_of(comparison.bands, name, test)) for test in tests]
     unit = next(band.unit for band in comparison.bands if band.parameter == name)
     factor = scale_of(unit)
-    y = Axis(name, unit_text(unit), low=factor * min(low for low, _ in ends), high=factor * max(high for _, high in ends))
+    y = Axis(
+        name,
+        unit_text(unit),
+        low=factor * min(low for low, _ in ends),
+        high=factor * max(high for _, high in ends),
+    )
     return over_frequency(y, series, 3.0)
 
 
@@ -67,14 +84,24 @@ def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBan
     return [band for band in bands if band.parameter == name and band.test == test]
 
 
-def _coefficient(comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float) -> list[Series]:
+def _coefficient(
+    comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float
+) -> list[Series]:
     """The bands of one test, their prediction, and the loop's values at each frequency."""
     factor = scale_of(bands[0].unit)
     centres = np.array([band.centre_hz for band in bands])
     ends = factor * np.array([band.ci95 for band in bands]).T
     values, predicted = factor * np.array([[band.value, band.other] for band in bands]).T
     line, matched = (colour, colour) if label else (1, 2)
-    measured = dots(f"{label}measured", centres + aside, values, colour, marker="o", size=SMALL_DOT, bars=(ends[0], ends[1]))
+    measured = dots(
+        f"{label}measured",
+        centres + aside,
+        values,
+        colour,
+        marker="o",
+        size=SMALL_DOT,
+        bars=(ends[0], ends[1]),
+    )
     series = [measured, curve(f"{label}predicted", centres, predicted, line, width=1.2)]
     for part in comparison.curves:
         if part.test == bands[0].test and part.quantity == bands[0].parameter[0]:
@@ -83,15 +110,28 @@ def _coefficient(comparison: Comparison, bands: Sequence[ComparedBand], label: s
 
 
 def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
-    """Stiffness or damping of the loop at each frequency, and with the fitted unknowns where there are any."""
+    """Stiffness or damping of the loop at each frequency, and with the fitted unknowns where there are
+    any.
+    """
     series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
     if part.matched:
-        series.append(curve(f"{label}with the fitted unknowns", part.frequency, factor * np.array(part.matched), matched, "--"))
+        series.append(
+            curve(
+                f"{label}with the fitted unknowns",
+                part.frequency,
+                factor * np.array(part.matched),
+                matched,
+                "--",
+            )
+        )
     return series
 
 
 def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Ends (SI) between which nine values in ten and all of the prediction lie; the widest intervals reach beyond."""
+    """Ends (SI) between which nine values in ten and all of the prediction lie.
+
+    The widest intervals reach beyond.
+    """
     values, predicted = np.array([[band.value, band.other] for band in bands]).T
     shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
     margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
@@ -107,20 +147,37 @@ def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float 
 
 
 def _ratio_range(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Both ends of an axis of ratios: one stands in the middle; nine bands in ten are within with their intervals."""
+    """Both ends of an axis of ratios: one stands in the middle.
+
+    Nine bands in ten are within with their intervals.
+    """
     reach = [max(abs(end - 1) for end in band.ratio_ci95) for band in bands if band.ratio_ci95 is not None]
     size = max(LEAST_RATIO_RANGE, 1.1 * float(np.nanquantile(reach, 0.9))) if reach else 1.0
     return 1 - size, 1 + size
 
 
 def band_figures(comparison: Comparison) -> list[Figure]:
-    """Second test over first for every coefficient, with the interval of the difference; bands that differ stand out."""
+    """Second test over first for every coefficient, with the interval of the difference.
+
+    Bands that differ stand out.
+    """
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
-    panels = [_band_panel(comparison, [band for band in comparison.bands if band.parameter == name]) for name in names]
+    panels = [
+        _band_panel(comparison, [band for band in comparison.bands if band.parameter == name])
+        for name in names
+    ]
     test = comparison.bands[0].test
-    meaning = "ratio of every band with its 95 % interval, not corrected; orange: different after Holm's correction"
+    meaning = (
+        "ratio of every band with its 95 % interval, not corrected; orange: different after Holm's correction"
+    )
     caption = f"{comparison.name}: {test}, {meaning}."
-    return [Figure(stacked(panels, 0.8 + 1.8 * len(names)), caption, f"{test}: ratio of {comparison.subject} over frequency")]
+    return [
+        Figure(
+            stacked(panels, 0.8 + 1.8 * len(names)),
+            caption,
+            f"{test}: ratio of {comparison.subject} over frequency",
+        )
+    ]
 
 
 def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
@@ -143,14 +200,25 @@ def _differs(comparison: Comparison, band: ComparedBand) -> bool:
 def sensitivity_figures(comparison: Comparison) -> list[Figure]:
     """Measured |S| with its 95 % band, the prediction, and the limits of the zones."""
     (part,) = comparison.curves
-    series = [dots("measured", part.frequency, part.measured, size=1.25, band=(part.low, part.high), opacity=0.25)]
+    series = [
+        dots("measured", part.frequency, part.measured, size=1.25, band=(part.low, part.high), opacity=0.25)
+    ]
     series += [curve("predicted", part.frequency, part.theory, 1, width=1.1)] if part.theory else []
-    series += [curve("with the fitted unknowns", part.frequency, part.matched, 2, "--", width=1.1)] if part.matched else []
+    series += (
+        [curve("with the fitted unknowns", part.frequency, part.matched, 2, "--", width=1.1)]
+        if part.matched
+        else []
+    )
     zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
     at, peak = comparison.amount("peak_frequency").value, comparison.amount("peak").value
     x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
-    panel = Panel(x, Axis("|S|", "1", low=0.0), (*series, *zones, dots("peak", [at], [peak], INK, marker="v", size=6.0)))
-    caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
+    panel = Panel(
+        x, Axis("|S|", "1", low=0.0), (*series, *zones, dots("peak", [at], [peak], INK, marker="v", size=6.0))
+    )
+    caption = (
+        f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of "
+        "ISO 14839-3."
+    )
     alternative = f"Sensitivity of the control loop over frequency, {comparison.verdict}"
     return [Figure(stacked([panel], 3.6), caption, alternative)]
 
@@ -163,12 +231,37 @@ def certificate_figures(comparison: Comparison) -> list[Figure]:
     series: list[Series] = []
     for number, part in enumerate(sizes):
         colour = 3 + number if number else 0
-        series.append(dots(part.quantity, part.frequency, part.measured, colour, size=1.25, band=(part.low, part.high), opacity=0.25))
-        series += [curve("fitted loop", part.frequency, part.matched, 1, width=1.1)] if part.matched and not number else []
+        series.append(
+            dots(
+                part.quantity,
+                part.frequency,
+                part.measured,
+                colour,
+                size=1.25,
+                band=(part.low, part.high),
+                opacity=0.25,
+            )
+        )
+        series += (
+            [curve("fitted loop", part.frequency, part.matched, 1, width=1.1)]
+            if part.matched and not number
+            else []
+        )
     zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
-    panel = Panel(Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True), Axis("|S|", "1", low=0.0), (*series, *zones))
-    caption = f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of ISO 14839-3."
-    figures = [Figure(stacked([panel], 3.6), caption, f"Sensitivity of the closed loop over frequency, {comparison.verdict}")]
+    panel = Panel(
+        Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True), Axis("|S|", "1", low=0.0), (*series, *zones)
+    )
+    caption = (
+        f"{comparison.name}: measured sensitivity with its 95 % band; dashed: limits of the zones of "
+        "ISO 14839-3."
+    )
+    figures = [
+        Figure(
+            stacked([panel], 3.6),
+            caption,
+            f"Sensitivity of the closed loop over frequency, {comparison.verdict}",
+        )
+    ]
     return [*figures, _nyquist(comparison)]
 
 
@@ -182,7 +275,10 @@ def _nyquist(comparison: Comparison) -> Figure:
     ]
     turn = np.linspace(0, 2 * np.pi, 181)
     circle = curve("|S| = 3, end of zone A", -1 + np.cos(turn) / 3, np.sin(turn) / 3, 1, "--", width=0.9)
-    axes = [Axis(title, "1", low=low, high=high) for title, low, high in (("Re L", -3.0, 1.0), ("Im L", -2.0, 2.0))]
+    axes = [
+        Axis(title, "1", low=low, high=high)
+        for title, low, high in (("Re L", -3.0, 1.0), ("Im L", -2.0, 2.0))
+    ]
     panel = Panel(axes[0], axes[1], (*series, circle, dots("-1", [-1.0], [0.0], INK, marker="v", size=5.0)))
     caption = f"{comparison.name}: loop transfer L = 1/S - 1 line by line around -1; dashed: |S| = 3."
     return Figure(stacked([panel], 4.4), caption, "Loop transfer function in the complex plane around -1")

@@ -44,9 +44,19 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     x = np.arange(1.0, values.size + 1)
     lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
     drawn, how = _drawn(x, values, columns, there)
-    chart = stacked([Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))], HEIGHT)
-    caption = f"{columns.title} by date and name{how}; full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128."
-    return Figure(chart, caption, f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits")
+    chart = stacked(
+        [Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))],
+        HEIGHT,
+    )
+    caption = (
+        f"{columns.title} by date and name{how}; full line: mean, dashed: mean ∓ 3 × mean moving "
+        "range / 1.128."
+    )
+    return Figure(
+        chart,
+        caption,
+        f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits",
+    )
 
 
 def over_amount(columns: TestColumns, condition: str) -> Figure:
@@ -57,8 +67,14 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
     below = readable_unit(unit, amounts[there])
     x = np.array([to_display(amount, below) for amount in amounts[there]])
     drawn, how = _drawn(x, values, columns, there)
-    chart = stacked([Panel(Axis(condition, legible(below)), Axis(columns.parameter, legible(shown)), drawn)], HEIGHT)
-    return Figure(chart, f"{columns.title} over {condition}{how}.", f"{columns.title} of {values.size} tests over {condition}")
+    chart = stacked(
+        [Panel(Axis(condition, legible(below)), Axis(columns.parameter, legible(shown)), drawn)], HEIGHT
+    )
+    return Figure(
+        chart,
+        f"{columns.title} over {condition}{how}.",
+        f"{columns.title} of {values.size} tests over {condition}",
+    )
 
 
 def _shown(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
@@ -67,8 +83,13 @@ def _shown(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
     return (np.array([to_display(value, unit) for value in values]) if unit else values), unit
 
 
-def _drawn(x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArray[np.bool_]) -> tuple[tuple[Series, ...], str]:
-    """Points with their intervals, or of more tests the median and bands of groups; and how the caption says it."""
+def _drawn(
+    x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArray[np.bool_]
+) -> tuple[tuple[Series, ...], str]:
+    """Points with their intervals, or of more tests the median and bands of groups.
+
+    And how the caption says it.
+    """
     if values.size <= MOST_POINTS:
         low, high = (_shown(columns, end[there])[0] for end in (columns.low, columns.high))
         return (dots("tests", x, values, size=3.0, bars=(low, high)),), ", with 95 % intervals"
@@ -80,19 +101,25 @@ def _drawn(x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArr
     below, above, median, lower, upper = ends
     beyond = _furthest(x[order], values[order], groups, below, above)
     outer = curve("95 % of the tests", middle, median, 0, "", band=(below, above), opacity=0.15)
-    inner = curve("median and half of the tests", middle, median, 0, band=(lower, upper), marker=".", opacity=0.3)
+    inner = curve(
+        "median and half of the tests", middle, median, 0, band=(lower, upper), marker=".", opacity=0.3
+    )
     return (outer, inner, dots("beyond", *beyond, 1, size=3.0)), f", {BANDS}"
 
 
 def _groups(x: FloatArray) -> list[FloatArray]:
-    """Places of neighbouring abscissas, ascending: one group for each where they are few, else groups of equal size."""
+    """Places of neighbouring abscissas, ascending: one group for each where they are few, else groups of
+    equal size.
+    """
     _, first = np.unique(x, return_index=True)
     if first.size <= GROUPS:
         return np.split(np.arange(x.size), first[1:])
     return np.array_split(np.arange(x.size), GROUPS)
 
 
-def _furthest(x: FloatArray, values: FloatArray, groups: list[FloatArray], low: FloatArray, high: FloatArray) -> Points:
+def _furthest(
+    x: FloatArray, values: FloatArray, groups: list[FloatArray], low: FloatArray, high: FloatArray
+) -> Points:
     """The points furthest beyond the outer band, in widths of the band of their group."""
     number = np.repeat(np.arange(len(groups)), [group.size for group in groups])
     width = np.maximum(high - low, np.finfo(float).tiny)[number]
@@ -132,8 +159,12 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
     return Document(identification.title, subtitle, sections, _cover(identification, index, tests))
 
 
-def _cover(identification: Identification, index: DatasetIndex, tests: ManyTests) -> tuple[tuple[str, str], ...]:
-    dates = sorted({date for columns in tests.parameters for date in (*columns.dates[:1], *columns.dates[-1:])})
+def _cover(
+    identification: Identification, index: DatasetIndex, tests: ManyTests
+) -> tuple[tuple[str, str], ...]:
+    dates = sorted(
+        {date for columns in tests.parameters for date in (*columns.dates[:1], *columns.dates[-1:])}
+    )
     facts = {
         "rig": str(identification.rig.get("name", "")),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
@@ -149,19 +180,39 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
     """Whether all tests were evaluated and every rule holds for each of them."""
     blocks: list[Block] = []
     if index.failed:
-        blocks.append(Paragraph(f"INCOMPLETE: {index.failed} of {index.tests + index.failed} tests could not be evaluated.", "failed"))
+        blocks.append(
+            Paragraph(
+                f"INCOMPLETE: {index.failed} of {index.tests + index.failed} tests could not be evaluated.",
+                "failed",
+            )
+        )
     outcomes = identification.outcomes
     failing = sum(not outcome.passed for outcome in outcomes)
     if not outcomes:
         blocks.append(Paragraph("No acceptance rules were given, so nothing is accepted or refused.", "note"))
     elif failing:
         what = f"{failing} of {len(outcomes)} rules do not hold for every test"
-        blocks.append(Paragraph(f"NOT ACCEPTED: {what}; {index.not_accepted} of {index.tests} tests are not accepted.", "failed"))
+        blocks.append(
+            Paragraph(
+                f"NOT ACCEPTED: {what}; {index.not_accepted} of {index.tests} tests are not accepted.",
+                "failed",
+            )
+        )
     elif not index.failed:
         kinds = len(index.of_level())
-        uncertainty = f" {kinds} kind(s) of warning below limit how far some numbers can be trusted." if kinds else ""
-        blocks.append(Paragraph(f"ACCEPTED: all {len(outcomes)} rules hold for all {index.tests} tests.{uncertainty}", "passed"))
-    rows = tuple((outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS") for outcome in outcomes)
+        uncertainty = (
+            f" {kinds} kind(s) of warning below limit how far some numbers can be trusted." if kinds else ""
+        )
+        blocks.append(
+            Paragraph(
+                f"ACCEPTED: all {len(outcomes)} rules hold for all {index.tests} tests.{uncertainty}",
+                "passed",
+            )
+        )
+    rows = tuple(
+        (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
+        for outcome in outcomes
+    )
     caption = "Rules of the pipeline; found: in the first test that fails, else in the first test"
     return (*blocks, Table(("section", "rule", "found", "outcome"), rows, caption)) if rows else tuple(blocks)
 
@@ -183,17 +234,36 @@ def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
         if named:
             more = f"; the first {len(named)} of {count}" if count > len(named) else ""
             table = Table(("test", "conditions", why), named, f"{heading}{more}")
-            sections.append(Section(heading, (table, Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE."))))
+            sections.append(
+                Section(
+                    heading,
+                    (table, Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE.")),
+                )
+            )
     return tuple(sections)
 
 
 def _coefficients(parameters: Sequence[TestColumns]) -> Table:
     """Centre, scatter and extremes of every coefficient."""
-    header = ("coefficient", "unit", "tests", "median", "scatter", "median std. error", "least", "in test", "largest", "in test")
+    header = (
+        "coefficient",
+        "unit",
+        "tests",
+        "median",
+        "scatter",
+        "median std. error",
+        "least",
+        "in test",
+        "largest",
+        "in test",
+    )
     return Table(header, tuple(_row(columns) for columns in parameters), SCATTER, (2, 3, 4, 5, 6, 8))
 
 
-SCATTER = "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, which outliers do not widen"
+SCATTER = (
+    "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
+    "which outliers do not widen"
+)
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:
@@ -206,7 +276,9 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
     middle = float(np.median(values[there]))
     scatter = NORMAL_MAD * float(np.median(np.abs(values[there] - middle)))
     least, largest = there[np.argmin(values[there])], there[np.argmax(values[there])]
-    middle_text, scatter_text, low, high = written(middle, scatter or None, float(values[least]), float(values[largest]))
+    middle_text, scatter_text, low, high = written(
+        middle, scatter or None, float(values[least]), float(values[largest])
+    )
     errors = columns.errors[np.isfinite(columns.errors)]
     error = number(float(np.median(errors)) * scale, 2) if errors.size else ""
     ends = (low, columns.tests[least], high, columns.tests[largest])
@@ -216,17 +288,29 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
 def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
     if len(parameters) <= MOST_CHARTED:
         return ()
-    return (Paragraph(f"Figures follow for the first {MOST_CHARTED} of {len(parameters)} coefficients; the dataset has them all.", "note"),)
+    return (
+        Paragraph(
+            f"Figures follow for the first {MOST_CHARTED} of {len(parameters)} coefficients; the "
+            "dataset has them all.",
+            "note",
+        ),
+    )
 
 
 def _blocks(columns: TestColumns) -> tuple[Block, ...]:
-    """The coefficient over the tests by date with its control limits, and over every condition that differs."""
+    """The coefficient over the tests by date with its control limits, and over every condition that
+    differs.
+    """
     there = np.isfinite(columns.values)
     if np.sum(there) < FEWEST:
         return (Paragraph(f"{int(np.sum(there))} value(s); figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
-    return (_control(columns, outside), over_tests(columns, limits), *(over_amount(columns, name) for name in _differing(columns)))
+    return (
+        _control(columns, outside),
+        over_tests(columns, limits),
+        *(over_amount(columns, name) for name in _differing(columns)),
+    )
 
 
 def _control(columns: TestColumns, outside: Sequence[str]) -> Paragraph:
@@ -234,13 +318,23 @@ def _control(columns: TestColumns, outside: Sequence[str]) -> Paragraph:
     said = "No value lies outside"
     if outside:
         more = f" and {len(outside) - MOST_OUTSIDE} more" if len(outside) > MOST_OUTSIDE else ""
-        said = f"{len(outside)} of {len(columns.tests)} values lie outside: {', '.join(outside[:MOST_OUTSIDE])}{more}"
-    return Paragraph(f"{CHART}: {said}. The limits suppose that all tests are of one condition.", "warning" if outside else "note")
+        said = (
+            f"{len(outside)} of {len(columns.tests)} values lie outside: "
+            f"{', '.join(outside[:MOST_OUTSIDE])}{more}"
+        )
+    return Paragraph(
+        f"{CHART}: {said}. The limits suppose that all tests are of one condition.",
+        "warning" if outside else "note",
+    )
 
 
 def _differing(columns: TestColumns) -> list[str]:
     """The conditions with two amounts or more."""
-    return [name for name, (_, amounts) in columns.amounts.items() if np.unique(amounts[np.isfinite(amounts)]).size > 1]
+    return [
+        name
+        for name, (_, amounts) in columns.amounts.items()
+        if np.unique(amounts[np.isfinite(amounts)]).size > 1
+    ]
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:
@@ -249,7 +343,10 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     words = "Every row of the dataset carries the digest of the recordings that it comes from."
     return (
         Table(("part of the dataset", "SHA-256"), rows, "Results"),
-        Paragraph(f"{words} To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`."),
+        Paragraph(
+            f"{words} To repeat: labpipe {identification.version}, `labpipe run "
+            f"{identification.pipeline} -o DIR`."
+        ),
         Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
         Code(json.dumps(settings, indent=1)),
     )

@@ -15,9 +15,29 @@ from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.report import figures
-from labpipe.report.chart import INK, PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, arrow, curve, dots, stacked
+from labpipe.report.chart import (
+    INK,
+    PALETTE_SIZE,
+    WIDTH,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    arrow,
+    curve,
+    dots,
+    stacked,
+)
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.figures import PHASE, element_names, form_axis, form_unit, over_frequency, phase_degrees, scale_of
+from labpipe.report.figures import (
+    PHASE,
+    element_names,
+    form_axis,
+    form_unit,
+    over_frequency,
+    phase_degrees,
+    scale_of,
+)
 from labpipe.report.wording import unit_text
 from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, two_sided
 from labpipe.spectra.damping import HalfPower, half_power
@@ -30,12 +50,21 @@ PANEL_HEIGHT = 1.9
 
 
 def channel_blocks(spectra: ChannelSpectra) -> tuple[Block, ...]:
-    """A sentence, a table of the channels, their amplitudes and noise over frequency, and orbits where a plane has two displacements."""
+    """A sentence, a table of the channels, their amplitudes and noise over frequency, and orbits where a
+    plane has two displacements.
+    """
     name = spectra.name or "Measurement"
     low, high = spectra.frequency[[0, -1]]
     runs = ", ".join(spectra.runs)
-    facts = f"{name}: spectra of {len(spectra.channels)} channels, {spectra.frequency.size} lines, {low:g}-{high:g} Hz, runs: {runs}."
-    dof = "" if np.isinf(spectra.covariance_dof) else f" Their noise is known with {spectra.covariance_dof:.4g} degrees of freedom."
+    facts = (
+        f"{name}: spectra of {len(spectra.channels)} channels, {spectra.frequency.size} lines, "
+        f"{low:g}-{high:g} Hz, runs: {runs}."
+    )
+    dof = (
+        ""
+        if np.isinf(spectra.covariance_dof)
+        else (f" Their noise is known with {spectra.covariance_dof:.4g} degrees of freedom.")
+    )
     return (Paragraph(facts + dof), _table(spectra), amplitude_figure(spectra), *_orbit_figures(spectra))
 
 
@@ -55,10 +84,23 @@ def _table(spectra: ChannelSpectra) -> Table:
         ratio = f"{size / deviation:.3g}" if deviation > 0 else "-"
         of = ", ".join(term.channel for term in channel.terms)
         made = f"{channel.role}, sum of {of}" if of else channel.role
-        rows.append((channel.name, made, channel.dof, f"{factor * rms:.4g}", f"{factor * deviation:.3g}", ratio, unit_text(channel.unit)))
+        rows.append(
+            (
+                channel.name,
+                made,
+                channel.dof,
+                f"{factor * rms:.4g}",
+                f"{factor * deviation:.3g}",
+                ratio,
+                unit_text(channel.unit),
+            )
+        )
     header = ("channel", "role", "direction", "rms", "noise of a line", "signal over noise", "unit")
     return Table(
-        header, tuple(rows), f"Channels of {spectra.name or 'the measurement'}: rms over the lines of the strongest run", (3, 4, 5)
+        header,
+        tuple(rows),
+        f"Channels of {spectra.name or 'the measurement'}: rms over the lines of the strongest run",
+        (3, 4, 5),
     )
 
 
@@ -74,11 +116,22 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
     panels = []
     for quantity in dict.fromkeys(channel.quantity for channel in spectra.channels):
         unit = QUANTITIES[quantity].si_unit
-        series = [curve for column, number in enumerate(spectra.columns(quantity)) for curve in _series(spectra, noise, number, column)]
+        series = [
+            curve
+            for column, number in enumerate(spectra.columns(quantity))
+            for curve in _series(spectra, noise, number, column)
+        ]
         panels.append(over_frequency(Axis(quantity, unit_text(unit), logarithmic=True), series))
     name = spectra.name or "the measurement"
-    caption = f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their noise as lines."
-    return Figure(stacked(tuple(panels), PANEL_HEIGHT * len(panels) + 0.6), caption, f"Amplitudes and noise of the channels of {name}")
+    caption = (
+        f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their "
+        "noise as lines."
+    )
+    return Figure(
+        stacked(tuple(panels), PANEL_HEIGHT * len(panels) + 0.6),
+        caption,
+        f"Amplitudes and noise of the channels of {name}",
+    )
 
 
 def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int) -> Iterator[Series]:
@@ -88,13 +141,23 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
         amplitude = _excited(spectra.vectors[:, run, number], noise[:, run, number])
         yield dots(channel.name, spectra.frequency, factor * amplitude, colour, size=2.0)
     typical = np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1))
-    yield curve(f"{channel.name} noise", spectra.frequency, factor * np.where(typical > 0, typical, np.nan), colour, ":", width=0.8)
+    yield curve(
+        f"{channel.name} noise",
+        spectra.frequency,
+        factor * np.where(typical > 0, typical, np.nan),
+        colour,
+        ":",
+        width=0.8,
+    )
 
 
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
     """Half axes of the orbits of displacements in two directions of one plane."""
     outputs = spectra.columns("displacement", "output")
-    ports = [Port(channel.name, channel.name, channel.dof, channel.angle) for channel in (spectra.channels[number] for number in outputs)]
+    ports = [
+        Port(channel.name, channel.name, channel.dof, channel.angle)
+        for channel in (spectra.channels[number] for number in outputs)
+    ]
     for plane in planes_of(ports):
         pair = [outputs[column] for column in plane.columns]
         motion = np.einsum("ij,lrj->lri", np.linalg.inv(plane.directions), spectra.vectors[:, :, pair])
@@ -104,19 +167,33 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         for run, label in enumerate(spectra.runs):
             colour = run % PALETTE_SIZE
             series.append(dots(f"{label} major", spectra.frequency, factor * major[:, run], colour, size=2.5))
-            series.append(dots(f"{label} minor", spectra.frequency, factor * minor[:, run], colour, marker="v", size=2.0))
+            series.append(
+                dots(
+                    f"{label} minor", spectra.frequency, factor * minor[:, run], colour, marker="v", size=2.0
+                )
+            )
         names = " and ".join(spectra.channels[number].name for number in pair)
-        caption = f"Half axes of the orbits of {names} in every run at each line; a negative minor axis turns backward, from y to x."
+        caption = (
+            f"Half axes of the orbits of {names} in every run at each line; a negative minor axis "
+            "turns backward, from y to x."
+        )
         chart = stacked((over_frequency(Axis("half axis", unit), series),), 2.8)
-        yield Figure(chart, caption, f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}")
+        yield Figure(
+            chart, caption, f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
+        )
 
 
 def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Major and signed minor half axis (...) [m] of the ellipse Re(m e^{jwt}), *motion* (..., 2) [m] along x and y.
+    """Major and signed minor half axis (...) [m] of the ellipse Re(m e^{jwt}), *motion* (..., 2) [m] along x
+    and y.
 
-    With forward f = (x - j y) / 2 and backward b = (x + j y) / 2: |f| + |b| and |f| - |b|, which is negative for backward orbits.
+    With forward f = (x - j y) / 2 and backward b = (x + j y) / 2: |f| + |b| and |f| - |b|, which is negative
+    for backward orbits.
     """
-    forward, backward = np.abs(motion[..., 0] + 1j * motion[..., 1]) / 2, np.abs(motion[..., 0] - 1j * motion[..., 1]) / 2
+    forward, backward = (
+        np.abs(motion[..., 0] + 1j * motion[..., 1]) / 2,
+        np.abs(motion[..., 0] - 1j * motion[..., 1]) / 2,
+    )
     return forward + backward, backward - forward
 
 
@@ -130,7 +207,10 @@ ARROW = (8, 12)
 
 
 def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
-    """What is shown below the FRF itself: of a directional response its two sides and orbits; distortion where it was measured."""
+    """What is shown below the FRF itself: of a directional response its two sides and orbits.
+
+    Distortion where it was measured.
+    """
     blocks: list[Block] = []
     if tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD:
         peaks = resonances(response)
@@ -172,8 +252,15 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
     )
     marked = "; circles: resonance and half-power points" if peaks else ""
     name = response.name or "the measurement"
-    caption = f"Two-sided {response.form} of {name}: forward response to forward (f/f) and backward (f/b) force{marked}."
-    return Figure(stacked(panels, 4.8), caption, f"Directional {response.form} of {name} over negative and positive frequencies")
+    caption = (
+        f"Two-sided {response.form} of {name}: forward response to forward (f/f) and backward (f/b) "
+        f"force{marked}."
+    )
+    return Figure(
+        stacked(panels, 4.8),
+        caption,
+        f"Directional {response.form} of {name} over negative and positive frequencies",
+    )
 
 
 def _with_gap(values: NDArray[Any], place: int) -> NDArray[Any]:
@@ -190,7 +277,14 @@ def _mark(peak: HalfPower, factor: float, sign: int) -> Series:
 
 def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> tuple[Block, ...]:
     unit, factor = form_unit(response.form)
-    header = ("term", "resonance [Hz]", f"{response.form} [{unit}]", "half power from [Hz]", "to [Hz]", "damping ratio [%]")
+    header = (
+        "term",
+        "resonance [Hz]",
+        f"{response.form} [{unit}]",
+        "half power from [Hz]",
+        "to [Hz]",
+        "damping ratio [%]",
+    )
     rows = tuple(
         (
             f"H_{label}{label} ({TURNS[label]})",
@@ -203,16 +297,29 @@ def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) 
         for label, peak in peaks.items()
     )
     if not rows:
-        return (Paragraph("No resonance with both half-power points lies in the band of the directional response."),)
+        return (
+            Paragraph(
+                "No resonance with both half-power points lies in the band of the directional response."
+            ),
+        )
     return (Table(header, rows, "Resonances and half-power points", (1, 2, 3, 4, 5)),)
 
 
 def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
-    """Orbits (x, y) under a force of 1 N turning forward, and backward, at resonance and at the half-power points."""
+    """Orbits (x, y) under a force of 1 N turning forward, and backward, at resonance and at the half-power
+    points.
+    """
     panels = tuple(_orbits(response, label, peak) for label, peak in peaks.items())
     name = response.name or "the measurement"
-    caption = f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, the arrow the sense of rotation."
-    return Figure(Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH)), caption, f"Orbits of {name} at resonance and half-power points")
+    caption = (
+        f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, "
+        "the arrow the sense of rotation."
+    )
+    return Figure(
+        Chart(panels, 1, 2, (WIDTH, 0.5 * WIDTH)),
+        caption,
+        f"Orbits of {name} at resonance and half-power points",
+    )
 
 
 def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
@@ -227,7 +334,9 @@ def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> Panel:
 
 
 def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
-    """x and y over one revolution, (2, n_point), from forward and backward amplitudes (2,) [m]: [x, y] = Re(A [f, b] e^{j theta})."""
+    """x and y over one revolution, (2, n_point), from forward and backward amplitudes (2,) [m]: [x, y] = Re(A
+    [f, b] e^{j theta}).
+    """
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, n_point))
     return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
 
@@ -240,24 +349,41 @@ def _orbit(path: FloatArray, name: str, colour: int) -> list[Series]:
 
 
 def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Figure:
-    """|H| and phase by the reference of a closed loop, and H1, *open_loop* (n_frequency, n_output, n_input) [unit of H], beside it."""
+    """|H| and phase by the reference of a closed loop, and H1, *open_loop* (n_frequency, n_output, n_input)
+    [unit of H], beside it.
+    """
     factor = form_unit(response.form)[1]
     amplitude, phase = [], []
     for number, (o, i, name) in enumerate(element_names(response)):
         pair = (("", "-", response.matrix[:, o, i]), (" H1, biased", ":", open_loop[:, o, i]))
         for what, line, values in pair:
-            amplitude.append(curve(f"{name}{what}", response.frequency, factor * np.abs(values), number % PALETTE_SIZE, line))
+            amplitude.append(
+                curve(
+                    f"{name}{what}", response.frequency, factor * np.abs(values), number % PALETTE_SIZE, line
+                )
+            )
             # Lines would jump from -180 to 180 deg and hide each other.
             phase.append(
-                dots(f"{name}{what}", response.frequency, phase_degrees(values), number % PALETTE_SIZE, size=1.5, hollow=bool(what))
+                dots(
+                    f"{name}{what}",
+                    response.frequency,
+                    phase_degrees(values),
+                    number % PALETTE_SIZE,
+                    size=1.5,
+                    hollow=bool(what),
+                )
             )
     name = response.name or "the measurement"
     caption = (
-        f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes the loop as open: a biased "
-        "estimate, shown as what it is and used for nothing."
+        f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes "
+        "the loop as open: a biased estimate, shown as what it is and used for nothing."
     )
-    chart = stacked([over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0)], 4.8)
-    return Figure(chart, caption[0].upper() + caption[1:], f"FRF by the reference and H1 of {name} over frequency")
+    chart = stacked(
+        [over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0)], 4.8
+    )
+    return Figure(
+        chart, caption[0].upper() + caption[1:], f"FRF by the reference and H1 of {name} over frequency"
+    )
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:
@@ -265,16 +391,26 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
     assert response.distortion is not None and response.variance is not None
     factor = form_unit(response.form)[1]
     noise = np.sqrt(np.maximum(response.variance - response.distortion**2, 0.0))
-    parts = ((np.abs(response.matrix), "-", ""), (response.distortion, "--", " distortion"), (noise, ":", " noise"))
+    parts = (
+        (np.abs(response.matrix), "-", ""),
+        (response.distortion, "--", " distortion"),
+        (noise, ":", " noise"),
+    )
     series = [
-        curve(f"{name}{what}", response.frequency, factor * _positive(values[:, o, i]), number % PALETTE_SIZE, line)
+        curve(
+            f"{name}{what}",
+            response.frequency,
+            factor * _positive(values[:, o, i]),
+            number % PALETTE_SIZE,
+            line,
+        )
         for number, (o, i, name) in enumerate(element_names(response))
         for values, line, what in parts
     ]
     name = response.name or "the measurement"
     caption = (
-        f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its standard deviation: "
-        "distortion above noise means that the rig left its linear range."
+        f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its "
+        "standard deviation: distortion above noise means that the rig left its linear range."
     )
     chart = stacked([over_frequency(form_axis(response.form), series)], 3.4)
     return Figure(chart, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")

@@ -24,7 +24,8 @@ VIEWS = (("oblique", -0.9, 0.5), ("front (x, z)", 0.0, 0.0), ("top (x, y)", 0.0,
 
 @dataclass(frozen=True, eq=False)
 class ShapeSketch:
-    """names and lines (n_line, 2) of the points, positions (n_point, 3) [1] about their middle, the structure 1 in size.
+    """names and lines (n_line, 2) of the points, positions (n_point, 3) [1] about their middle, the structure
+    1 in size.
 
     titles of the modes; motion (n_mode, n_point, 3) [1], complex, the largest of each REACH.
     """
@@ -36,14 +37,19 @@ class ShapeSketch:
     motion: ComplexArray
 
     def extremes(self, mode: int) -> tuple[FloatArray, FloatArray]:
-        """The points (n_point, 3) [1] at the two turns of a mode; a complex shape turns where its points together move farthest."""
+        """The points (n_point, 3) [1] at the two turns of a mode.
+
+        A complex shape turns where its points together move farthest.
+        """
         moved = self.motion[mode]
         turned = (moved * np.exp(-0.5j * np.angle(np.sum(moved**2)))).real
         return self.positions + turned, self.positions - turned
 
 
 def projected(points: FloatArray, azimuth: float, elevation: float) -> FloatArray:
-    """*points* (n_point, 3) as an eye sees them that is turned by *azimuth* about z and raised by *elevation* [rad], (n_point, 2) [1]."""
+    """*points* (n_point, 3) as an eye sees them that is turned by *azimuth* about z and raised by *elevation*
+    [rad], (n_point, 2) [1].
+    """
     x, y, z = points.T
     across = np.cos(azimuth) * x + np.sin(azimuth) * y
     away = np.cos(azimuth) * y - np.sin(azimuth) * x
@@ -51,10 +57,15 @@ def projected(points: FloatArray, azimuth: float, elevation: float) -> FloatArra
 
 
 def shape_figures(title: str, modes: Modes) -> list[Figure]:
-    """The shapes on the structure, a few modes in each figure; nothing without a geometry. *title*: of the fit."""
+    """The shapes on the structure, a few modes in each figure; nothing without a geometry. *title*: of the
+    fit.
+    """
     if modes.geometry is None:
         return []
-    return [_figure(title, _sketch(modes, modes.geometry, range(n, min(n + AT_ONCE, modes.frequency.size)))) for n in _starts(modes)]
+    return [
+        _figure(title, _sketch(modes, modes.geometry, range(n, min(n + AT_ONCE, modes.frequency.size))))
+        for n in _starts(modes)
+    ]
 
 
 def _starts(modes: Modes) -> range:
@@ -66,16 +77,24 @@ def _sketch(modes: Modes, geometry: Geometry, chosen: range) -> ShapeSketch:
     size = float(np.max(np.ptp(geometry.positions, axis=0))) or 1.0
     motion = geometry.motion(modes.dofs, modes.shapes)[list(chosen)]
     largest = np.max(np.linalg.norm(motion, axis=-1), axis=-1)
-    titles = tuple(f"{n + 1}: {modes.frequency[n]:.4g} Hz, {100 * modes.damping_ratio[n]:.3g} %" for n in chosen)
+    titles = tuple(
+        f"{n + 1}: {modes.frequency[n]:.4g} Hz, {100 * modes.damping_ratio[n]:.3g} %" for n in chosen
+    )
     return ShapeSketch(
-        geometry.names, (geometry.positions - middle) / size, geometry.lines, titles, REACH * motion / largest[:, None, None]
+        geometry.names,
+        (geometry.positions - middle) / size,
+        geometry.lines,
+        titles,
+        REACH * motion / largest[:, None, None],
     )
 
 
 def _figure(title: str, sketch: ShapeSketch) -> Figure:
     caption = (
-        f"{title}: mode shapes on the structure at their two turns, grey at rest; natural frequency and damping ratio above. "
-        "Points without a measured dof stand still."
+        f"{title}: mode shapes on the structure at their two turns, grey at rest; natural frequency and "
+        "damping ratio above. Points without a measured dof stand still."
     )
     drawing = Drawing(KIND, sketch, (WIDTH, ROW_HEIGHT * len(sketch.titles)))
-    return Figure(drawing, caption, f"Mode shapes of fit {title} on the structure: {'; '.join(sketch.titles)}")
+    return Figure(
+        drawing, caption, f"Mode shapes of fit {title} on the structure: {'; '.join(sketch.titles)}"
+    )

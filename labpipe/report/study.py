@@ -1,4 +1,6 @@
-"""The part of a report that a Monte Carlo study fills: how near the fits come, and how true their uncertainty is."""
+"""The part of a report that a Monte Carlo study fills: how near the fits come, and how true their uncertainty
+is.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,24 @@ from labpipe.report.chart import Axis, Panel, Series, curve, level, look, stacke
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import threshold_text
 
-CASE_HEADER = ("fit", "noise", "lines", "mean error", "variance", "median", "no result", "success", "RMSE / CRLB", "coverage")
+CASE_HEADER = (
+    "fit",
+    "noise",
+    "lines",
+    "mean error",
+    "variance",
+    "median",
+    "no result",
+    "success",
+    "RMSE / CRLB",
+    "coverage",
+)
 PARAMETER_HEADER = ("parameter", "truth", "mean", "bias", "RMSE", "CRLB", "mean std. error", "coverage")
 EXPLAINED = (
-    "Error: sum of squared parameter errors, entries beside the diagonal of a symmetric matrix counted twice. No result: repeats that "
-    "did not converge or were refused; their last numbers are in the errors, not in RMSE and coverage. RMSE / CRLB: scatter against "
-    "the Cramer-Rao bound, 1 is the best an unbiased estimate can reach. Coverage: share of 95 % intervals that hold the truth."
+    "Error: sum of squared parameter errors, entries beside the diagonal of a symmetric matrix counted "
+    "twice. No result: repeats that did not converge or were refused; their last numbers are in the errors, "
+    "not in RMSE and coverage. RMSE / CRLB: scatter against the Cramer-Rao bound, 1 is the best an unbiased "
+    "estimate can reach. Coverage: share of 95 % intervals that hold the truth."
 )
 
 
@@ -29,14 +43,19 @@ def study_sections(studies: Studies, _identification: Identification) -> tuple[S
 def study_blocks(study: Study) -> tuple[Block, ...]:
     """Tables and figures of a study."""
     first = study.cases[0]
-    lead = f"{study.rig}, {first.repeats} repeats of each case, seed {study.seed}; the same noise for every fit. {EXPLAINED}"
+    lead = (
+        f"{study.rig}, {first.repeats} repeats of each case, seed {study.seed}; the same noise for every "
+        f"fit. {EXPLAINED}"
+    )
     success = f"Success: within {_per_cent(study.limits[0])} of the truth, all coefficients taken together."
     blocks: list[Block] = [Paragraph(f"{lead} {success}"), _case_table(study)]
     blocks.extend(Paragraph(threshold_text(threshold, study.share), "note") for threshold in study.thresholds)
     if len({case.noise for case in study.cases}) > 1:
         blocks.append(_noise_figure(study))
     noisiest = max(case.noise for case in study.cases)
-    blocks.extend(_parameter_table(case) for case in study.cases if case.noise == noisiest and case.parameters)
+    blocks.extend(
+        _parameter_table(case) for case in study.cases if case.noise == noisiest and case.parameters
+    )
     blocks.extend(_means_table(study, fit) for fit in dict.fromkeys(case.fit for case in study.cases))
     return tuple(blocks)
 
@@ -79,7 +98,12 @@ def _parameter_table(case: StudyCase) -> Table:
         )
         for p in case.parameters
     )
-    return Table(PARAMETER_HEADER, rows, f"{case.fit} at {_per_cent(case.noise)} noise, {case.lines} lines", tuple(range(1, 8)))
+    return Table(
+        PARAMETER_HEADER,
+        rows,
+        f"{case.fit} at {_per_cent(case.noise)} noise, {case.lines} lines",
+        tuple(range(1, 8)),
+    )
 
 
 def _means_table(study: Study, fit: str) -> Table:
@@ -97,15 +121,27 @@ def _noise_figure(study: Study) -> Figure:
     fits = list(dict.fromkeys(case.fit for case in study.cases))
     panels = []
     for title, unit, logarithmic, value, goal in _quantities(study):
-        series = [_curve([case for case in study.cases if case.fit == fit], value, number) for number, fit in enumerate(fits)]
+        series = [
+            _curve([case for case in study.cases if case.fit == fit], value, number)
+            for number, fit in enumerate(fits)
+        ]
         goals = [] if goal is None else [level(goal)]
-        panels.append(Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals)))
-    caption = "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the noise; grey: required."
-    alternative = f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
+        panels.append(
+            Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals))
+        )
+    caption = (
+        "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the "
+        "noise; grey: required."
+    )
+    alternative = (
+        f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
+    )
     return Figure(stacked(panels, 7.4), caption, alternative)
 
 
-def _quantities(study: Study) -> tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...]:
+def _quantities(
+    study: Study,
+) -> tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...]:
     """(title, unit, logarithmic axis, value of a case, required value) of every panel."""
     return (
         ("median error", "", True, lambda case: case.median_error, None),

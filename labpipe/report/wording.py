@@ -15,10 +15,11 @@ from labpipe.records.study import StudyThreshold
 STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
     "Significance of the difference from zero: *** p < 0.001, ** p < 0.01, * p < 0.05, n.s. not significant "
-    "(the value does not differ significantly from zero). Derived values are computed from the estimated ones. "
-    "VIF: variance inflation, 1 when no other parameter resembles this one."
+    "(the value does not differ significantly from zero). Derived values are computed from the estimated "
+    "ones. VIF: variance inflation, 1 when no other parameter resembles this one."
 )
-# Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation of two that gives it.
+# Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation
+# of two that gives it.
 LARGE_VIF, CLOSE = 10.0, 0.95
 # Standard errors that differ by less than this share are one.
 ALIKE = 1e-6
@@ -85,27 +86,35 @@ def band_text(fit: Fit) -> str:
 
 def threshold_text(threshold: StudyThreshold, share: float) -> str:
     """The noise level at which a fit's success ends, as a sentence."""
-    what = f"{threshold.fit}: within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the repeats"
+    what = (
+        f"{threshold.fit}: within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the "
+        "repeats"
+    )
     if threshold.noise is None:
         return f"{what}: no such noise level in the range searched"
     return f"{what} up to a noise of {100 * threshold.noise:.3g} %"
 
 
 def entangled_text(fit: Fit) -> list[str]:
-    """Sentences on parameters that the data hardly tell apart: large variance inflation, near-singular correlation of the estimates."""
+    """Sentences on parameters that the data hardly tell apart: large variance inflation, near-singular
+    correlation of the estimates.
+    """
     sentences = []
     large = [(p.name, p.vif) for p in fit.parameters if p.vif is not None and p.vif >= LARGE_VIF]
     if large:
         listed = ", ".join(f"{name} ({vif:.3g} times)" for name, vif in large)
-        sentences.append(f"Large variance inflation (VIF): the variance is many times what it would be by itself for {listed}.")
+        sentences.append(
+            "Large variance inflation (VIF): the variance is many times what it would be by "
+            f"itself for {listed}."
+        )
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(names[i], names[j], float(fit.correlation[i, j])) for j in range(n) for i in range(j)]
     close = [f"{first} and {second} ({value:+.4f})" for first, second, value in pairs if abs(value) >= CLOSE]
     if close:
         sentences.append(
-            f"The correlation of the estimates is near-singular: {', '.join(close)} are known together far better than each by itself, and "
-            "an error of one is made good by the other."
+            f"The correlation of the estimates is near-singular: {', '.join(close)} are known together far "
+            "better than each by itself, and an error of one is made good by the other."
         )
     return sentences
 
@@ -115,26 +124,50 @@ def _repeats_part(parameter: Parameter) -> float:
 
 
 def _beyond_noise(parameter: Parameter) -> float:
-    """The standard error by noise and what the residual shows beside it, without what given numbers and the scatter of repeats add."""
-    full, others = parameter.std_error_inflated or 0.0, math.hypot(parameter.systematic or 0.0, _repeats_part(parameter))
+    """The standard error by noise and what the residual shows beside it, without what given numbers and the
+    scatter of repeats add.
+    """
+    full, others = (
+        parameter.std_error_inflated or 0.0,
+        math.hypot(parameter.systematic or 0.0, _repeats_part(parameter)),
+    )
     return math.sqrt(max(full**2 - others**2, 0.0))
 
 
 def interval_text(fit: Fit) -> str:
-    """Sentences on intervals that are wider than those of noise, or missing, and why; empty where noise is all."""
+    """Sentences on intervals that are wider than those of noise, or missing, and why.
+
+    Empty where noise is all.
+    """
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
-        return " The residual is not noise and nothing explains it: no standard errors and intervals are given (model-mismatch above)."
-    told = [parameter for parameter in fit.parameters if parameter.std_error_inflated is not None and parameter.std_error]
-    repeated = _times((p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in told)
-    between = f" The intervals hold the scatter between repeats; they are those of noise alone times: {repeated}." if repeated else ""
+        return (
+            " The residual is not noise and nothing explains it: no standard errors and intervals are "
+            "given (model-mismatch above)."
+        )
+    told = [
+        parameter
+        for parameter in fit.parameters
+        if parameter.std_error_inflated is not None and parameter.std_error
+    ]
+    repeated = _times(
+        (p.name, math.hypot(p.std_error or 0.0, _repeats_part(p)) / (p.std_error or 1.0)) for p in told
+    )
+    between = (
+        (f" The intervals hold the scatter between repeats; they are those of noise alone times: {repeated}.")
+        if repeated
+        else ""
+    )
     wider = _times((p.name, _beyond_noise(p) / (p.std_error or 1.0)) for p in told)
     # Small given numbers of a floating bearing stay with its noise.
     if not wider or (not mismatch and any(detail.given_in_noise for detail in fit.details)):
         return between
     reasons = "; ".join(dict.fromkeys(p.reason for p in told if p.reason))
     why = f"; the model error is most likely {reasons}" if reasons else ""
-    noise = f" The residual is not noise (model-mismatch above{why}): errors and intervals are those of noise alone times: {wider}."
+    noise = (
+        f" The residual is not noise (model-mismatch above{why}): errors and intervals are those of "
+        f"noise alone times: {wider}."
+    )
     return between + noise
 
 

@@ -1,7 +1,9 @@
-"""Linear virtual rigs: masses on springs and dampers under a force or on a table that shakes, with sensors and their noise.
+"""Linear virtual rigs: masses on springs and dampers under a force or on a table that shakes, with sensors
+and their noise.
 
-Motions are exact: H times the spectrum of the force line by line, of a force that is periodic in the run, or of one from rest that is
-followed until what comes round has died out. The excitation is any force that is sampled: a multisine, swept sines, white noise.
+Motions are exact: H times the spectrum of the force line by line, of a force that is periodic in the run, or
+of one from rest that is followed until what comes round has died out. The excitation is any force that is
+sampled: a multisine, swept sines, white noise.
 """
 
 from __future__ import annotations
@@ -36,8 +38,11 @@ from labpipe.simulate.virtual_rigs import (
 DIED_OUT = 1e-12
 
 
-def dynamic_stiffness(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, omega: FloatArray) -> ComplexArray:
-    """Z = K + j w C - w^2 M at *omega* (n_line,) [rad/s]: of numbers (n_line,), of matrices (n_line, n_dof, n_dof) [N/m].
+def dynamic_stiffness(
+    mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, omega: FloatArray
+) -> ComplexArray:
+    """Z = K + j w C - w^2 M at *omega* (n_line,) [rad/s]: of numbers (n_line,), of matrices (n_line, n_dof,
+    n_dof) [N/m].
 
     Equation (sim-one-dof).
     """
@@ -46,14 +51,23 @@ def dynamic_stiffness(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike,
     return np.asarray(k + 1j * w * c - w**2 * m)
 
 
-def receptance(mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, frequency: FloatArray) -> ComplexArray:
-    """H = (K + j w C - w^2 M)^-1 at *frequency* (n_line,) [Hz], of the shape of `dynamic_stiffness` [m/N]. Equation (sim-mdof)."""
+def receptance(
+    mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, frequency: FloatArray
+) -> ComplexArray:
+    """H = (K + j w C - w^2 M)^-1 at *frequency* (n_line,) [Hz], of the shape of `dynamic_stiffness` [m/N].
+
+    Equation (sim-mdof).
+    """
     z = dynamic_stiffness(mass, stiffness, damping, 2 * np.pi * frequency)
     return np.asarray(1 / z if z.ndim == 1 else np.linalg.inv(z))
 
 
-def white_noise(band: tuple[float, float], rms: float, n_sample: int, sample_rate: float, rng: np.random.Generator) -> FloatArray:
-    """Normal white noise in *band* [Hz] without its mean, periodic in its (n_sample,) samples, of this *rms*."""
+def white_noise(
+    band: tuple[float, float], rms: float, n_sample: int, sample_rate: float, rng: np.random.Generator
+) -> FloatArray:
+    """Normal white noise in *band* [Hz] without its mean, periodic in its (n_sample,) samples, of this
+    *rms*.
+    """
     spectrum = fft.rfft(rng.standard_normal(n_sample))
     frequency = fft.rfftfreq(n_sample, 1 / sample_rate)
     spectrum[(frequency < band[0]) | (frequency > band[1]) | (frequency == 0)] = 0.0
@@ -62,13 +76,16 @@ def white_noise(band: tuple[float, float], rms: float, n_sample: int, sample_rat
 
 
 def lines_of(n_sample: int, sample_rate: float, settling: float = 0.0) -> tuple[int, FloatArray]:
-    """Samples, and frequencies (n_line,) [Hz], of the DFT of a run that is periodic, or that has *settling* [s] after it."""
+    """Samples, and frequencies (n_line,) [Hz], of the DFT of a run that is periodic, or that has *settling*
+    [s] after it.
+    """
     length = fft.next_fast_len(n_sample + int(settling * sample_rate), real=True) if settling else n_sample
     return length, fft.rfftfreq(length, 1 / sample_rate)
 
 
 def response(transfer: ComplexArray, force: FloatArray, length: int) -> FloatArray:
-    """DFT^-1 [H DFT F], (n_sample,): the response to *force* (n_sample,) [N], *transfer* (n_line,) [unit per N] on the lines of `lines_of`.
+    """DFT^-1 [H DFT F], (n_sample,): the response to *force* (n_sample,) [N], *transfer* (n_line,) [unit per
+    N] on the lines of `lines_of`.
 
     Equation (sim-sweep).
     """
@@ -86,7 +103,8 @@ def line_amplitude(force: Multisine) -> float:
 
 
 def steady_state(force: Multisine, transfer: ComplexArray, n_sample: int, periods: int) -> FloatArray:
-    """Response (n_sample periods,) [unit of the response] to the multisine, exact line by line: X_k = H(w_k) F_k.
+    """Response (n_sample periods,) [unit of the response] to the multisine, exact line by line: X_k = H(w_k)
+    F_k.
 
     *transfer* (n_line,) [unit of the response per N], *n_sample* of a period.
 
@@ -97,17 +115,29 @@ def steady_state(force: Multisine, transfer: ComplexArray, n_sample: int, period
     return np.tile(fft.irfft(spectrum, n_sample), periods)
 
 
-def free_decay(displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float) -> FloatArray:
-    """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m]. Equation (sim-transient)."""
+def free_decay(
+    displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float
+) -> FloatArray:
+    """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m].
+
+    Equation (sim-transient).
+    """
     t = np.arange(displacement.size) / sample_rate
     omega = 2 * np.pi * frequency
     return np.asarray(-displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t))
 
 
 def sensed(
-    name: str, channels: Sequence[Channel], clean: Sequence[FloatArray], noise: Sequence[float], rate: float, rng: np.random.Generator
+    name: str,
+    channels: Sequence[Channel],
+    clean: Sequence[FloatArray],
+    noise: Sequence[float],
+    rate: float,
+    rng: np.random.Generator,
 ) -> Recording:
-    """What sensors with independent white *noise* [SI] record of the *clean* signals, (n_sample,) each, at *rate* [Hz]."""
+    """What sensors with independent white *noise* [SI] record of the *clean* signals, (n_sample,) each, at
+    *rate* [Hz].
+    """
     samples = np.column_stack(clean)
     return Recording(tuple(channels), samples + rng.standard_normal(samples.shape) * noise, rate, name)
 
@@ -149,7 +179,8 @@ class OneMass(Settings):
         return receptance(self.mass, self.stiffness, self.damping, frequency)
 
     def from_rest(self, n_sample: int) -> tuple[int, FloatArray]:
-        """`lines_of` a run that is followed until only DIED_OUT is left of what was moving, for -2 m / c ln DIED_OUT.
+        """`lines_of` a run that is followed until only DIED_OUT is left of what was moving, for -2 m / c ln
+        DIED_OUT.
 
         The length of the transform [samples], and the angular frequencies (n_line,) [rad/s].
         """
@@ -167,7 +198,9 @@ class BaseNoise(Settings):
 
 @dataclass(frozen=True)
 class BaseRig(OneMass):
-    """m x'' = -k (x - b) - c (x' - b'), b the table's motion: white noise in two runs, a logarithmic sweep from rest in the third."""
+    """m x'' = -k (x - b) - c (x' - b'), b the table's motion: white noise in two runs, a logarithmic sweep
+    from rest in the third.
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-base-rig",))
     mass: float = setting("value", "mass that moves", unit="kg")
@@ -176,7 +209,9 @@ class BaseRig(OneMass):
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual mass on a shaking table")
     acceleration: float = setting("value", "rms acceleration of the table", unit="m/s^2", default=5.0)
-    band: tuple[float, float] = setting("band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0))
+    band: tuple[float, float] = setting(
+        "band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0)
+    )
     sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
     duration: float = setting("value", "length of a run", unit="s", default=32.0)
     pause: float = setting("value", "pause after the sweep, part of its run", unit="s", default=4.0)
@@ -191,7 +226,10 @@ class BaseRig(OneMass):
 
 @dataclass(frozen=True)
 class SweepRig(OneMass):
-    """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause; white noise on force and probe."""
+    """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause.
+
+    White noise on force and probe.
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-sweep-rig",))
     mass: float = setting("value", "mass that moves", unit="kg")
@@ -201,10 +239,14 @@ class SweepRig(OneMass):
     name: str = setting("text", "name of the rig", default="Virtual mass under swept sines")
     band: tuple[float, float] = setting("band", "band that is swept", unit="Hz", default=(20.0, 80.0))
     force: float = setting("value", "rms force while a sweep runs", unit="N", default=5.0)
-    duration: float = setting("value", "length of the linear sweep; the others take half as long", unit="s", default=24.0)
+    duration: float = setting(
+        "value", "length of the linear sweep; the others take half as long", unit="s", default=24.0
+    )
     pause: float = setting("value", "pause after every sweep", unit="s", default=3.0)
     noise: float = setting("value", "standard deviation of the probe's noise", unit="m", default=1e-6)
-    force_noise: float = setting("value", "standard deviation of the force transducer's noise", unit="N", default=0.02)
+    force_noise: float = setting(
+        "value", "standard deviation of the force transducer's noise", unit="N", default=0.02
+    )
     sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
 
     def __post_init__(self) -> None:
@@ -220,7 +262,8 @@ BASE_RUNS = ("absolute", "relative", "sweep")
 
 
 def relative_transmissibility(rig: BaseRig, frequency: FloatArray) -> ComplexArray:
-    """w^2 m / Z [1] at *frequency* (n,) [Hz], (n,): motion relative to the table over the table's; the absolute one is 1 more.
+    """w^2 m / Z [1] at *frequency* (n,) [Hz], (n,): motion relative to the table over the table's; the
+    absolute one is 1 more.
 
     Equation (sim-base).
     """
@@ -229,7 +272,9 @@ def relative_transmissibility(rig: BaseRig, frequency: FloatArray) -> ComplexArr
 
 
 def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
-    """Acceleration *base* of the table and *mass* [m/s^2], or *gap* between them [m]: -m H of the acceleration, at 0 Hz too."""
+    """Acceleration *base* of the table and *mass* [m/s^2], or *gap* between them [m]: -m H of the
+    acceleration, at 0 Hz too.
+    """
     n_sample, swept, level = round(rig.duration * rig.sample_rate), name == "sweep", rig.noise
     if swept:
         sweep = Sweep(rig.band, rig.duration - rig.pause, rig.acceleration, "logarithmic", "up", rig.pause)
@@ -240,7 +285,11 @@ def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
     table = Channel("base", "acceleration", "input", "z")
     if name == "relative":
         gap = -rig.mass * rig.receptance(lines)
-        measured, moved, noise = Channel("gap", "displacement", "output", "z"), response(gap, base, length), level.displacement
+        measured, moved, noise = (
+            Channel("gap", "displacement", "output", "z"),
+            response(gap, base, length),
+            level.displacement,
+        )
     else:
         moved = response(1 + relative_transmissibility(rig, lines), base, length)
         measured, noise = Channel("mass", "acceleration", "output", "z"), level.acceleration
@@ -257,7 +306,9 @@ def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
     """Force f [N] and displacement y [m] with noise."""
     law, direction, count = SWEEP_RUNS[name]
     sweep = Sweep(rig.band, rig.duration / (1 if count == 1 else 2), rig.force, law, direction, rig.pause)
-    force = np.concatenate([np.zeros(round(PRETRIGGER * rig.sample_rate)), sweep.samples(rig.sample_rate, count)])
+    force = np.concatenate(
+        [np.zeros(round(PRETRIGGER * rig.sample_rate)), sweep.samples(rig.sample_rate, count)]
+    )
     length, lines = rig.from_rest(force.size)
     moved = response(rig.receptance(lines), force, length)
     channels = [Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y")]
@@ -281,7 +332,8 @@ class SensorNoise(Settings):
 class WhiteNoiseRig(Settings):
     """m q'' + C q' + K q = f of the rotor's centre (x, y), with an unbalance that turns from x to y.
 
-    Force, sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on Machado's.
+    Force, sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on
+    Machado's.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-white-noise-rig",))
@@ -306,7 +358,9 @@ class WhiteNoiseRig(Settings):
         require_positive(self, "mass", "force", "bandwidth", "sample_rate", "blocks", "block")
         for name in ("speed", "bandwidth"):
             if not 0 <= getattr(self, name) < self.sample_rate / 2:
-                raise ConfigError(f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field=name)
+                raise ConfigError(
+                    f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field=name
+                )
 
     @property
     def n_sample(self) -> int:
@@ -343,11 +397,13 @@ def shaken_rotor(
     turning: tuple[ComplexArray, float, float],
     rng: np.random.Generator,
 ) -> Recording:
-    """A force and the displacements on two axes, with unbalance and noise; of *rig* its n_sample, sample_rate and noise.
+    """A force and the displacements on two axes, with unbalance and noise; of *rig* its n_sample, sample_rate
+    and noise.
 
-    The force, *spectrum* (n_line,) [N], is periodic in the whole run and band-limited, so x = H f line by line is the exact steady state,
-    without aliasing; *at_lines* (n_line, 2) [m/N]. *turning*: H (2, 2) at the shaft speed, unbalance u [kg m] and speed W [rad/s], from the
-    first axis to the second: u W^2 (cos, sin)(W t + phase).
+    The force, *spectrum* (n_line,) [N], is periodic in the whole run and band-limited, so x = H f line by
+    line is the exact steady state, without aliasing; *at_lines* (n_line, 2) [m/N]. *turning*: H (2, 2) at the
+    shaft speed, unbalance u [kg m] and speed W [rad/s], from the first axis to the second: u W^2 (cos, sin)(W
+    t + phase).
     """
     h, unbalance, omega = turning
     angle = omega * np.arange(rig.n_sample) / rig.sample_rate + rng.uniform(0, 2 * np.pi)
@@ -376,9 +432,15 @@ class VirtualMdofRig(Settings):
     kind: str = setting("choice", "which virtual rig", choices=("virtual-mdof-rig",))
     stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K", unit="N/m")
     damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C", unit="N.s/m")
-    mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting("mass", "masses, or the mass matrix M", unit="kg")
+    mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting(
+        "mass", "masses, or the mass matrix M", unit="kg"
+    )
     lines: Lines = setting("section", "frequency lines of the FRF", section=Lines)
-    noise: float = setting("value", "standard deviation on the real and on the imaginary part, as a share of the largest |H|", unit="1")
+    noise: float = setting(
+        "value",
+        "standard deviation on the real and on the imaginary part, as a share of the largest |H|",
+        unit="1",
+    )
     name: str = setting("text", "name of the rig", default="Virtual rig of masses, springs and dampers")
 
     def __post_init__(self) -> None:
@@ -387,7 +449,11 @@ class VirtualMdofRig(Settings):
             if np.shape(getattr(self, name)) != (n, n):
                 raise ConfigError(f"{name} is not a {n} x {n} matrix")
         # A list of masses, or of rows; both, or rows of other lengths, have no shape.
-        if not isinstance(self.mass, tuple) or len(self.mass) != n or {np.shape(row) for row in self.mass} not in ({()}, {(n,)}):
+        if (
+            not isinstance(self.mass, tuple)
+            or len(self.mass) != n
+            or {np.shape(row) for row in self.mass} not in ({()}, {(n,)})
+        ):
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
         if self.noise < 0:
             raise ConfigError("noise must not be negative")
@@ -418,13 +484,18 @@ class VirtualMdofRig(Settings):
 
 
 def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> FrequencyResponse:
-    """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated all the same.
+    """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated
+    all the same.
 
     Equation (sim-mdof-noise).
     """
     exact = rig.receptance
     std = rig.noise * float(np.max(np.abs(exact)))
-    noise = 0.0 if rng is None else std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
+    noise = (
+        0.0
+        if rng is None
+        else std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
+    )
     ports = tuple(Port(dof, dof, dof) for dof in (str(number + 1) for number in range(exact.shape[1])))
     covariance = uncorrelated(np.full(exact.shape, 2 * std**2)) if std > 0 else None
     return FrequencyResponse(rig.frequency, exact + noise, ports, ports, covariance=covariance, name=rig.name)
@@ -455,9 +526,13 @@ WHITE_NOISE_RIG = kind_of_recordings(
 MDOF_RIG = VirtualRigKind(
     settings=VirtualMdofRig,
     runs=lambda _rig: (),
-    simulate=lambda rig, seed, _runs: Simulation({"frf": noisy_response(rig, np.random.default_rng(seed))}, {"truth": rig.truth}),
+    simulate=lambda rig, seed, _runs: Simulation(
+        {"frf": noisy_response(rig, np.random.default_rng(seed))}, {"truth": rig.truth}
+    ),
     parameters=lambda rig, _runs: rig.truth,
     noisy=lambda rig, level: replace(rig, noise=level),
-    response=lambda rig, seeds: noisy_response(rig, None if seeds is None else np.random.default_rng(tuple(seeds))),
+    response=lambda rig, seeds: noisy_response(
+        rig, None if seeds is None else np.random.default_rng(tuple(seeds))
+    ),
     with_lines=lambda rig, count: replace(rig, lines=replace(rig.lines, count=count)),
 )

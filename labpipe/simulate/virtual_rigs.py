@@ -1,4 +1,6 @@
-"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: settings, runs, their files as a logger writes them, truth."""
+"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: settings, runs, their files as a logger writes
+them, truth.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +28,26 @@ from labpipe.spectra.settings import FrfSettings
 
 
 def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, float]:
-    """Mass [kg], k [N/m], c [N.s/m] with f_n = sqrt(k / m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) [1], by name.
+    """Mass [kg], k [N/m], c [N.s/m] with f_n = sqrt(k / m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) [1], by
+    name.
 
     Equation (sim-one-mass).
     """
     natural = math.sqrt(stiffness / mass)
-    return {"mass": mass, "k": stiffness, "c": damping, "f_n": natural / (2 * math.pi), "zeta": damping / (2 * mass * natural)}
+    return {
+        "mass": mass,
+        "k": stiffness,
+        "c": damping,
+        "f_n": natural / (2 * math.pi),
+        "zeta": damping / (2 * mass * natural),
+    }
 
 
 def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: ArrayLike) -> dict[str, float]:
-    """Entries of the matrices (n, n) by name: k_xx, k_xy, ... of k and the labels x, y; *glue* between two labels."""
+    """Entries of the matrices (n, n) by name: k_xx, k_xy, ... of k and the labels x, y.
+
+    *glue* between two labels.
+    """
     return {
         f"{letter}_{labels[row]}{glue}{labels[column]}": float(value)
         for letter, matrix in matrices.items()
@@ -130,12 +142,13 @@ def with_noise(rig: Any, level: float) -> Any:
 class VirtualRigKind:
     """A kind of virtual rig; every function takes the settings of a rig first.
 
-    settings: dataclass of the rig file. runs: names of its runs, none where the rig is one FRF; usual: those that are made unless runs are
-    named, all by default. simulate: (rig, seed, runs) -> files and
-    truth; a run's samples depend on rig, seed and its name only. For studies: parameters: (rig, runs) -> true parameters of a fit by name
-    [SI]; noisy: (rig, level) -> the rig with its noise at a level of a study; recordings: (rig, seed, runs) -> recordings in SI units, or
-    response: (rig, seeds) -> an FRF with noise, without for None. with_lines: (rig, count) -> the rig with another number of lines;
-    std_errors: (rig, runs, band [Hz]) -> Cramer-Rao standard errors where the rig knows them.
+    settings: dataclass of the rig file. runs: names of its runs, none where the rig is one FRF; usual: those
+    that are made unless runs are named, all by default. simulate: (rig, seed, runs) -> files and truth; a
+    run's samples depend on rig, seed and its name only. For studies: parameters: (rig, runs) -> true
+    parameters of a fit by name [SI]; noisy: (rig, level) -> the rig with its noise at a level of a study;
+    recordings: (rig, seed, runs) -> recordings in SI units, or response: (rig, seeds) -> an FRF with noise,
+    without for None. with_lines: (rig, count) -> the rig with another number of lines; std_errors: (rig,
+    runs, band [Hz]) -> Cramer-Rao standard errors where the rig knows them.
     """
 
     settings: type
@@ -158,7 +171,8 @@ def kind_of_recordings(
     truth: Callable[[Any], Mapping[str, Any]],
     **others: Any,
 ) -> VirtualRigKind:
-    """A kind whose runs are recordings: *record* makes a run by name, *logged* its file; *others* as of VirtualRigKind.
+    """A kind whose runs are recordings: *record* makes a run by name, *logged* its file; *others* as of
+    VirtualRigKind.
 
     The parameters are the *truth* unless they are given.
     """
@@ -180,7 +194,10 @@ def kind_of_tests(
     logged: Callable[[Recording], LoggedTable],
     **others: Any,
 ) -> VirtualRigKind:
-    """A kind whose runs each have their truth, recordings as well as calibration tables; *others* as of VirtualRigKind."""
+    """A kind whose runs each have their truth, recordings as well as calibration tables.
+
+    *others* as of VirtualRigKind.
+    """
 
     def recordings_of(rig: Any, seed: int, names: Sequence[str]) -> list[Recording]:
         return [run.recording for run in tests(rig, seed, names) if run.recording is not None]
@@ -188,7 +205,9 @@ def kind_of_tests(
     def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
         runs = tests(rig, seed, names)
         tables = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
-        files = {run.name: logged(run.recording) if run.recording is not None else tables[run.name] for run in runs}
+        files = {
+            run.name: logged(run.recording) if run.recording is not None else tables[run.name] for run in runs
+        }
         return Simulation(files, {"runs": {run.name: run.truth for run in runs}})
 
     return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
@@ -201,7 +220,10 @@ def kind_of(rig: VirtualRig) -> VirtualRigKind:
 
 
 def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> Simulation:
-    """Files and truth of the named runs, of all without names; ConfigError with the nearest known name on a miss."""
+    """Files and truth of the named runs, of all without names.
+
+    ConfigError with the nearest known name on a miss.
+    """
     return kind_of(rig).simulate(rig, seed, chosen_runs(rig, runs))
 
 
@@ -216,7 +238,8 @@ def recordings(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) ->
 def simulated_response(
     rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None = None, frf: FrfSettings | None = None
 ) -> FrequencyResponse | ChannelSpectra:
-    """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf* says; or spectra.
+    """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf*
+    says; or spectra.
 
     ConfigError for a rig that has none.
     """
@@ -224,7 +247,9 @@ def simulated_response(
     if kind.response is not None:
         return kind.response(rig, seeds)
     if kind.recordings is None:
-        raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")
+        raise ConfigError(
+            f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses"
+        )
     if frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")
     made = list(recordings(rig, _joined(seeds), runs))
@@ -257,12 +282,21 @@ def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
 # Recordings in the format of virtual loggers: units, whole numbers, and packing.
 
 # Long runs are stored as whole numbers: quantity -> (recorded unit, recorded value per SI value).
-WHOLE = {"force": ("mN", 1e3), "displacement": ("nm", 1e9), "acceleration": ("mm/s^2", 1e3), "current": ("mA", 1e3), "tacho": ("V", 1.0)}
+WHOLE = {
+    "force": ("mN", 1e3),
+    "displacement": ("nm", 1e9),
+    "acceleration": ("mm/s^2", 1e3),
+    "current": ("mA", 1e3),
+    "tacho": ("V", 1.0),
+}
 FINE_VOLTAGE, COARSE_VOLTAGE = ("uV", 1e6), ("mV", 1e3)
 
 
 def force_and_displacements(run: Recording) -> LoggedTable:
-    """Force and two displacements in um, single precision; the bytes of noise pack best one position after the other."""
+    """Force and two displacements in um, single precision.
+
+    The bytes of noise pack best one position after the other.
+    """
     titles = ("force [N]", *(f"{channel.name} [um]" for channel in run.channels[1:]))
     columns = dict(zip(titles, (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
     return LoggedTable(columns, dictionary=False, split=True)
@@ -277,11 +311,15 @@ def force_and_accelerations(run: Recording) -> LoggedTable:
 
 
 def whole_numbers(
-    run: Recording, units: Mapping[str, tuple[str, float]] | None = None, steps: Mapping[str, int] | None = None
+    run: Recording,
+    units: Mapping[str, tuple[str, float]] | None = None,
+    steps: Mapping[str, int] | None = None,
 ) -> LoggedTable:
-    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV. *units* as WHOLE has them.
+    """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV.
+    *units* as WHOLE has them.
 
-    *steps*: by channel, the step of the logger in the recorded unit; coarse steps pack best by a dictionary of their values.
+    *steps*: by channel, the step of the logger in the recorded unit; coarse steps pack best by a dictionary
+    of their values.
     """
     columns: dict[str, NDArray[np.int32]] = {}
     chosen = {**WHOLE, **(units or {})}
@@ -289,5 +327,7 @@ def whole_numbers(
         voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
         unit, per_si = chosen.get(channel.quantity, voltage)
         step = steps[channel.name] if steps else 1
-        columns[f"{channel.name} [{unit}]"] = step * np.rint(run.samples[:, number] * (per_si / step)).astype(np.int32)
+        columns[f"{channel.name} [{unit}]"] = step * np.rint(run.samples[:, number] * (per_si / step)).astype(
+            np.int32
+        )
     return LoggedTable(columns, level=19, dictionary=bool(steps), split=not steps)

@@ -1,9 +1,12 @@
-"""Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of noise.
+"""Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of
+noise.
 
-All channels under periodic excitation: averages over periods, and their covariance from the scatter between periods.
+All channels under periodic excitation: averages over periods, and their covariance from the scatter between
+periods.
 
-With few periods a covariance line by line has few degrees of freedom nu, and weights by it lose efficiency, nu/(nu - 2) and more. The
-noise of the channels does not depend on the excitation, so it is pooled over runs where these agree, and over neighbouring lines.
+With few periods a covariance line by line has few degrees of freedom nu, and weights by it lose efficiency,
+nu/(nu - 2) and more. The noise of the channels does not depend on the excitation, so it is pooled over runs
+where these agree, and over neighbouring lines.
 """
 
 from __future__ import annotations
@@ -24,7 +27,13 @@ from labpipe.spectra.bands import line_range, mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import without_rounding
-from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.period_average import (
+    LineSpectrum,
+    PeriodAverage,
+    excited_lines,
+    samples_per_period,
+    smoothed_noise,
+)
 from labpipe.spectra.ports import check_rates, lines_left, source_findings
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
@@ -41,8 +50,11 @@ ENOUGH_DOF = 13.0
 SAME_SHARE, SAME_ERRORS = 0.1, 4.0
 
 
-def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> MeasuredLines:
-    """The averages over periods of every recording, one run each, at the lines where any force acts in any of them.
+def periodic_lines(
+    sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout
+) -> MeasuredLines:
+    """The averages over periods of every recording, one run each, at the lines where any force acts in any of
+    them.
 
     DataError for a single period, and where no force exceeds its noise.
     """
@@ -50,7 +62,10 @@ def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layou
     averaged = [spectrum for spectrum, _ in both]
     n_period = min(spectrum.n_period for spectrum in averaged)
     if n_period < 2:
-        raise DataError("one period is left, so the noise of the channels is unknown", hint="record at least 2 after the transient ones")
+        raise DataError(
+            "one period is left, so the noise of the channels is unknown",
+            hint="record at least 2 after the transient ones",
+        )
     spectra = [_summed(spectrum, layout) for spectrum in _pooled(averaged, settings.smooth)]
     excited = np.zeros((spectra[0].frequency.size, len(spectra), len(layout.channels)), bool)
     for run, spectrum in enumerate(spectra):
@@ -59,9 +74,13 @@ def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layou
                 excited[:, run, column] = excited_lines(spectrum, [column])
     lines = np.any(excited, axis=(1, 2))
     if not np.any(lines):
-        raise DataError("no line of the forces exceeds its noise", hint="check `period` and `band`, or raise the level")
+        raise DataError(
+            "no line of the forces exceeds its noise", hint="check `period` and `band`, or raise the level"
+        )
     vectors = np.stack([spectrum.mean[lines] for spectrum in spectra], axis=1)
-    covariance = np.stack([spectrum.noise[lines] for spectrum in spectra if spectrum.noise is not None], axis=1)
+    covariance = np.stack(
+        [spectrum.noise[lines] for spectrum in spectra if spectrum.noise is not None], axis=1
+    )
     findings, weak = snr_findings(vectors, covariance, layout.channels, excited[lines])
     return MeasuredLines(
         frequency=spectra[0].frequency[lines],
@@ -74,19 +93,26 @@ def periodic_lines(sources: Sequence[SampleSource], settings: FrfSettings, layou
     )
 
 
-def _averaged(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int) -> tuple[LineSpectrum, tuple[Finding, ...]]:
+def _averaged(
+    source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int
+) -> tuple[LineSpectrum, tuple[Finding, ...]]:
     """The lines of the recorded channels of one recording in the band, and whether its motion had settled."""
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     average = PeriodAverage(
-        n_sample, len(source.channels), settings.skip, line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+        n_sample,
+        len(source.channels),
+        settings.skip,
+        line_range(n_sample, source.sample_rate, settings.band, source.n_sample),
     )
     for block in checked_blocks(source):
         average.add(block)
     spectrum = average.spectrum(source.sample_rate)
     spectrum = spectrum.select(lines_left(spectrum.frequency, settings))
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
-    picked = LineSpectrum(spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof)
+    picked = LineSpectrum(
+        spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof
+    )
     return picked, settling_finding(average.differences, source.channels, source.name, settings.skip)
 
 
@@ -100,11 +126,16 @@ def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
 
 
 def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
-    """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side or as many as are needed."""
+    """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side
+    or as many as are needed.
+    """
     single = [_noise_of_a_period(spectrum) for spectrum in spectra]
     if len(spectra) > 1 and shared_noise(single, [spectrum.dof for spectrum in spectra]):
         dof = sum(spectrum.dof for spectrum in spectra)
-        pooled = np.sum([spectrum.dof * noise for spectrum, noise in zip(spectra, single, strict=True)], axis=0) / dof
+        pooled = (
+            np.sum([spectrum.dof * noise for spectrum, noise in zip(spectra, single, strict=True)], axis=0)
+            / dof
+        )
         single = [pooled * _present(noise) for noise in single]
     else:
         dof = min(spectrum.dof for spectrum in spectra)
@@ -112,7 +143,11 @@ def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     while smooth and (2 * half_width + 1) * dof < ENOUGH_DOF:
         half_width += 1
     return [
-        smoothed_noise(LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, dof), half_width, with_inverse=True)
+        smoothed_noise(
+            LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, dof),
+            half_width,
+            with_inverse=True,
+        )
         for s, noise in zip(spectra, single, strict=True)
     ]
 
@@ -129,10 +164,12 @@ def _noise_of_a_period(spectrum: LineSpectrum) -> ComplexArray:
 
 
 def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
-    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of each.
+    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of
+    each.
 
-    The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance of the logarithm of an F-distributed
-    number. A channel without noise in one of two runs is not in that run. Equation (spec-pooled-runs).
+    The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance of the
+    logarithm of an F-distributed number. A channel without noise in one of two runs is not in that run.
+    Equation (spec-pooled-runs).
     """
     powers = [np.einsum("lcc->lc", noise).real for noise in noises]
     for power, dof in zip(powers[1:], dofs[1:], strict=True):
@@ -157,18 +194,25 @@ EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, ChannelLay
 
 
 def channel_spectra(
-    sources: Sequence[SampleSource], settings: FrfSettings, *, name: str = "", conditions: dict[str, Any] | None = None
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    *,
+    name: str = "",
+    conditions: dict[str, Any] | None = None,
 ) -> ChannelSpectra:
     """The complex amplitudes of all channels of a test, run by run, with their covariance.
 
-    A run is a recording of periodic excitation, or the part of random recordings that is due to one of their drives. A line stays where
-    any force acts in any run; a run need not excite every direction. Raises DataError for recordings that do not fit together, are too
-    short, hold NaN or no force, ConfigError for an excitation other than periodic and random.
+    A run is a recording of periodic excitation, or the part of random recordings that is due to one of their
+    drives. A line stays where any force acts in any run; a run need not excite every direction. Raises
+    DataError for recordings that do not fit together, are too short, hold NaN or no force, ConfigError for an
+    excitation other than periodic and random.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
         raise ConfigError(
-            f"excitation {settings.excitation} gives no spectra side by side", hint="known: periodic, random", field="excitation"
+            f"excitation {settings.excitation} gives no spectra side by side",
+            hint="known: periodic, random",
+            field="excitation",
         )
     layout = find_channel_layout(sources)
     bands = masked_bands(sources, settings)

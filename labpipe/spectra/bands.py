@@ -15,18 +15,19 @@ from labpipe.spectra.shaft import shaft_motion
 
 # Choice of frequency lines: inside a band, outside excluded bands.
 
-# Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the band.
+# Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the
+# band.
 EDGE = 1e-9
 # A block of fewer samples is read before it is held against the recording, which says more.
 MANY_SAMPLES = 1 << 22
 
 
 def lines_in(
-    frequency: FloatArray,
-    band: tuple[float, float] | None,
-    exclude: tuple[tuple[float, float], ...] = (),
+    frequency: FloatArray, band: tuple[float, float] | None, exclude: tuple[tuple[float, float], ...] = ()
 ) -> BoolArray:
-    """Lines (n_frequency,) [Hz] inside the band (edges included) and outside every excluded band, as a mask (n_frequency,)."""
+    """Lines (n_frequency,) [Hz] inside the band (edges included) and outside every excluded band, as a mask
+    (n_frequency,).
+    """
     chosen = np.ones(frequency.shape, bool)
     if band is not None:
         chosen &= _within(frequency, band)
@@ -35,14 +36,21 @@ def lines_in(
     return chosen
 
 
-def line_range(n_sample: int, sample_rate: float, band: tuple[float, float] | None, length: int | None = None) -> slice:
-    """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0 Hz.
+def line_range(
+    n_sample: int, sample_rate: float, band: tuple[float, float] | None, length: int | None = None
+) -> slice:
+    """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0
+    Hz.
 
-    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long block or period of which the
-    recording of *length* samples does not hold one: before anything of its size is made.
+    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long block
+    or period of which the recording of *length* samples does not hold one: before anything of its size is
+    made.
     """
     if length is not None and n_sample > max(length, MANY_SAMPLES):
-        what = f"a block or period of {n_sample / sample_rate:g} s is longer than the recording of {length / sample_rate:g} s"
+        what = (
+            f"a block or period of {n_sample / sample_rate:g} s is longer than the recording of "
+            f"{length / sample_rate:g} s"
+        )
         raise DataError(what, hint="check `block` or `period`, and the sampling rate")
     frequency = np.arange(1, n_sample // 2 + 1) * (sample_rate / n_sample)
     inside = np.flatnonzero(lines_in(frequency, band))
@@ -59,18 +67,23 @@ def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
 
 # Lines of the shaft speed and its harmonics, excluded from a response.
 
-# Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the speed lies on a line.
+# Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the
+# speed lies on a line.
 LOBE = {"periodic": 0.5, "random": 2.0, "impact": 2.0}
 
 
 def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[tuple[float, float], ...]:
-    """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the mask's width."""
+    """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the
+    mask's width.
+    """
     if settings.mask is None:
         return ()
     width = _usual_width(settings) if settings.mask.width is None else settings.mask.width
     ranges = dict.fromkeys(shaft_motion(source, settings.mask).speed_range for source in sources)
     return tuple(
-        (max(order * low - width, 0.0), order * high + width) for low, high in ranges for order in range(1, settings.mask.harmonics + 1)
+        (max(order * low - width, 0.0), order * high + width)
+        for low, high in ranges
+        for order in range(1, settings.mask.harmonics + 1)
     )
 
 

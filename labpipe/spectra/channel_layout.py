@@ -1,9 +1,12 @@
-"""Which channels of several recordings stand in the spectra, how sums are made of them, and what their uncertainties do.
+"""Which channels of several recordings stand in the spectra, how sums are made of them, and what their
+uncertainties do.
 
-What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its members.
+What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of
+its members.
 
-An output y_o = sum a_m x_m changes by da x_m, and so does its row of H by da G_m, G_m = x_m / u the response of the member. A force
-u_i = sum a_m x_m changes by da x_m = da G_m u, so that H changes by -H e_i da G_m. All to first order in the error.
+An output y_o = sum a_m x_m changes by da x_m, and so does its row of H by da G_m, G_m = x_m / u the response
+of the member. A force u_i = sum a_m x_m changes by da x_m = da G_m u, so that H changes by -H e_i da G_m. All
+to first order in the error.
 """
 
 from __future__ import annotations
@@ -48,15 +51,17 @@ def _with_role(channel: Channel, is_output: bool) -> Channel:
     return replace(channel, role="output" if is_output else "reference")
 
 
-# What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of its
-# members.
+# What the uncertainties of sums of channels do to an FRF: of the numbers in a sum, and of the calibration of
+# its members.
 
 Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
 
 
 @dataclass(frozen=True)
 class _Effect:
-    """An error by one standard uncertainty of *uncertainty* changes the sum at a port by *slope* w^power times its *member*."""
+    """An error by one standard uncertainty of *uncertainty* changes the sum at a port by *slope* w^power
+    times its *member*.
+    """
 
     uncertainty: Uncertainty
     port: int
@@ -66,14 +71,22 @@ class _Effect:
 
 
 def sum_errors(
-    sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout, response: tuple[FloatArray, ComplexArray], estimate: Estimate
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    layout: Layout,
+    response: tuple[FloatArray, ComplexArray],
+    estimate: Estimate,
 ) -> tuple[MatrixError, ...]:
-    """The errors of the FRF matrix by every source in its sums; none where no number in them has an uncertainty.
+    """The errors of the FRF matrix by every source in its sums; none where no number in them has an
+    uncertainty.
 
-    response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form]. *estimate* measures the responses of the
-    members to the same forces, in a second pass. Raises as that does. Equation (unc-sum).
+    response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form]. *estimate*
+    measures the responses of the members to the same forces, in a second pass. Raises as that does. Equation
+    (unc-sum).
     """
-    of_outputs, of_inputs = (list(_effects(sensors, sources)) for sensors in (layout.output_sensors, layout.input_sensors))
+    of_outputs, of_inputs = (
+        list(_effects(sensors, sources)) for sensors in (layout.output_sensors, layout.input_sensors)
+    )
     if not of_outputs and not of_inputs:
         return ()
     frequency, matrix = response
@@ -88,7 +101,9 @@ def sum_errors(
             source = effect.uncertainty.source
             uncertainties.setdefault(source, effect.uncertainty)
             change = changes.setdefault(source, np.zeros(matrix.shape, np.complex128))
-            row = (effect.uncertainty.std_error * effect.slope * omega**effect.power)[:, None] * rows[effect.member]
+            row = (effect.uncertainty.std_error * effect.slope * omega**effect.power)[:, None] * rows[
+                effect.member
+            ]
             if are_outputs:
                 change[:, effect.port, :] += row * motion[:, None]
             else:
@@ -100,11 +115,15 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
     """What the numbers and the members of the sums among the ports do to them."""
     by_name = {channel.name: channel for source in sources for channel in source.channels}
     for port, sensor in enumerate(sensors):
-        yield from _of_directions(port, sensor, [recorded for recorded in by_name.values() if not recorded.terms])
+        yield from _of_directions(
+            port, sensor, [recorded for recorded in by_name.values() if not recorded.terms]
+        )
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
-                yield _Effect(Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0)
+                yield _Effect(
+                    Uncertainty(named, number.std_error, number.unit), port, term.channel, complex(slope), 0
+                )
             for calibration in by_name[term.channel].uncertainties:
                 if calibration.effect in COURSES:
                     course, power = COURSES[calibration.effect]
@@ -112,25 +131,47 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
 
 
 def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
-    """What the directions of recorded channels do to a sum at a port: a member reads something of the channel across it."""
+    """What the directions of recorded channels do to a sum at a port: a member reads something of the channel
+    across it.
+    """
     for number, channel in enumerate(recorded):
-        directions = [calibration.uncertainty for calibration in channel.uncertainties if calibration.effect == "direction"]
+        directions = [
+            calibration.uncertainty
+            for calibration in channel.uncertainties
+            if calibration.effect == "direction"
+        ]
         if not sensor.terms or not directions:
             continue
-        changes = {sensor_channel.name: row for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)}
+        changes = {
+            sensor_channel.name: row
+            for sensor_channel, row in zip(recorded, turned_channels(recorded, number), strict=True)
+        }
         for term in sensor.terms:
             for read, change in zip(recorded, changes.get(term.channel, ()), strict=False):
                 if change:
-                    yield from (_Effect(uncertainty, port, read.name, complex(term.factor * change), 0) for uncertainty in directions)
+                    yield from (
+                        _Effect(uncertainty, port, read.name, complex(term.factor * change), 0)
+                        for uncertainty in directions
+                    )
 
 
 def _member_rows(
-    sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout, members: Sequence[str], n_line: int, estimate: Estimate
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    layout: Layout,
+    members: Sequence[str],
+    n_line: int,
+    estimate: Estimate,
 ) -> dict[str, ComplexArray]:
-    """Response (n_line, n_input) [SI unit of the member per unit of the force] of every member; that of a force to itself is 1."""
+    """Response (n_line, n_input) [SI unit of the member per unit of the force] of every member.
+
+    That of a force to itself is 1.
+    """
     names = [sensor.name for sensor in layout.input_sensors]
     rows = {
-        member: np.broadcast_to(np.eye(len(names), dtype=np.complex128)[names.index(member)], (n_line, len(names)))
+        member: np.broadcast_to(
+            np.eye(len(names), dtype=np.complex128)[names.index(member)], (n_line, len(names))
+        )
         for member in members
         if member in names
     }
@@ -141,7 +182,9 @@ def _member_rows(
         of_members = replace(
             layout,
             outputs=tuple(Port(member, member, member) for member in others),
-            output_columns=tuple(tuple(names_here.index(member) for member in others) for names_here in places),
+            output_columns=tuple(
+                tuple(names_here.index(member) for member in others) for names_here in places
+            ),
             output_sensors=sensors,
             form="other",
         )
@@ -172,9 +215,11 @@ class ChannelLayout:
         return [number for number, channel in enumerate(self.channels) if channel.role == "input"]
 
     def transform(self, frequency: FloatArray) -> ComplexArray:
-        """T (n_line, n_channel, n_recorded) [SI] at *frequency* (n_line,) [Hz]: the vector of all channels is T times the measured one.
+        """T (n_line, n_channel, n_recorded) [SI] at *frequency* (n_line,) [Hz]: the vector of all channels is
+        T times the measured one.
 
-        Every recorded channel is divided by its sensor's response, then the sums are made. DataError outside a sensor's table.
+        Every recorded channel is divided by its sensor's response, then the sums are made. DataError outside
+        a sensor's table.
         """
         response = np.column_stack([sensor_response(channel, frequency) for channel in self.recorded])
         return np.asarray(self.sums[None, :, :] / response[:, None, :])
@@ -191,7 +236,9 @@ class ChannelLayout:
         return combined
 
     def picked(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
-        """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels; zero for an absent force."""
+        """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels;
+        zero for an absent force.
+        """
         columns = np.array(self.columns[recording])
         for axis in range(values.ndim - axes, values.ndim):
             values = np.take(values, np.maximum(columns, 0), axis=axis)
@@ -201,7 +248,9 @@ class ChannelLayout:
         return values
 
     def factors(self) -> tuple[UncertainFactor, ...]:
-        """The numbers with an uncertainty in the sums and the calibrations of channels, with their effect on the vector of all channels."""
+        """The numbers with an uncertainty in the sums and the calibrations of channels, with their effect on
+        the vector of all channels.
+        """
         names = [channel.name for channel in self.channels]
         factors = list(calibration_factors(self.channels, self.sums.astype(np.complex128)))
         for number, sums in uncertain_numbers(self.channels).items():
@@ -211,23 +260,37 @@ class ChannelLayout:
                     slopes = dict(zip(term.numbers, term.derivatives, strict=True))
                     derivative[names.index(channel.name), names.index(term.channel)] = slopes.get(number, 0.0)
             slopes_of = derivative.astype(np.complex128)
-            factors.append(UncertainFactor(number.name, number.value, number.std_error, number.unit, slopes_of, source=number.source))
+            factors.append(
+                UncertainFactor(
+                    number.name, number.value, number.std_error, number.unit, slopes_of, source=number.source
+                )
+            )
         return tuple(factors)
 
 
 def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
-    """The channels of recordings side by side: forces, responses, and references that stand in sums; tacho and drives are left out.
+    """The channels of recordings side by side: forces, responses, and references that stand in sums; tacho
+    and drives are left out.
 
     DataError for a recording without a force, or without a channel other than a force that another one has.
     """
     chosen = [_chosen(source) for source in sources]
     distinct = list(dict.fromkeys(channel for members in chosen for channel in members))
     for source, members in zip(sources, chosen, strict=True):
-        lacking = [channel.name for channel in distinct if channel not in members and (channel.role != "input" or channel.terms)]
+        lacking = [
+            channel.name
+            for channel in distinct
+            if channel not in members and (channel.role != "input" or channel.terms)
+        ]
         if lacking:
-            raise DataError(f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording")
+            raise DataError(
+                f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording"
+            )
     recorded = [channel for channel in distinct if not channel.terms]
-    columns = tuple(tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded) for source in sources)
+    columns = tuple(
+        tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded)
+        for source in sources
+    )
     named = _unique_names(recorded)
     return ChannelLayout(named, (*named, *(channel for channel in distinct if channel.terms)), columns)
 
@@ -236,11 +299,15 @@ def _chosen(source: SampleSource) -> list[Channel]:
     """Forces, responses, and what stands in a sum of these."""
     used = [channel for channel in source.channels if channel.role != "reference"]
     if not any(channel.role == "input" for channel in used):
-        raise DataError(f"recording '{source.name}' has no force (role: input)", hint="see the channels of the rig file")
+        raise DataError(
+            f"recording '{source.name}' has no force (role: input)", hint="see the channels of the rig file"
+        )
     members = {term.channel for channel in used for term in channel.terms}
     missing = members - {channel.name for channel in source.channels}
     if missing:
-        raise DataError(f"recording '{source.name}' lacks the channel {', '.join(sorted(missing))} that stands in a sum")
+        raise DataError(
+            f"recording '{source.name}' lacks the channel {', '.join(sorted(missing))} that stands in a sum"
+        )
     return [channel for channel in source.channels if channel.role != "reference" or channel.name in members]
 
 
@@ -248,4 +315,7 @@ def _unique_names(channels: Iterable[Channel]) -> tuple[Channel, ...]:
     """Channels under their names, or name@dof where a force moved between recordings."""
     channels = tuple(channels)
     names = [channel.name for channel in channels]
-    return tuple(replace(sensor, name=f"{sensor.name}@{sensor.dof}") if names.count(sensor.name) > 1 else sensor for sensor in channels)
+    return tuple(
+        replace(sensor, name=f"{sensor.name}@{sensor.dof}") if names.count(sensor.name) > 1 else sensor
+        for sensor in channels
+    )

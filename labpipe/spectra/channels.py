@@ -1,4 +1,6 @@
-"""Channels of recordings on their way to spectra: blocks, sums of channels, uncertainties of their calibration."""
+"""Channels of recordings on their way to spectra: blocks, sums of channels, uncertainties of their
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,11 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         if not np.isfinite(total):
             _refuse_missing(source, block, start)
         if start == 0:
-            silent = {column: block[0, column] for column, channel in enumerate(source.channels) if channel.role == "input"}
+            silent = {
+                column: block[0, column]
+                for column, channel in enumerate(source.channels)
+                if channel.role == "input"
+            }
         silent = {column: level for column, level in silent.items() if np.all(block[:, column] == level)}
         start += block.shape[0]
         yield block
@@ -50,19 +56,23 @@ def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None
     sample, column = (int(n) for n in missing[0])
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
-    raise DataError(f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint)
+    raise DataError(
+        f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint
+    )
 
 
-# What the uncertainties of channels' calibrations do to the vector of all channels: errors of gain, delay, phase
-# and direction.
+# What the uncertainties of channels' calibrations do to the vector of all channels: errors of gain, delay,
+# phase and direction.
 
 FORCE = "force"
 
 
 def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
-    """One factor for each uncertainty of a recorded channel; numbers of one source have one name, and so one error.
+    """One factor for each uncertainty of a recorded channel; numbers of one source have one name, and so one
+    error.
 
-    channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums from recorded channels.
+    channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums
+    from recorded channels.
     """
     n_recorded = combined.shape[1]
     return tuple(
@@ -85,7 +95,9 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 def _derivative(
     channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
 ) -> tuple[ComplexArray, int]:
-    """The change of the vector per unit of the error, and the power of the angular frequency that goes with it."""
+    """The change of the vector per unit of the error, and the power of the angular frequency that goes with
+    it.
+    """
     n_channel, n_recorded = combined.shape
     if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)
@@ -97,10 +109,12 @@ def _derivative(
 
 
 def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
-    """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too large; zero where not known.
+    """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too
+    large; zero where not known.
 
-    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta) + d X(theta + 90 deg). Forces
-    f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j d more, in components along all n.
+    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta)
+    + d X(theta + 90 deg). Forces f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j
+    d more, in components along all n.
     """
     change = np.zeros((len(channels), len(channels)))
     known_angles = {
@@ -131,14 +145,21 @@ def _angle(channel: Channel) -> float | None:
 
 
 def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:
-    """DataError for a sum in use whose members have different delays or frequency responses: made sample by sample it is not the sum."""
+    """DataError for a sum in use whose members have different delays or frequency responses: made sample by
+    sample it is not the sum.
+    """
     by_name = {channel.name: channel for channel in source.channels}
     for channel in used:
         members = [by_name[term.channel] for term in channel.terms if term.channel in by_name]
         if len({(member.delay, member.response) for member in members}) > 1:
             chains = ", ".join(f"{member.name}: {_chain(member)}" for member in members)
-            what = f"channel '{channel.name}' is a sum of channels with different delays or frequency responses ({chains})"
-            raise DataError(what, hint="frf: {result: spectra} sums them line by line after their corrections")
+            what = (
+                f"channel '{channel.name}' is a sum of channels with different delays or frequency "
+                f"responses ({chains})"
+            )
+            raise DataError(
+                what, hint="frf: {result: spectra} sums them line by line after their corrections"
+            )
 
 
 def _chain(channel: Channel) -> str:
@@ -155,14 +176,23 @@ def uncertain_numbers(channels: Iterable[Channel]) -> dict[Number, list[Channel]
 
 
 def uncertainty_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
-    """Of sums that are inputs or outputs: uncertainties of their members' directions that no one channel across them propagates."""
-    channels = dict.fromkeys(channel for source in sources for channel in source.channels if channel.role != "reference")
+    """Of sums that are inputs or outputs: uncertainties of their members' directions that no one channel
+    across them propagates.
+    """
+    channels = dict.fromkeys(
+        channel for source in sources for channel in source.channels if channel.role != "reference"
+    )
     turned = {name for source in sources for name in _alone(source.channels)}
-    members = {channel.name: names for channel in channels if (names := [term.channel for term in channel.terms if term.channel in turned])}
+    members = {
+        channel.name: names
+        for channel in channels
+        if (names := [term.channel for term in channel.terms if term.channel in turned])
+    }
     return tuple(
         Finding(
             "number-uncertainty",
-            f"uncertainties of the direction of {', '.join(names)} in {name}: no one other channel of the quantity in a known direction "
+            f"uncertainties of the direction of {', '.join(names)} in {name}: no one other channel of the "
+            "quantity in a known direction "
             "tells what is read across, and they are not in the intervals of the FRF and of its fits",
         )
         for name, names in members.items()

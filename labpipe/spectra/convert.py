@@ -26,7 +26,11 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
     ConfigError for a form other than receptance, mobility and accelerance.
     """
     if form not in DERIVATIVES:
-        hint = "model: base" if form == TRANSMISSIBILITY else "displacement, velocity or acceleration per force"
+        hint = (
+            "model: base"
+            if form == TRANSMISSIBILITY
+            else ("displacement, velocity or acceleration per force")
+        )
         raise ConfigError(f"a response of the form '{form}' cannot be identified so", hint=hint)
     factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
@@ -34,13 +38,17 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class FormView:
-    """How a measured *form* is seen as the receptance of a model: H = (measured - *offset*) / factor, offset [1] of a transmissibility."""
+    """How a measured *form* is seen as the receptance of a model: H = (measured - *offset*) / factor, offset
+    [1] of a transmissibility.
+    """
 
     form: str
     offset: float = 0.0
 
     def factor(self, frequency: FloatArray) -> ComplexArray:
-        """(j w)^n of a response to a force, w^2 of a transmissibility, (n_line,) [1/s^n], at *frequency* (n_line,) [Hz]."""
+        """(j w)^n of a response to a force, w^2 of a transmissibility, (n_line,) [1/s^n], at *frequency*
+        (n_line,) [Hz].
+        """
         if self.form == TRANSMISSIBILITY:
             return np.asarray((2 * np.pi * frequency) ** 2, np.complex128)
         return receptance_factor(self.form, frequency)
@@ -49,29 +57,44 @@ class FormView:
 def converted(response: FrequencyResponse, form: str) -> FrequencyResponse:
     """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
 
-    Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance, mobility and accelerance,
-    DataError for a line at 0 Hz that would have to be integrated. Equation (frf-form).
+    Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance,
+    mobility and accelerance, DataError for a line at 0 Hz that would have to be integrated. Equation
+    (frf-form).
     """
     order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
     for name in (form, response.form):
         receptance_factor(name, response.frequency[:0])
     if order < 0 and response.frequency[0] == 0:
-        raise DataError(f"the line at 0 Hz of a {response.form} cannot be converted to {form}", hint="begin the band above 0 Hz")
+        raise DataError(
+            f"the line at 0 Hz of a {response.form} cannot be converted to {form}",
+            hint="begin the band above 0 Hz",
+        )
     factor = (2j * np.pi * response.frequency) ** order
     covariance = response.covariance
     if covariance is not None:
         covariance = covariance * (np.abs(factor) ** 2)[:, None, None]
     change = None if response.change is None else response.change * factor[:, None, None]
-    errors = tuple(dataclasses.replace(error, change=error.change * factor[:, None, None]) for error in response.errors)
+    errors = tuple(
+        dataclasses.replace(error, change=error.change * factor[:, None, None]) for error in response.errors
+    )
     open_loop = None if response.open_loop is None else response.open_loop * factor[:, None, None]
     matrix = response.matrix * factor[:, None, None]
-    return dataclasses.replace(response, matrix=matrix, covariance=covariance, change=change, open_loop=open_loop, errors=errors, form=form)
+    return dataclasses.replace(
+        response,
+        matrix=matrix,
+        covariance=covariance,
+        change=change,
+        open_loop=open_loop,
+        errors=errors,
+        form=form,
+    )
 
 
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
     """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output).
 
-    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line. Equation (frf-stiffness).
+    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line.
+    Equation (frf-stiffness).
     """
     n_output, n_input = response.matrix.shape[1:]
     if n_output != n_input:
@@ -85,7 +108,8 @@ def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
 
 
 def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | None:
-    """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with T = Z kron Z^T.
+    """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with
+    T = Z kron Z^T.
 
     First order in the errors of H; None for a response without covariance. Raises as dynamic_stiffness does.
     Equation (frf-stiffness-covariance).
@@ -110,11 +134,13 @@ SMALLEST_ANGLE = 1e-3
 
 
 def directional(response: FrequencyResponse) -> FrequencyResponse:
-    """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance (Mendes et al.).
+    """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
+    (Mendes et al.).
 
-    Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known directions; they are
-    transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. Raises DataError
-    unless there are two outputs and two forces in known, different directions. Equation (frf-directional).
+    Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known
+    directions; they are transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and
+    distortion are dropped. Raises DataError unless there are two outputs and two forces in known, different
+    directions. Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -122,14 +148,19 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     from_right = from_xy @ FROM_DIRECTIONAL
     # vec(L H R) = (L kron R^T) vec(H) in row-major order.
     turn = np.kron(from_left, from_right.T)
-    covariance = None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
+    covariance = (
+        None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
+    )
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
     return dataclasses.replace(
         response,
         matrix=from_left @ response.matrix @ from_right,
         covariance=covariance,
         change=None if response.change is None else from_left @ response.change @ from_right,
-        errors=tuple(dataclasses.replace(error, change=from_left @ error.change @ from_right) for error in response.errors),
+        errors=tuple(
+            dataclasses.replace(error, change=from_left @ error.change @ from_right)
+            for error in response.errors
+        ),
         open_loop=None if response.open_loop is None else from_left @ response.open_loop @ from_right,
         outputs=ports,
         inputs=ports,
@@ -144,12 +175,17 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
 
 
 def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
-    """Rows (cos, sin) of the directions of two ports, (2, 2) [1]; DataError unless there are two known directions that differ."""
+    """Rows (cos, sin) of the directions of two ports, (2, 2) [1].
+
+    DataError unless there are two known directions that differ.
+    """
     angles = [port.angle for port in ports if port.angle is not None]
     if len(ports) != 2 or len(angles) != 2:
         named = ", ".join(port.label for port in ports)
         hint = "give dof: x, dof: y or an angle in the rig file"
-        raise DataError(f"forward and backward terms need two {what} in known directions, found {named}", hint=hint)
+        raise DataError(
+            f"forward and backward terms need two {what} in known directions, found {named}", hint=hint
+        )
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     if abs(np.linalg.det(directions)) < SMALLEST_ANGLE:
         raise DataError(f"the two {what} {ports[0].label} and {ports[1].label} stand in one direction")
@@ -157,14 +193,17 @@ def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
 
 
 def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
-    """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the response].
+    """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the
+    response].
 
-    Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors, 1993): the backward
-    row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0 and 0. DataError for a response that is not
-    directional. Equation (frf-two-sided).
+    Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors,
+    1993): the backward row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0
+    and 0. DataError for a response that is not directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))
     if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):
         raise DataError("a two-sided view needs forward and backward terms", hint="directional: true")
     negative = response.matrix[::-1, 1, ::-1].conj()
-    return np.concatenate([-response.frequency[::-1], response.frequency]), np.concatenate([negative, response.matrix[:, 0]])
+    return np.concatenate([-response.frequency[::-1], response.frequency]), np.concatenate(
+        [negative, response.matrix[:, 0]]
+    )

@@ -1,4 +1,6 @@
-"""The covariance of a frequency response matrix: E[d d^H] of d = vec(H - E H), row-major (index = output * n_input + input)."""
+"""The covariance of a frequency response matrix: E[d d^H] of d = vec(H - E H), row-major (index = output *
+n_input + input).
+"""
 
 from __future__ import annotations
 
@@ -6,12 +8,21 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.records.response import FactoredCovariance
-from labpipe.spectra.matrices import hermitian, inverse, lines_last, product, schur_complement, without_rounding
+from labpipe.spectra.matrices import (
+    hermitian,
+    inverse,
+    lines_last,
+    product,
+    schur_complement,
+    without_rounding,
+)
 from labpipe.spectra.period_average import neighbourhood_mean
 
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell too little of it.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell
+# too little of it.
 ENOUGH_DOF = 16.0
-# Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part must exceed zero.
+# Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part
+# must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
 # Numbers of matrices that are made together: a part of the cache.
@@ -19,19 +30,25 @@ CACHED_NUMBERS = 1 << 16
 
 
 def covariance_of_random(
-    spectra: ComplexArray, response: ComplexArray, instruments: ComplexArray, averages: float, half_width: int = 0
+    spectra: ComplexArray,
+    response: ComplexArray,
+    instruments: ComplexArray,
+    averages: float,
+    half_width: int = 0,
 ) -> ComplexArray:
-    """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1, S_rr = [-H, I] S [-H, I]^H.
+    """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
+    S_rr = [-H, I] S [-H, I]^H.
 
-    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z = u) the second factor is
-    (S_uu^-1)[j, i], and one force and one output give E|H - E H|^2 = (1 - coh^2) / coh^2 |H|^2 / n_e: twice the variance that
-    the textbooks give for the magnitude alone (Bendat and Piersol, Random Data, eq. 9.90: the complex value has two such parts).
-    H2 has the same share of its own, larger |H|^2. Exact for H1, first order in 1 / n_e for the others.
+    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z =
+    u) the second factor is (S_uu^-1)[j, i], and one force and one output give E|H - E H|^2 = (1 - coh^2) /
+    coh^2 |H|^2 / n_e: twice the variance that the textbooks give for the magnitude alone (Bendat and Piersol,
+    Random Data, eq. 9.90: the complex value has two such parts). H2 has the same share of its own, larger
+    |H|^2. Exact for H1, first order in 1 / n_e for the others.
 
-    spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency, n_output, n_input) [unit/N];
-    instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see estimators.INSTRUMENTS. The residual's spectrum is
-    averaged over *half_width* lines to either side, where few averages alone would tell little of it (pooled_residual).
-    Equation (frf-covariance-random).
+    spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
+    n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
+    see estimators.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side,
+    where few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -39,19 +56,26 @@ def covariance_of_random(
     # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
     gain = hermitian(inverse(force_products)) @ instruments
     rows = gain.reshape(n_frequency, -1, gain.shape[3])
-    spread = (rows @ spectra @ hermitian(rows)).reshape(n_frequency, gain.shape[1], n_input, gain.shape[1], n_input)
+    spread = (rows @ spectra @ hermitian(rows)).reshape(
+        n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
+    )
     # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
     return without_rounding(_joined(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
 
 
 def covariance_of_h1(
-    spectra: ComplexArray, response: ComplexArray, inverse_force: ComplexArray, averages: float, half_width: int = 0
+    spectra: ComplexArray,
+    response: ComplexArray,
+    inverse_force: ComplexArray,
+    averages: float,
+    half_width: int = 0,
 ) -> FactoredCovariance:
-    """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as instruments.
+    """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as
+    instruments.
 
-    S_rr = S_yy - S_yu S_uu^-1 S_uy here. inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the result, of
-    (n_frequency, n, n), stays in its two factors, since it is large where there are many responses; the other arguments as there.
-    Equation (frf-covariance-h1).
+    S_rr = S_yy - S_yu S_uu^-1 S_uy here. inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the
+    result, of (n_frequency, n, n), stays in its two factors, since it is large where there are many
+    responses; the other arguments as there. Equation (frf-covariance-h1).
     """
     residual = pooled_residual(schur_complement(spectra, response.shape[2]), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
@@ -59,7 +83,8 @@ def covariance_of_h1(
 
 
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
-    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as in covariance_of_random.
+    """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as
+    in covariance_of_random.
 
     A few lines at a time, which stay in the cache.
     """
@@ -75,11 +100,18 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
 
 
 def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
-    """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n); Hermitian where both are."""
+    """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n).
+
+    Hermitian where both are.
+    """
     n_frequency, n_output = residual.shape[:2]
     n = n_output * spread.shape[2]
     covariance = lines_last(n_frequency, n, n)
-    by_axes = covariance.transpose(1, 2, 0).reshape(n_output, -1, n_output, n // n_output, n_frequency).transpose(4, 0, 1, 2, 3)
+    by_axes = (
+        covariance.transpose(1, 2, 0)
+        .reshape(n_output, -1, n_output, n // n_output, n_frequency)
+        .transpose(4, 0, 1, 2, 3)
+    )
     np.multiply(residual[:, :, None, :, None], spread, out=by_axes)
     diagonal = np.einsum("fii->fi", covariance)
     diagonal[...] = np.maximum(diagonal.real, 0.0)
@@ -87,23 +119,30 @@ def _joined(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
 
 
 def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: int) -> ComplexArray:
-    """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines to either side.
+    """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines
+    to either side.
 
-    Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as large as the *response*
-    (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines are averaged relative to a + b |H|^2.
-    Equation (frf-pooled-residual).
+    Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as
+    large as the *response* (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines
+    are averaged relative to a + b |H|^2. Equation (frf-pooled-residual).
     """
     if half_width == 0:
         return residual
     power = np.sum(np.abs(response) ** 2, axis=2)
-    shape = np.column_stack([_shape(residual[:, o, o].real, power[:, o], half_width) for o in range(power.shape[1])])
+    shape = np.column_stack(
+        [_shape(residual[:, o, o].real, power[:, o], half_width) for o in range(power.shape[1])]
+    )
     scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
-    mean: ComplexArray = neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
+    mean: ComplexArray = (
+        neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
+    )
     return mean
 
 
 def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
-    """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error, else 1; |H|^2 = *power*."""
+    """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error,
+    else 1; |H|^2 = *power*.
+    """
     from scipy.optimize import nnls  # takes a third of a second, and is for impacts only
 
     shape = np.ones_like(variance)
@@ -119,12 +158,15 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
     return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
 
 
-def covariance_of_periodic(response: ComplexArray, force_inverse: ComplexArray, noise: ComplexArray) -> ComplexArray:
+def covariance_of_periodic(
+    response: ComplexArray, force_inverse: ComplexArray, noise: ComplexArray
+) -> ComplexArray:
     """cov(H_oi, H_pj) = sum_e R_e[o, p] G[e, i] G[e, j]*, R_e = [-H, I] N_e [-H, I]^H, G = pinv(U).
 
     From H = Y G over the experiments e (one per force direction): dH = sum_e (dy_e - H du_e) G[e, :].
-    response (n_line, n_output, n_input) [unit/N]; force_inverse (n_line, n_experiment, n_input) [1/N];
-    noise (n_experiment, n_line, n_input + n_output, n_input + n_output) [unit^2], forces first. Equation (frf-covariance-periodic).
+    response (n_line, n_output, n_input) [unit/N]; force_inverse (n_line, n_experiment, n_input) [1/N]; noise
+    (n_experiment, n_line, n_input + n_output, n_input + n_output) [unit^2], forces first. Equation
+    (frf-covariance-periodic).
     """
     n_line, n_output, n_input = response.shape
     identity = np.broadcast_to(np.eye(n_output), (n_line, n_output, n_output))

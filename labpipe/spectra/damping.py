@@ -24,9 +24,11 @@ EVEN = 1e-2
 
 @dataclass(frozen=True)
 class Undamped:
-    """H(j w) from the windowed H_w(j w + s), and how an error of H_w moves it: dH(k) = sum_j gains(k, j) dH_w(k + j - HALF_WIDTH).
+    """H(j w) from the windowed H_w(j w + s), and how an error of H_w moves it: dH(k) = sum_j gains(k, j)
+    dH_w(k + j - HALF_WIDTH).
 
-    matrix (n_frequency, n_output, n_input) [unit of H]; gains (n_frequency, 2 HALF_WIDTH + 1, n_output, n_input) [1].
+    matrix (n_frequency, n_output, n_input) [unit of H]; gains (n_frequency, 2 HALF_WIDTH + 1, n_output,
+    n_input) [1].
     """
 
     matrix: ComplexArray
@@ -34,17 +36,21 @@ class Undamped:
 
 
 def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> Undamped:
-    """H(j w) from the windowed H(j w + s) = *matrix*, s = 1/decay, (n_frequency, n_output, n_input) [unit of H].
+    """H(j w) from the windowed H(j w + s) = *matrix*, s = 1/decay, (n_frequency, n_output, n_input) [unit of
+    H].
 
-    frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1 x + a2 x^2) / (1 + b1 x),
-    x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey and Guerin 2012), and evaluated at x = -s/dw. A
-    single mode is one pole and therefore exact; s is below the line spacing for all windows that fall to 0.2 % or more within the
-    block. Fewer than 5 lines are returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1.
-    Equation (frf-undamped).
+    frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1
+    x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey
+    and Guerin 2012), and evaluated at x = -s/dw. A single mode is one pole and therefore exact; s is below
+    the line spacing for all windows that fall to 0.2 % or more within the block. Fewer than 5 lines are
+    returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1. Equation
+    (frf-undamped).
     """
     n_line = frequency.size
     if n_line <= HALF_WIDTH:
-        return Undamped(matrix, _centred(np.ones((n_line, 1, *matrix.shape[1:]), np.complex128), np.arange(n_line)))
+        return Undamped(
+            matrix, _centred(np.ones((n_line, 1, *matrix.shape[1:]), np.complex128), np.arange(n_line))
+        )
     spacing = 2 * np.pi * (frequency[-1] - frequency[0]) / (n_line - 1)
     width = min(2 * HALF_WIDTH + 1, n_line)
     first = np.clip(np.arange(n_line) - width // 2, 0, n_line - width)
@@ -52,13 +58,23 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     x = 1j * (lines - np.arange(n_line)[:, None])
     flat = matrix.reshape(n_line, -1)
     # A few elements at a time: each takes some hundred numbers per line.
-    both = [_evaluated(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing)) for start in range(0, flat.shape[1], ELEMENTS)]
+    both = [
+        _evaluated(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing))
+        for start in range(0, flat.shape[1], ELEMENTS)
+    ]
     values, gains = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
-    return Undamped(values.reshape(matrix.shape), _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first))
+    return Undamped(
+        values.reshape(matrix.shape), _centred(gains.reshape(n_line, width, *matrix.shape[1:]), first)
+    )
 
 
-def _evaluated(flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float) -> tuple[ComplexArray, ComplexArray]:
-    """The local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n); *lines*, *x* (n_line, width)."""
+def _evaluated(
+    flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """The local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n).
+
+    *lines*, *x* (n_line, width).
+    """
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
@@ -69,29 +85,37 @@ def _evaluated(flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: floa
     denominator = 1 + solution[:, :, 3] * shift
     value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / denominator
     # An error dH of a neighbour changes the right side of its equation by (1 + b1 x) dH.
-    slopes = np.stack([np.ones_like(value), shift * np.ones_like(value), shift**2 * np.ones_like(value), -shift * value], axis=2)
+    slopes = np.stack(
+        [np.ones_like(value), shift * np.ones_like(value), shift**2 * np.ones_like(value), -shift * value],
+        axis=2,
+    )
     errors = 1 + x[:, :, None] * solution[:, None, :, 3]
     gains = np.einsum("fek,fekl->fle", slopes / denominator[:, :, None], inverse) * errors
     return value * np.where(size > 0, size, 1.0), gains
 
 
 def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
-    """A ready response (n_frequency, n_output, n_input) [unit of the form] without the damping of a window exp(-t / *decay*), *decay* [s].
+    """A ready response (n_frequency, n_output, n_input) [unit of the form] without the damping of a window
+    exp(-t / *decay*), *decay* [s].
 
-    Its covariance has no place: how the noise of neighbouring lines goes together is not known. DataError for lines that are not evenly
-    spaced.
+    Its covariance has no place: how the noise of neighbouring lines goes together is not known. DataError for
+    lines that are not evenly spaced.
     """
     spacing = np.diff(response.frequency)
     if spacing.size and np.ptp(spacing) > EVEN * spacing.mean():
-        raise DataError("the lines are not evenly spaced, so that a window cannot be taken out", hint="leave out windowed")
+        raise DataError(
+            "the lines are not evenly spaced, so that a window cannot be taken out", hint="leave out windowed"
+        )
     matrix = without_added_damping(response.frequency, response.matrix, decay).matrix
     return dataclasses.replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
 
 def _centred(gains: ComplexArray, first: IntArray) -> ComplexArray:
-    """Gains (n_line, width, n_output, n_input) [1] of the lines from *first* (n_line,) on, by their distance -HALF_WIDTH ... HALF_WIDTH.
+    """Gains (n_line, width, n_output, n_input) [1] of the lines from *first* (n_line,) on, by their distance
+    -HALF_WIDTH ... HALF_WIDTH.
 
-    At the ends of the band, where the neighbours lie to one side, those further off have no place and are left out.
+    At the ends of the band, where the neighbours lie to one side, those further off have no place and are
+    left out.
     """
     n_line, width = gains.shape[:2]
     centred = np.zeros((n_line, 2 * HALF_WIDTH + 1, *gains.shape[2:]), np.complex128)
@@ -101,21 +125,29 @@ def _centred(gains: ComplexArray, first: IntArray) -> ComplexArray:
     return centred
 
 
-def covariance_without_damping(gains: ComplexArray, covariance: ComplexArray, correlation: ComplexArray) -> ComplexArray:
-    """Covariance of the response without added damping, (n_frequency, n, n) [unit of H^2]: sum_ij G_i C_w r(i - j) G_j^H.
+def covariance_without_damping(
+    gains: ComplexArray, covariance: ComplexArray, correlation: ComplexArray
+) -> ComplexArray:
+    """Covariance of the response without added damping, (n_frequency, n, n) [unit of H^2]: sum_ij G_i C_w r(i
+    - j) G_j^H.
 
-    gains as in Undamped; covariance (n_frequency, n, n) [unit of H^2] of the windowed response, the same for the neighbours of a
-    line, n = n_output * n_input; correlation (n_distance,) [1] of its noise 1, 2, ... lines apart (windows.exponential_correlation).
-    Equation (frf-undamped-covariance).
+    gains as in Undamped; covariance (n_frequency, n, n) [unit of H^2] of the windowed response, the same for
+    the neighbours of a line, n = n_output * n_input; correlation (n_distance,) [1] of its noise 1, 2, ...
+    lines apart (windows.exponential_correlation). Equation (frf-undamped-covariance).
     """
     n_line, width = gains.shape[:2]
     flat = gains.reshape(n_line, width, -1)
-    spread = np.einsum("fia,ij,fjb->fab", flat, correlation_matrix(np.arange(width), correlation), flat.conj())
+    spread = np.einsum(
+        "fia,ij,fjb->fab", flat, correlation_matrix(np.arange(width), correlation), flat.conj()
+    )
     return without_rounding(covariance * spread)
 
 
 def correlation_matrix(lines: IntArray, correlation: ComplexArray) -> ComplexArray:
-    """E[z_a z_b*] (n, n) [1] of lines with the numbers *lines* (n,); *correlation* (n_distance,) of z_(k + d) with z_k, d = 1, 2, ..."""
+    """E[z_a z_b*] (n, n) [1] of lines with the numbers *lines* (n,).
+
+    *correlation* (n_distance,) of z_(k + d) with z_k, d = 1, 2, ...
+    """
     whole = np.concatenate([[1.0], correlation, np.zeros(1)])
     distance = lines[:, None] - lines[None, :]
     values: ComplexArray = whole[np.minimum(np.abs(distance), whole.size - 1)]
@@ -136,7 +168,8 @@ class HalfPower:
 
     @property
     def damping_ratio(self) -> float:
-        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact value for light damping.
+        """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact
+        value for light damping.
 
         Equation (frf-half-power).
         """
@@ -146,15 +179,22 @@ class HalfPower:
 def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float, float]) -> HalfPower:
     """The highest peak of |H| in *band* [Hz] and its half-power points, |H| = 1/sqrt(2) of the peak.
 
-    frequency (n_frequency,) [Hz], response (n_frequency,) [any unit]. Between lines 1/|H|^2 is interpolated by a parabola in w^2, exact
-    for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance. DataError when the band has no peak inside, |H| does
-    not fall to half power within the lines, or the parabola through the peak's lines falls below zero.
+    frequency (n_frequency,) [Hz], response (n_frequency,) [any unit]. Between lines 1/|H|^2 is interpolated
+    by a parabola in w^2, exact for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance.
+    DataError when the band has no peak inside, |H| does not fall to half power within the lines, or the
+    parabola through the peak's lines falls below zero.
     """
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
     size = np.abs(response)
     peak = int(inside[np.argmax(size[inside])]) if inside.size else 0
-    if not inside.size or peak in (0, frequency.size - 1) or not size[peak - 1] <= size[peak] >= size[peak + 1]:
-        raise DataError(f"no resonance within {band[0]:g}-{band[1]:g} Hz", hint="choose the band around the peak")
+    if (
+        not inside.size
+        or peak in (0, frequency.size - 1)
+        or not size[peak - 1] <= size[peak] >= size[peak + 1]
+    ):
+        raise DataError(
+            f"no resonance within {band[0]:g}-{band[1]:g} Hz", hint="choose the band around the peak"
+        )
     square = frequency**2
     with np.errstate(divide="ignore"):
         inverse = (size[peak] / size) ** 2
@@ -162,10 +202,18 @@ def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float,
     top = -b / (2 * a)
     least = c + b * top / 2
     if not least > 0:
-        raise DataError(f"the lines are too far apart for the peak at {frequency[peak]:g} Hz", hint="give lines nearer to each other")
+        raise DataError(
+            f"the lines are too far apart for the peak at {frequency[peak]:g} Hz",
+            hint="give lines nearer to each other",
+        )
     low = _crossing(square, inverse, peak, -1, 2 * least)
     high = _crossing(square, inverse, peak, 1, 2 * least)
-    return HalfPower(float(np.sqrt(square[peak] + top)), float(size[peak] / np.sqrt(least)), float(np.sqrt(low)), float(np.sqrt(high)))
+    return HalfPower(
+        float(np.sqrt(square[peak] + top)),
+        float(size[peak] / np.sqrt(least)),
+        float(np.sqrt(low)),
+        float(np.sqrt(high)),
+    )
 
 
 def _parabola(x: FloatArray, y: FloatArray, origin: float) -> tuple[float, float, float]:
@@ -179,7 +227,9 @@ def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, lev
     beyond = np.flatnonzero(inverse[peak::side] >= level)
     if not beyond.size:
         where = "above" if side > 0 else "below"
-        raise DataError(f"the response does not fall to half power {where} its peak", hint="widen the FRF's band")
+        raise DataError(
+            f"the response does not fall to half power {where} its peak", hint="widen the FRF's band"
+        )
     first = peak + side * int(beyond[0])
     # The lines to either side of the crossing and the next one towards the peak.
     three = np.sort([first, first - side, first - 2 * side])

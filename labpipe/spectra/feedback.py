@@ -1,10 +1,12 @@
-"""Is the loop closed? Whether a force is fed back from the response, from the records alone, where no reference was named.
+"""Is the loop closed? Whether a force is fed back from the response, from the records alone, where no
+reference was named.
 
-Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate S_yu / S_uu is
-(G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is unstable without its controller. Tested is the part
-of the impulse response before the force, a few lags left out for the ends of the band (Haugh, J. Am. Stat. Assoc. 71, 1976: lags of either
-sign). Periodic data: what does not repeat is noise of sensors, or a force besides, of which the response is G u: by neither is
-S_wu / G, w = y - G u, complex, as it is where v is fed back.
+Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate
+S_yu / S_uu is (G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is
+unstable without its controller. Tested is the part of the impulse response before the force, a few lags left
+out for the ends of the band (Haugh, J. Am. Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what
+does not repeat is noise of sensors, or a force besides, of which the response is G u: by neither is S_wu / G,
+w = y - G u, complex, as it is where v is fed back.
 """
 
 from __future__ import annotations
@@ -25,26 +27,33 @@ from labpipe.spectra.settings import FrfSettings
 
 BIASED = "The FRF is biased towards minus the inverse of the controller by an amount that cannot be known"
 WEIGHTED = (
-    "Without its reference the lines are chosen and weighted by a force whose noise is that of the response, so that fits are biased by an "
-    "amount that cannot be known"
+    "Without its reference the lines are chosen and weighted by a force whose noise is that of the response, "
+    "so that fits are biased by an amount that cannot be known"
 )
 # Chance of a false alarm that is taken, over all pairs of force and response.
 LEVEL = 1e-3
-# Samples of every recording that are looked at, so that the test costs little beside a long record's FRF; fewest that tell anything.
+# Samples of every recording that are looked at, so that the test costs little beside a long record's FRF;
+# fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
-# Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then small.
+# Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then
+# small.
 FEWEST_LINES = 1000
-# Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the nearest belong to that edge.
+# Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the
+# nearest belong to that edge.
 LAGS = range(2, 21)
-# An impulse response before the force of this share of its peak is none: leakage of the record's ends, sensors that differ.
+# An impulse response before the force of this share of its peak is none: leakage of the record's ends,
+# sensors that differ.
 FLOOR = 0.03
-# Share of the band over which lines fade out at its upper edge: all of it, so that the response of a structure that answers at once (an
-# accelerance, a stiffness) reaches one lag before the force and no further. Share of the record at its ends.
+# Share of the band over which lines fade out at its upper edge: all of it, so that the response of a
+# structure that answers at once (an accelerance, a stiffness) reaches one lag before the force and no
+# further. Share of the record at its ends.
 TAPER, ENDS = 1.0, 0.1
-# Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances out.
+# Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances
+# out.
 HALF_WIDTH, ORDER = 12, 20
-# The excited band ends where the power of the force falls to the first share within a quarter more frequency, unless it stays coherent with
-# the response as by a loop, or to the third share of its peak, the strongly excited one to the fourth.
+# The excited band ends where the power of the force falls to the first share within a quarter more frequency,
+# unless it stays coherent with the response as by a loop, or to the third share of its peak, the strongly
+# excited one to the fourth.
 CLIFF, CLIFF_WIDTH, DARK, DIM, COHERENT = 0.1, 1.25, 1e-4, 0.03, 0.9
 COARSE_BANDS, LOG_BANDS = 200, 60
 # Least share of the lines that the strongly excited band must have of the others.
@@ -55,10 +64,14 @@ RIDGE = 1e-9
 LOWEST_EDGE = 0.15
 
 
-def feedback_of_records(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> tuple[Finding, ...]:
-    """A warning where responses come before the forces that should make them, or before what is named as the reference.
+def feedback_of_records(
+    sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout
+) -> tuple[Finding, ...]:
+    """A warning where responses come before the forces that should make them, or before what is named as the
+    reference.
 
-    None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a recording are looked at.
+    None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a
+    recording are looked at.
     """
     chances: dict[str, float] = {}
     for number, source in enumerate(sources):
@@ -73,12 +86,18 @@ def feedback_of_records(sources: Sequence[SampleSource], settings: FrfSettings, 
     return _findings(chances, settings.reference)
 
 
-def feedback_of_drives(sources: Sequence[SampleSource], drives: Sequence[str], responses: Sequence[str]) -> tuple[Finding, ...]:
-    """A warning where *drives* of random spectra side by side follow the *responses*, by their channels' names; as feedback_of_records."""
+def feedback_of_drives(
+    sources: Sequence[SampleSource], drives: Sequence[str], responses: Sequence[str]
+) -> tuple[Finding, ...]:
+    """A warning where *drives* of random spectra side by side follow the *responses*, by their channels'
+    names; as feedback_of_records.
+    """
     chances: dict[str, float] = {}
     for source in sources:
         names = [channel.name for channel in source.channels]
-        columns, rows = ([names.index(name) for name in some if name in names] for some in (drives, responses))
+        columns, rows = (
+            [names.index(name) for name in some if name in names] for some in (drives, responses)
+        )
         samples = _first_samples(source)
         columns = [column for column in columns if np.any(samples[:, column] != samples[0, column])]
         if columns and rows and samples.shape[0] >= FEWEST_SAMPLES:
@@ -87,21 +106,28 @@ def feedback_of_drives(sources: Sequence[SampleSource], drives: Sequence[str], r
     return _findings(chances, tuple(drives))
 
 
-def _findings(chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED) -> tuple[Finding, ...]:
-    """The warning for the smallest of the chances (p-values by the names of forces or references); *what* it does to the FRF."""
+def _findings(
+    chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED
+) -> tuple[Finding, ...]:
+    """The warning for the smallest of the chances (p-values by the names of forces or references).
+
+    *what* it does to the FRF.
+    """
     named = min(chances, key=lambda name: chances[name], default="")
     if not chances or chances[named] >= LEVEL:
         return ()
     p_text = f"p < {LEVEL / 1e4:.0e}" if chances[named] < LEVEL / 1e4 else f"p = {chances[named]:.1g}"
     if reference:
         message = (
-            f"the loop is closed around the reference {named} too: it follows the responses ({p_text}), so it does not open the loop. "
+            f"the loop is closed around the reference {named} too: it follows the responses ({p_text}), so "
+            "it does not open the loop. "
             f"{what}. Name what is injected from outside, as it leaves the generator"
         )
         return (Finding("feedback", message),)
     message = (
-        f"the loop is closed: the force {named} follows the responses ({p_text}), as of a levitated rotor or under a controller. {what}, "
-        "and coherence does not show it. Record what is injected into the loop, with role: reference, and name it: `frf: {reference: ...}`"
+        f"the loop is closed: the force {named} follows the responses ({p_text}), as of a levitated rotor or "
+        f"under a controller. {what}, and coherence does not show it. Record what is injected into the loop, "
+        "with role: reference, and name it: `frf: {reference: ...}`"
     )
     return (Finding("feedback", message),)
 
@@ -117,9 +143,11 @@ def _first_samples(source: SampleSource) -> FloatArray:
 
 
 def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
-    """p-value [1] of the part of the impulse responses before the *forces* (n_sample, n_input) in *responses* (n_sample, n_output) [SI].
+    """p-value [1] of the part of the impulse responses before the *forces* (n_sample, n_input) in *responses*
+    (n_sample, n_output) [SI].
 
-    For the worst of all pairs in two bands, all that is excited and what is excited most (Bonferroni); 1 where these tell nothing.
+    For the worst of all pairs in two bands, all that is excited and what is excited most (Bonferroni); 1
+    where these tell nothing.
     """
     n_input = forces.shape[1]
     # Lines are last in memory, as everywhere below.
@@ -128,13 +156,17 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     spectra = fft.rfft((both - np.mean(both, axis=1, keepdims=True)) * taper)[:, 1:]
     spectra = spectra[np.any(spectra != 0, axis=1)].T
     scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
-    bands = dict.fromkeys(band for band in _excited(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band))
+    bands = dict.fromkeys(
+        band for band in _excited(spectra[:, :n_input], spectra[:, n_input:]) if _is_enough(*band)
+    )
     chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
     return float(min(min(chances) * len(chances), 1.0)) if chances else 1.0
 
 
 def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scale: float) -> list[float]:
-    """p-values of all pairs in lines first ... last; *scale*: by how much the taper of the record raises variances."""
+    """p-values of all pairs in lines first ... last; *scale*: by how much the taper of the record raises
+    variances.
+    """
     first, last = band
     u, y = spectra[:last, :n_input], spectra[:last, n_input:]
     w = np.pi * np.arange(1, last + 1) / last
@@ -151,7 +183,9 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         response = product(s_yu[:, None, :], inverted)[:, 0]
         noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
-        raw = white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
+        raw = (
+            white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
+        )
         before, after = _before_and_after(raw, LAGS.stop)
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after)))
@@ -161,14 +195,18 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
 
 
 def _fade(w: FloatArray, first: int) -> FloatArray:
-    """Weights of lines at *w* (n_line,): they fade in from line *first* to twice that, and out over TAPER of the band."""
+    """Weights of lines at *w* (n_line,): they fade in from line *first* to twice that, and out over TAPER of
+    the band.
+    """
     upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
     return np.asarray(upper * 0.5 * (1 - np.cos(np.pi * rising)))
 
 
 def _level(u: ComplexArray) -> FloatArray:
-    """Amplitude of spectra (n_line, n) over bands of equal ratio, (n_line, n): within a few lines a steep spectrum is then flat."""
+    """Amplitude of spectra (n_line, n) over bands of equal ratio, (n_line, n): within a few lines a steep
+    spectrum is then flat.
+    """
     n = u.shape[0]
     edges = np.unique(np.round(np.geomspace(1, n + 1, LOG_BANDS)).astype(int)) - 1
     power = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -180,7 +218,8 @@ def _level(u: ComplexArray) -> FloatArray:
 def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
     """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
 
-    *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of account.
+    *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of
+    account.
     """
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
@@ -196,7 +235,9 @@ def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree
 
 
 def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
-    """First line and number of lines up to the last, of the band that the forces excite and of that which they excite most."""
+    """First line and number of lines up to the last, of the band that the forces excite and of that which
+    they excite most.
+    """
     n = u.shape[0]
     edges = np.unique(np.linspace(0, n, COARSE_BANDS + 1).astype(int))
     coarse = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -214,7 +255,9 @@ def _excited(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
 
 
 def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
-    """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force that is not coherent beyond."""
+    """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force
+    that is not coherent beyond.
+    """
     first, last = 0, coarse.shape[0]
     here = np.arange(last)[:, None]
     other = here.T
@@ -246,7 +289,9 @@ def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
 
 
 def _is_enough(first: int, last: int) -> bool:
-    """Whether lines first ... last tell of lags: there are enough, and not the lower part of the band is missing."""
+    """Whether lines first ... last tell of lags: there are enough, and not the lower part of the band is
+    missing.
+    """
     return last >= FEWEST_LINES and first <= LOWEST_EDGE * last
 
 
@@ -265,7 +310,9 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
 
 
 def _whitening(power: FloatArray) -> ComplexArray:
-    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,): causal, as its inverse is."""
+    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,):
+    causal, as its inverse is.
+    """
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
@@ -273,7 +320,10 @@ def _whitening(power: FloatArray) -> ComplexArray:
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
-    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ... *number* - 1, (number, ...)."""
+    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ...
+
+    *number* - 1, (number, ...).
+    """
     n = values.shape[0]
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
@@ -281,7 +331,10 @@ def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
 
 
 def _before_and_after(response: ComplexArray, number: int) -> tuple[FloatArray, FloatArray]:
-    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ... before the force and after it, both (number, n)."""
+    """Impulse responses of FRFs (n_line, n) [any unit] at lags 0, 1, ...
+
+    before the force and after it, both (number, n).
+    """
     both = _at_lags(response, 2 * response.shape[0]).real
     return both[:number], both[-np.arange(number)]
 
@@ -292,8 +345,11 @@ def _tukey(n: int) -> FloatArray:
     return np.asarray(np.where(place < 1, 0.5 * (1 - np.cos(np.pi * np.minimum(place, 1.0))), 1.0))
 
 
-def feedback_of_periods(spectra: Sequence[LineSpectrum], matrix: ComplexArray, layout: Layout) -> tuple[Finding, ...]:
-    """A warning where what does not repeat from period to period is fed back; *spectra* at the lines of H = *matrix* (n_line, n_o, n_i).
+def feedback_of_periods(
+    spectra: Sequence[LineSpectrum], matrix: ComplexArray, layout: Layout
+) -> tuple[Finding, ...]:
+    """A warning where what does not repeat from period to period is fed back; *spectra* at the lines of H =
+    *matrix* (n_line, n_o, n_i).
 
     In SI units [SI]; the noise of *spectra* must be that of single lines, not smoothed.
     """
@@ -305,7 +361,11 @@ def feedback_of_periods(spectra: Sequence[LineSpectrum], matrix: ComplexArray, l
         noise = layout.padded(number, spectrum.noise, 2)
         for force in range(n_input):
             values = [
-                chance_of_phase(noise[:, [force, n_input + o]][:, :, [force, n_input + o]], matrix[:, o, force], spectrum.dof)
+                chance_of_phase(
+                    noise[:, [force, n_input + o]][:, :, [force, n_input + o]],
+                    matrix[:, o, force],
+                    spectrum.dof,
+                )
                 for o in range(matrix.shape[1])
             ]
             name = layout.inputs[force].label
@@ -314,9 +374,11 @@ def feedback_of_periods(spectra: Sequence[LineSpectrum], matrix: ComplexArray, l
 
 
 def chance_of_phase(noise: ComplexArray, response: ComplexArray, dof: float) -> float:
-    """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y, G = *response* (n_line,) [SI].
+    """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y, G = *response*
+    (n_line,) [SI].
 
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation (frf-feedback).
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation
+    (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
     s_wu = s_yu - response * s_uu

@@ -19,18 +19,21 @@ from labpipe.spectra.ports import response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
 BLOCK = 1 << 16
-# A hit makes the response this many times what it was within a period; the rise of a beat from its node stays below 4.
+# A hit makes the response this many times what it was within a period; the rise of a beat from its node stays
+# below 4.
 JUMP = 6.0
 # A release from a steady state is where the response was last this share of its largest.
 STILL_FULL = 0.95
-# A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for this share of its length:
-# an amplitude of the noise's size still says something.
+# A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for
+# this share of its length: an amplitude of the noise's size still says something.
 QUIET, BEYOND = 1.5, 0.5
 # Part of the largest rms below which a channel stands still: no sensor has so little noise.
 STILL = 1e-6
-# Stretches of noise, one after another, that end a decay: longer than the nodes of a beat that still stands out.
+# Stretches of noise, one after another, that end a decay: longer than the nodes of a beat that still stands
+# out.
 SILENCE = 8
-# The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at least.
+# The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at
+# least.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
 # Whole periods over which the mean is taken out, so that a drifting rest position is no response.
@@ -40,7 +43,9 @@ LEAST_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class _Levels:
-    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period [samples], rms of the noise."""
+    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period
+    [samples], rms of the noise.
+    """
 
     size: FloatArray
     period: int
@@ -53,12 +58,17 @@ class _Levels:
 
 
 def free_decays(
-    sources: Sequence[SampleSource], settings: FrfSettings, *, name: str = "", conditions: dict[str, Any] | None = None
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    *,
+    name: str = "",
+    conditions: dict[str, Any] | None = None,
 ) -> FreeDecays:
     """All free decays of the recordings; inputs are not looked at.
 
-    A decay begins one period after the largest value that follows a hit or a release (or at `start`), and ends at the next hit, at the end
-    of the recording, or where it is lost in the noise (or at `end`). DataError for different rates, and where nothing decays.
+    A decay begins one period after the largest value that follows a hit or a release (or at `start`), and
+    ends at the next hit, at the end of the recording, or where it is lost in the noise (or at `end`).
+    DataError for different rates, and where nothing decays.
     """
     rate = sources[0].sample_rate
     ports, columns, channels = response_ports(sources)
@@ -70,10 +80,22 @@ def free_decays(
         decays.extend(FreeDecay(source.name, start / rate, samples[start:end]) for start, end in spans)
         said = ", ".join(f"{start / rate:.4g} s to {end / rate:.4g} s" for start, end in spans)
         findings.append(
-            note("free-decay", f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s: {len(spans)} free decay(s), {said}")
+            note(
+                "free-decay",
+                f"recording '{source.name}' of {samples.shape[0] / rate:.4g} s: {len(spans)} "
+                f"free decay(s), {said}",
+            )
         )
     units = tuple(QUANTITIES[channel.quantity].si_unit for channel in channels)
-    return FreeDecays(rate, ports, units, tuple(decays), name=name, findings=tuple(findings), conditions=dict(conditions or {}))
+    return FreeDecays(
+        rate,
+        ports,
+        units,
+        tuple(decays),
+        name=name,
+        findings=tuple(findings),
+        conditions=dict(conditions or {}),
+    )
 
 
 def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -> list[tuple[int, int]]:
@@ -90,7 +112,10 @@ def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -
             spans = [(start, min(end, round(decay.end * rate))) for start, end in spans]
         spans = [span for span in spans if span[1] - span[0] >= LEAST_PERIODS * levels.period]
     if not spans or spans[0][1] - spans[0][0] < 2:
-        raise DataError(f"recording '{name}' holds no free decay", hint="say where it is with `decay: {start: ..., end: ...}`")
+        raise DataError(
+            f"recording '{name}' holds no free decay",
+            hint="say where it is with `decay: {start: ..., end: ...}`",
+        )
     return spans
 
 
@@ -111,30 +136,42 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     moving_rms = rms[rms > STILL * np.max(rms, initial=0.0)]
     quiet = float(np.quantile(moving_rms, 0.05)) if moving_rms.size else float("inf")
     if not rms.size or np.max(rms) < LEAST_RATIO * quiet:
-        raise DataError(f"in recording '{name}' no decay stands out of the noise", hint="excite it more, or name `start` and `end`")
+        raise DataError(
+            f"in recording '{name}' no decay stands out of the noise",
+            hint="excite it more, or name `start` and `end`",
+        )
     return replace(levels, floor=quiet)
 
 
 def _period(samples: FloatArray) -> int:
-    """The period [samples] of the strongest line of the velocity: a drift or a step in the displacement is no oscillation."""
+    """The period [samples] of the strongest line of the velocity: a drift or a step in the displacement is no
+    oscillation.
+    """
     spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     return max(2, round(samples.shape[0] / max(strongest, 1)))
 
 
 def _swinging(samples: FloatArray, length: int) -> FloatArray:
-    """Distance (n_sample, n_output) from the mean over *length* samples before every sample or after it, whichever is nearer.
+    """Distance (n_sample, n_output) from the mean over *length* samples before every sample or after it,
+    whichever is nearer.
 
-    A mean that reaches across a hit carries some of it to where nothing moves yet, and the hit is no jump any more.
+    A mean that reaches across a hit carries some of it to where nothing moves yet, and the hit is no jump any
+    more.
     """
     rest = _rest(samples, length)
     number = np.arange(samples.shape[0])
-    parts = [samples - rest[np.clip(number + shift, 0, len(rest) - 1)] for shift in (-(length // 2), length // 2)]
+    parts = [
+        samples - rest[np.clip(number + shift, 0, len(rest) - 1)] for shift in (-(length // 2), length // 2)
+    ]
     return np.where(np.abs(parts[0]) < np.abs(parts[1]), parts[0], parts[1])
 
 
 def _rest(samples: FloatArray, length: int) -> FloatArray:
-    """The mean (n_sample, n_output) over *length* samples about every sample; near the ends that of the first or last so many."""
+    """The mean (n_sample, n_output) over *length* samples about every sample.
+
+    Near the ends that of the first or last so many.
+    """
     if samples.shape[0] <= length:
         return np.mean(samples, axis=0, keepdims=True)
     from scipy import ndimage
@@ -181,9 +218,14 @@ def _end(levels: _Levels, start: int, limit: int) -> int:
     """Where a decay is lost in the noise, or the limit."""
     rms = _rms(levels.size[start:limit], levels.stretch)
     # Of five neighbouring stretches the median, so that a single loud one does not count.
-    smooth = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(rms, 2, mode="edge"), 5), axis=1) if rms.size else rms
+    smooth = (
+        np.median(np.lib.stride_tricks.sliding_window_view(np.pad(rms, 2, mode="edge"), 5), axis=1)
+        if rms.size
+        else rms
+    )
     loud = np.flatnonzero(smooth > QUIET * levels.floor)
-    # What is loud again after a long silence is something else: a hit too weak to be seen as one, a step, a touch.
+    # What is loud again after a long silence is something else: a hit too weak to be seen as one, a step, a
+    # touch.
     silence = np.flatnonzero(np.diff(loud) > SILENCE)
     last = loud[silence[0] if silence.size else -1] if loud.size else -1
     length = (int(last) + 1) * levels.stretch

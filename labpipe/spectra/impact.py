@@ -18,7 +18,12 @@ from labpipe.records.response import BlockCovariance, FactoredCovariance
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks
 from labpipe.spectra.covariance import ENOUGH_DOF
-from labpipe.spectra.damping import HALF_WIDTH, correlation_matrix, covariance_without_damping, without_added_damping
+from labpipe.spectra.damping import (
+    HALF_WIDTH,
+    correlation_matrix,
+    covariance_without_damping,
+    without_added_damping,
+)
 from labpipe.spectra.ports import Layout, Parts, lines_left
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -29,7 +34,8 @@ from labpipe.spectra.windows import exponential_correlation
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
-# Share of the double-hit level below which the contact has ended; a later rise above that level is a second contact.
+# Share of the double-hit level below which the contact has ended; a later rise above that level is a second
+# contact.
 ENDED = 0.5
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
@@ -37,9 +43,11 @@ FLANK = 0.1
 
 @dataclass(frozen=True)
 class Hit:
-    """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel) without offset [SI].
+    """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel)
+    without offset [SI].
 
-    *trigger*: sample of the block at which the force rises; *fault*: reason for rejection, empty for an accepted hit.
+    *trigger*: sample of the block at which the force rises; *fault*: reason for rejection, empty for an
+    accepted hit.
     """
 
     number: int
@@ -49,15 +57,21 @@ class Hit:
     fault: str = ""
 
 
-def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1) -> Iterator[Hit]:
-    """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column, *n_sample* the block length.
+def find_hits(
+    source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1
+) -> Iterator[Hit]:
+    """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column,
+    *n_sample* the block length.
 
-    A hit begins where |force| exceeds the trigger, a share of the largest force in the recording, both relative to the zero level (the
-    median of the first block); its block begins earlier by the pretrigger, or where the recording begins if it holds one block only, as
-    an analyser stores it. The recording is read twice. DataError for a sample that is no number or a force that does not vary.
+    A hit begins where |force| exceeds the trigger, a share of the largest force in the recording, both
+    relative to the zero level (the median of the first block); its block begins earlier by the pretrigger, or
+    where the recording begins if it holds one block only, as an analyser stores it. The recording is read
+    twice. DataError for a sample that is no number or a force that does not vary.
     """
     zero_level = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
-    level = settings.trigger * max(float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source))
+    level = settings.trigger * max(
+        float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source)
+    )
     before = round(settings.pretrigger * n_sample)
     latest = source.n_sample - n_sample if source.n_sample - n_sample <= before else source.n_sample
     window = np.empty((0, len(source.channels)))
@@ -83,7 +97,9 @@ def find_hits(source: SampleSource, force: int, n_sample: int, settings: ImpactS
         window, begin = window[keep - begin :], keep
 
 
-def _judged(number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings) -> Hit:
+def _judged(
+    number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings
+) -> Hit:
     offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
     samples = raw - offset
     if number in settings.reject:
@@ -98,7 +114,8 @@ def _judged(number: int, start: int, raw: FloatArray, trigger: int, force: int, 
 
 
 def overloaded(samples: FloatArray) -> BoolArray:
-    """Channels (n_channel,) of samples (n_sample, n_channel) [SI] with several equal consecutive samples at the largest or smallest value.
+    """Channels (n_channel,) of samples (n_sample, n_channel) [SI] with several equal consecutive samples at
+    the largest or smallest value.
 
     Only values beyond half the peak count, so that the zero level is no overload.
     """
@@ -112,7 +129,9 @@ def overloaded(samples: FloatArray) -> BoolArray:
 
 
 def is_double(force: FloatArray, share: float) -> bool:
-    """True for a double hit: |force| (n_sample,) [N] falls below half of *share* of its peak and rises above *share* again."""
+    """True for a double hit: |force| (n_sample,) [N] falls below half of *share* of its peak and rises above
+    *share* again.
+    """
     size = np.abs(force) / np.max(np.abs(force))
     above = np.flatnonzero(size >= share)
     gaps = np.flatnonzero(np.diff(above) > 1)
@@ -120,7 +139,9 @@ def is_double(force: FloatArray, share: float) -> bool:
 
 
 def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
-    """Force window: one up to *length* [samples] after the hit, then half a cosine to zero within a tenth of it, (n_sample,)."""
+    """Force window: one up to *length* [samples] after the hit, then half a cosine to zero within a tenth of
+    it, (n_sample,).
+    """
     past = np.arange(n_sample) - (trigger + length)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0)))
 
@@ -128,7 +149,8 @@ def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
 def exponential_window(n_sample: int, constant: float) -> FloatArray:
     """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples.
 
-    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
+    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation
+    (frf-exponential).
     """
     return np.exp(-np.arange(n_sample) / constant)
 
@@ -138,7 +160,10 @@ def check_single_force(source: SampleSource) -> int:
     forces = [number for number, channel in enumerate(source.channels) if channel.role == "input"]
     if len(forces) != 1:
         names = ", ".join(source.channels[number].name for number in forces)
-        raise DataError(f"recording '{source.name}' of hits has {len(forces)} forces ({names})", hint="one hammer per recording")
+        raise DataError(
+            f"recording '{source.name}' of hits has {len(forces)} forces ({names})",
+            hint="one hammer per recording",
+        )
     return forces[0]
 
 
@@ -163,17 +188,28 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [average.spectra() for average in averages]
     findings.extend(average.slow_finding() for average in averages if average.slow)
     correlation = averages[0].line_correlation()
-    half_width, shared = _noise_lines(sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation)
-    # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are chosen afterwards.
-    parts = _whole(parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width))
-    parts = dataclasses.replace(parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared))
+    half_width, shared = _noise_lines(
+        sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation
+    )
+    # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
+    # chosen afterwards.
+    parts = _whole(
+        parts_of_spectra(spectra, dataclasses.replace(settings, band=None, exclude=()), layout, half_width)
+    )
+    parts = dataclasses.replace(
+        parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
+    )
     if settings.damping_window is not None:
         parts = _undamped(parts, settings.damping_window, correlation)
-    return _selected(dataclasses.replace(parts, findings=(*findings, *parts.findings)), lines_left(parts.frequency, settings))
+    return _selected(
+        dataclasses.replace(parts, findings=(*findings, *parts.findings)),
+        lines_left(parts.frequency, settings),
+    )
 
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
-    """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its file only.
+    """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its
+    file only.
 
     All recordings where a force would be left without any, which is then refused.
     """
@@ -181,12 +217,18 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
     driven = {n for number in kept for n, column in enumerate(layout.input_columns[number]) if column >= 0}
     if len(driven) < len(layout.inputs):
         return averages, layout
-    inputs, outputs = (tuple(columns[number] for number in kept) for columns in (layout.input_columns, layout.output_columns))
-    return [averages[number] for number in kept], dataclasses.replace(layout, input_columns=inputs, output_columns=outputs)
+    inputs, outputs = (
+        tuple(columns[number] for number in kept) for columns in (layout.input_columns, layout.output_columns)
+    )
+    return [averages[number] for number in kept], dataclasses.replace(
+        layout, input_columns=inputs, output_columns=outputs
+    )
 
 
 def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
-    """Lines to either side over which the noise is averaged, and how many lines share one value of it: 1 + 2 sum |r_d|^2."""
+    """Lines to either side over which the noise is averaged, and how many lines share one value of it: 1 + 2
+    sum |r_d|^2.
+    """
     shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
     return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
 
@@ -201,11 +243,17 @@ class _HitAverage:
         self.n_sample = round(settings.block * source.sample_rate)
         if source.n_sample < self.n_sample:
             have = source.n_sample / source.sample_rate
-            raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s", hint="shorten `block`")
+            raise DataError(
+                f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s",
+                hint="shorten `block`",
+            )
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band, source.n_sample)
         if settings.damping_window is not None:
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
-            self._lines = slice(max(1, self._lines.start - HALF_WIDTH), min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH))
+            self._lines = slice(
+                max(1, self._lines.start - HALF_WIDTH),
+                min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH),
+            )
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
@@ -218,7 +266,9 @@ class _HitAverage:
         self.n_found += 1
         if hit.fault:
             at = hit.start / self._source.sample_rate
-            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
+            message = (
+                f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {self._named(hit.fault)}"
+            )
             self.findings.append(note("hit-rejected", message))
             return
         samples = self._windowed(hit)
@@ -244,14 +294,27 @@ class _HitAverage:
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         ringing = tenths[-1] > DIED_AWAY * tenths.max(axis=0)
-        self.slow.update(c.name for c, slow in zip(self._source.channels, ringing, strict=True) if slow and c.role == "output")
+        self.slow.update(
+            c.name
+            for c, slow in zip(self._source.channels, ringing, strict=True)
+            if slow and c.role == "output"
+        )
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
         if not self._n_hit:
-            reason = f"{self.n_found} hit(s) found, none of them good" if self.n_found else "no hit whose block is complete"
-            raise DataError(f"recording '{self._source.name}': {reason}", hint="see `impact`, and the hits in the recording")
-        frequency = np.arange(self._lines.start, self._lines.stop) * (self._source.sample_rate / self.n_sample)
+            reason = (
+                f"{self.n_found} hit(s) found, none of them good"
+                if self.n_found
+                else "no hit whose block is complete"
+            )
+            raise DataError(
+                f"recording '{self._source.name}': {reason}",
+                hint="see `impact`, and the hits in the recording",
+            )
+        frequency = np.arange(self._lines.start, self._lines.stop) * (
+            self._source.sample_rate / self.n_sample
+        )
         return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
 
     @property
@@ -261,23 +324,38 @@ class _HitAverage:
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""
         names = ", ".join(sorted(self.slow))
-        return Finding("not-died-away", f"the response {names} has not died away at the end of the block; lengthen `block` or give `decay`")
+        return Finding(
+            "not-died-away",
+            f"the response {names} has not died away at the end of the block; "
+            "lengthen `block` or give `decay`",
+        )
 
     def line_correlation(self) -> ComplexArray:
-        """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1]; empty without an exponential window."""
+        """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1].
+
+        Empty without an exponential window.
+        """
         decay = self._settings.damping_window
         if decay is None:
             return np.empty(0, np.complex128)
-        return exponential_correlation(exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins)))
+        return exponential_correlation(
+            exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins))
+        )
 
 
 def _whole(parts: Parts) -> Parts:
     """The parts with their covariance as one array."""
-    return dataclasses.replace(parts, covariance=parts.covariance.whole()) if isinstance(parts.covariance, FactoredCovariance) else parts
+    return (
+        dataclasses.replace(parts, covariance=parts.covariance.whole())
+        if isinstance(parts.covariance, FactoredCovariance)
+        else parts
+    )
 
 
 def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
-    """The parts without the window's damping, with the noise that this leaves and its correlation between lines."""
+    """The parts without the window's damping, with the noise that this leaves and its correlation between
+    lines.
+    """
     undamped = without_added_damping(parts.frequency, parts.matrix, decay)
     gains = undamped.gains
     covariance = parts.covariance
@@ -287,7 +365,9 @@ def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
         by_element = gains.reshape(*gains.shape[:2], -1)
         blocks = np.empty_like(covariance.blocks)
         for number, elements in enumerate(covariance.elements):
-            blocks[:, number] = covariance_without_damping(by_element[:, :, elements], covariance.blocks[:, number], correlation)
+            blocks[:, number] = covariance_without_damping(
+                by_element[:, :, elements], covariance.blocks[:, number], correlation
+            )
         covariance = BlockCovariance(covariance.elements, handed_over(blocks))
     between = correlation_matrix(np.arange(gains.shape[1]), correlation)
     size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
@@ -303,7 +383,9 @@ def _undamped(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
 def _selected(parts: Parts, chosen: BoolArray) -> Parts:
     """The parts on the chosen lines."""
     by_line = {field.name: getattr(parts, field.name) for field in dataclasses.fields(parts)}
-    arrays: dict[str, Any] = {name: values[chosen] for name, values in by_line.items() if isinstance(values, np.ndarray)}
+    arrays: dict[str, Any] = {
+        name: values[chosen] for name, values in by_line.items() if isinstance(values, np.ndarray)
+    }
     if isinstance(parts.covariance, BlockCovariance):
         arrays["covariance"] = dataclasses.replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
     return dataclasses.replace(parts, **arrays)

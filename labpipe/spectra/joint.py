@@ -1,18 +1,22 @@
-"""Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes of forces and responses.
+"""Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes
+of forces and responses.
 
-Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that line in a fit.
+Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that
+line in a fit.
 
-With G = Y / U and w = Y - G U the estimated variance S_ww / |U|^2 of a line is small where noise made |U| large. In a loop the noise of U
-is that of w fed back, so weights by it prefer errors of one sign: E(w U*) = C_wu brings the bias of an open-loop estimator back, over the
-number of averages. Therefore G is taken from the neighbours of the line, and U as what is most likely if that G is right.
+With G = Y / U and w = Y - G U the estimated variance S_ww / |U|^2 of a line is small where noise made |U|
+large. In a loop the noise of U is that of w fed back, so weights by it prefer errors of one sign: E(w U*) =
+C_wu brings the bias of an open-loop estimator back, over the number of averages. Therefore G is taken from
+the neighbours of the line, and U as what is most likely if that G is right.
 
-Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes of forces and responses.
+Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes of
+forces and responses.
 
-In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to
-(G S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not (Ljung, System
-Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o, p] (S_ur^-H S_rr S_ur^-1)[j, i] / n.
-Periodic data need no other average: what the periods share is due to r, and the covariance of force and response together holds what v
-makes of both.
+In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to (G
+S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not
+(Ljung, System Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o,
+p] (S_ur^-H S_rr S_ur^-1)[j, i] / n. Periodic data need no other average: what the periods share is due to r,
+and the covariance of force and response together holds what v makes of both.
 """
 
 from __future__ import annotations
@@ -45,16 +49,24 @@ FEWEST = 4
 
 
 def covariance_by_neighbours(
-    frequency: FloatArray, matrix: ComplexArray, vectors: ComplexArray, noise: Sequence[ComplexArray], gap: int = 0
+    frequency: FloatArray,
+    matrix: ComplexArray,
+    vectors: ComplexArray,
+    noise: Sequence[ComplexArray],
+    gap: int = 0,
 ) -> ComplexArray:
-    """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency* (n_line,) [Hz].
+    """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency*
+    (n_line,) [Hz].
 
-    *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U); *noise*: their covariance in every run, (n_line,
-    n_channel, n_channel) [SI]. *gap*: neighbours next to the line that share its noise, which are left out. Equation (frf-neighbours).
+    *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U); *noise*: their
+    covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the line that
+    share its noise, which are left out. Equation (frf-neighbours).
     """
     there = _from_neighbours(frequency, matrix, gap)
     n_output, n_input = matrix.shape[1:]
-    residual_of = np.concatenate([-there, np.broadcast_to(np.eye(n_output), (frequency.size, n_output, n_output))], axis=2)
+    residual_of = np.concatenate(
+        [-there, np.broadcast_to(np.eye(n_output), (frequency.size, n_output, n_output))], axis=2
+    )
     forces = np.empty((frequency.size, n_input, len(noise)), np.complex128)
     for run, of_run in enumerate(noise):
         crossed = of_run @ hermitian(residual_of)
@@ -71,12 +83,18 @@ def _inverse(forces: ComplexArray) -> ComplexArray:
 
 
 def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> ComplexArray:
-    """G of every line by a straight line through its neighbours, without itself; its own where these are too few."""
+    """G of every line by a straight line through its neighbours, without itself.
+
+    Its own where these are too few.
+    """
     flat = matrix.reshape(frequency.size, -1)
     count, first, second = (np.zeros(frequency.size) for _ in range(3))
     total, moment = np.zeros_like(flat), np.zeros_like(flat)
     for distance in range(gap + 1, min(gap + SIDE, frequency.size - 1) + 1):
-        for line, other in ((slice(distance, None), slice(None, -distance)), (slice(None, -distance), slice(distance, None))):
+        for line, other in (
+            (slice(distance, None), slice(None, -distance)),
+            (slice(None, -distance), slice(distance, None)),
+        ):
             away = frequency[other] - frequency[line]
             count[line] += 1
             first[line] += away
@@ -93,7 +111,8 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
 # of forces and responses.
 
 ESTIMATOR = "joint"
-# A force's part that is due to the references, over the standard deviation of that part, below which a ratio to it is no longer normal.
+# A force's part that is due to the references, over the standard deviation of that part, below which a ratio
+# to it is no longer normal.
 LOW_SNR = 5.0
 # Lines next to one that share its noise by the window (0.44 of it, of a Hann window; 0.03 two lines away).
 GAP = 1
@@ -108,9 +127,9 @@ def is_joint(blocks: Blocks) -> bool:
 class JointEstimate:
     """G (n_line, n_output, n_input) [output unit / N], and what it is made of.
 
-    columns (n_line, n_input + n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces first;
-    noise (n_line, n, n) [unit^2/Hz]: of the part due to one reference, forces first; strength (n_line,) [1]: of the force that they move
-    least, over its standard deviation.
+    columns (n_line, n_input + n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces
+    first; noise (n_line, n, n) [unit^2/Hz]: of the part due to one reference, forces first; strength
+    (n_line,) [1]: of the force that they move least, over its standard deviation.
     """
 
     matrix: ComplexArray
@@ -119,11 +138,14 @@ class JointEstimate:
     strength: FloatArray
 
 
-def joint_estimate(spectra: ComplexArray, references: Sequence[str], n_input: int, averages: float) -> JointEstimate:
-    """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then responses.
+def joint_estimate(
+    spectra: ComplexArray, references: Sequence[str], n_input: int, averages: float
+) -> JointEstimate:
+    """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then
+    responses.
 
-    With more references than forces, least squares over them. DataError for references that are silent or follow from each other.
-    Equation (frf-joint).
+    With more references than forces, least squares over them. DataError for references that are silent or
+    follow from each other. Equation (frf-joint).
     """
     n = len(references)
     lower = lower_of_drives(spectra[:, :n, :n], references, "reference")
@@ -131,7 +153,9 @@ def joint_estimate(spectra: ComplexArray, references: Sequence[str], n_input: in
     forces, noise = columns[:, :n_input], residual / averages
     size = np.sqrt(np.einsum("lii->li", spectra[:, n : n + n_input, n : n + n_input]).real)
     inverse = np.linalg.pinv(forces / size[:, :, None]) / size[:, None, :]
-    return JointEstimate(columns[:, n_input:] @ inverse, columns, noise, _strength(forces, noise[:, :n_input, :n_input]))
+    return JointEstimate(
+        columns[:, n_input:] @ inverse, columns, noise, _strength(forces, noise[:, :n_input, :n_input])
+    )
 
 
 def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
@@ -145,7 +169,8 @@ def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
 def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF of random data under the references of the settings, with H1 beside it.
 
-    ConfigError for references that are none, DataError for too few of them, and for such as do not move the forces.
+    ConfigError for references that are none, DataError for too few of them, and for such as do not move the
+    forces.
     """
     references, n_input = settings.reference, len(layout.inputs)
     whole = _with_references(sources, settings, layout)
@@ -155,13 +180,19 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     averages = sum(spectrum.averages for spectrum in spectra)
     if averages <= n + 2:
         hint = "record longer, or shorten `block`"
-        raise DataError(f"{averages:.2g} effective averages are too few for the noise of an FRF by references", hint=hint)
+        raise DataError(
+            f"{averages:.2g} effective averages are too few for the noise of an FRF by references", hint=hint
+        )
     matrix = joined_spectra(spectra, whole)[chosen]
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, spectra[0].frequency[chosen], settings, layout)
     frequency = spectra[0].frequency[chosen]
-    covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP)
-    open_loop = matrix[:, n + n_input :, n : n + n_input] @ np.linalg.pinv(matrix[:, n : n + n_input, n : n + n_input], hermitian=True)
+    covariance = covariance_by_neighbours(
+        frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
+    )
+    open_loop = matrix[:, n + n_input :, n : n + n_input] @ np.linalg.pinv(
+        matrix[:, n : n + n_input, n : n + n_input], hermitian=True
+    )
 
     def response_of(part: ComplexArray) -> ComplexArray:
         return joint_estimate(part, references, n_input, averages / 2).matrix
@@ -176,42 +207,72 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         dof=averages - n,
         findings=(*findings, open_loop_note(frequency, estimate.matrix, covariance, open_loop)),
         line_correlation=spectra[0].line_correlation,
-        blocks=Blocks(settings.block, settings.window, settings.overlap, n_block, ESTIMATOR, derivatives=layout.derivatives),
+        blocks=Blocks(
+            settings.block,
+            settings.window,
+            settings.overlap,
+            n_block,
+            ESTIMATOR,
+            derivatives=layout.derivatives,
+        ),
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )
 
 
 def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> None:
-    """ConfigError unless the references are channels of the recordings outside of the FRF, DataError for a recording without any."""
+    """ConfigError unless the references are channels of the recordings outside of the FRF, DataError for a
+    recording without any.
+    """
     roles = {channel.name: channel.role for source in sources for channel in source.channels}
     for name in settings.reference:
         if name not in roles:
-            raise ConfigError(f"'{name}' is no channel of the recordings", hint=nearest(name, roles), field="reference")
+            raise ConfigError(
+                f"'{name}' is no channel of the recordings", hint=nearest(name, roles), field="reference"
+            )
         if roles[name] != "reference":
             part = "force" if roles[name] == "input" else "response"
-            what = f"'{name}' is a {part} of the FRF; the reference is what is injected into the loop from outside"
-            raise ConfigError(what, hint="record it, and give it role: reference in the rig file", field="reference")
+            what = (
+                f"'{name}' is a {part} of the FRF; the reference is what is injected into the loop from "
+                "outside"
+            )
+            raise ConfigError(
+                what, hint="record it, and give it role: reference in the rig file", field="reference"
+            )
     for source in sources:
         if not {channel.name for channel in source.channels} & set(settings.reference):
-            raise DataError(f"recording '{source.name}' has none of the references {', '.join(settings.reference)}")
+            raise DataError(
+                f"recording '{source.name}' has none of the references {', '.join(settings.reference)}"
+            )
 
 
 def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Layout:
-    """The layout with the references before the forces, -1 where a recording lacks one; DataError for too few of them."""
+    """The layout with the references before the forces, -1 where a recording lacks one.
+
+    DataError for too few of them.
+    """
     check_references(sources, settings)
     if len(settings.reference) < len(layout.inputs):
         forces = ", ".join(port.label for port in layout.inputs)
-        what = f"{len(layout.inputs)} forces ({forces}) need as many references, named: {', '.join(settings.reference)}"
-        raise DataError(what, hint="inject independent signals into every axis, and name all of them under `reference`")
+        what = (
+            f"{len(layout.inputs)} forces ({forces}) need as many references, named: "
+            f"{', '.join(settings.reference)}"
+        )
+        raise DataError(
+            what, hint="inject independent signals into every axis, and name all of them under `reference`"
+        )
     columns = []
     for source, forces_of in zip(sources, layout.input_columns, strict=True):
         names = [channel.name for channel in source.channels]
-        columns.append((*(names.index(name) if name in names else -1 for name in settings.reference), *forces_of))
+        columns.append(
+            (*(names.index(name) if name in names else -1 for name in settings.reference), *forces_of)
+        )
     return dataclasses.replace(layout, input_columns=tuple(columns))
 
 
-def _strength_findings(estimate: JointEstimate, frequency: FloatArray, settings: FrfSettings, layout: Layout) -> tuple[Finding, ...]:
+def _strength_findings(
+    estimate: JointEstimate, frequency: FloatArray, settings: FrfSettings, layout: Layout
+) -> tuple[Finding, ...]:
     """A warning where the references hardly move the forces; DataError where they do not."""
     named, weak = ", ".join(settings.reference), estimate.strength < LOW_SNR
     forces = ", ".join(port.label for port in layout.inputs)
@@ -219,14 +280,18 @@ def _strength_findings(estimate: JointEstimate, frequency: FloatArray, settings:
     if np.mean(weak) <= POOR_SHARE:
         return ()
     what = (
-        f"the part of the force {forces} that is due to the reference {named} is less than {LOW_SNR:g} times its noise at "
+        f"the part of the force {forces} that is due to the reference {named} is less than {LOW_SNR:g} "
+        "times its noise at "
         f"{100 * np.mean(weak):.0f} % of the lines: the FRF is uncertain there beyond its covariance"
     )
     return (Finding("low-snr", what),)
 
 
-def open_loop_note(frequency: FloatArray, matrix: ComplexArray, covariance: ComplexArray, open_loop: ComplexArray) -> Finding:
-    """How far H1, *open_loop*, is from the FRF *matrix* (n_line, n_output, n_input) [unit of H] at *frequency* (n_line,) [Hz], in words.
+def open_loop_note(
+    frequency: FloatArray, matrix: ComplexArray, covariance: ComplexArray, open_loop: ComplexArray
+) -> Finding:
+    """How far H1, *open_loop*, is from the FRF *matrix* (n_line, n_output, n_input) [unit of H] at
+    *frequency* (n_line,) [Hz], in words.
 
     *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
     """
@@ -234,10 +299,15 @@ def open_loop_note(frequency: FloatArray, matrix: ComplexArray, covariance: Comp
     apart = np.linalg.norm(open_loop - matrix, axis=(1, 2)) / size
     error = np.sqrt(np.einsum("lii->l", covariance).real) / size
     worst = int(np.argmax(np.where(apart > 2 * error, apart, 0.0)))
-    far = f", most at {frequency[worst]:.4g} Hz: {100 * apart[worst]:.3g} %" if apart[worst] > 2 * error[worst] else ""
+    far = (
+        f", most at {frequency[worst]:.4g} Hz: {100 * apart[worst]:.3g} %"
+        if apart[worst] > 2 * error[worst]
+        else ""
+    )
     message = (
-        f"the FRF is taken from what the reference makes of force and response. H1, which takes the force as given from outside, differs "
-        f"from it by {100 * np.median(apart):.2g} % of |H| (median over the lines; the FRF's standard error is "
-        f"{100 * np.median(error):.2g} %){far}: that is its bias, and noise"
+        "the FRF is taken from what the reference makes of force and response. H1, which takes the force as "
+        f"given from outside, differs from it by {100 * np.median(apart):.2g} % of |H| (median over the "
+        f"lines; the FRF's standard error is {100 * np.median(error):.2g} %){far}: that is its bias, and "
+        "noise"
     )
     return note("closed-loop", message)

@@ -1,9 +1,12 @@
-"""Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of frequency.
+"""Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of
+frequency.
 
-Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing in the residual.
+Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing in
+the residual.
 
-A(r) Y(k + r) = B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on System
-Identification, "Non-parametric frequency response estimation using a local rational model"; here linear in its coefficients).
+A(r) Y(k + r) = B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th
+IFAC Symposium on System Identification, "Non-parametric frequency response estimation using a local rational
+model"; here linear in its coefficients).
 """
 
 from __future__ import annotations
@@ -26,16 +29,19 @@ from labpipe.spectra.settings import FrfSettings
 # Local polynomial method: around a line FRF and leakage are polynomials over the lines (Pintelon and
 # Schoukens 2012, chapter 7).
 
-# Lines solved together, so that memory does not depend on the record, and lines from which the correlation is averaged.
+# Lines solved together, so that memory does not depend on the record, and lines from which the correlation is
+# averaged.
 LINES_AT_ONCE, CORRELATED = 2048, 4096
 
 
 @dataclass(frozen=True)
 class LocalFit:
-    """FRF at the middle of every window: matrix (n_line, n_output, n_input) [output unit / N], covariance (n_line, n, n) of its vec.
+    """FRF at the middle of every window: matrix (n_line, n_output, n_input) [output unit / N], covariance
+    (n_line, n, n) of its vec.
 
-    multiple_coherence (n_line, n_output) [1] of the lines in the window without their leakage; correlation (2 n,) [1] of the error
-    with that of the next lines; condition (n_line,) [1]: of the equations of every line; dof: complex degrees of freedom of its noise.
+    multiple_coherence (n_line, n_output) [1] of the lines in the window without their leakage; correlation (2
+    n,) [1] of the error with that of the next lines; condition (n_line,) [1]: of the equations of every line;
+    dof: complex degrees of freedom of its noise.
     """
 
     matrix: ComplexArray
@@ -47,19 +53,24 @@ class LocalFit:
 
 
 def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
-    """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every force.
+    """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every
+    force.
 
     Equation (frf-local-freedom).
     """
     return n_block * (2 * half_width - degree) - (degree + 1) * n_input
 
 
-def local_polynomials(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalFit:
-    """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common, leakage T of each block alone.
+def local_polynomials(
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+) -> LocalFit:
+    """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common,
+    leakage T of each block alone.
 
-    forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without window; the first and the last
-    half_width lines have no window of their own and are left out. H(k) = G_0; its covariance is that of least squares,
-    S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation (frf-local-polynomial).
+    forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without
+    window; the first and the last half_width lines have no window of their own and are left out. H(k) = G_0;
+    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation
+    (frf-local-polynomial).
     """
     n_line = forces.shape[1] - 2 * half_width
     starts = range(0, n_line, LINES_AT_ONCE)
@@ -86,7 +97,9 @@ def local_polynomials(forces: ComplexArray, responses: ComplexArray, degree: int
 def _window_fits(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, ComplexArray]:
-    """Matrix, covariance, multiple coherence, condition, and weights (n_line, n_input, n_block, 2 n + 1) of the noise of every line."""
+    """Matrix, covariance, multiple coherence, condition, and weights (n_line, n_input, n_block, 2 n + 1) of
+    the noise of every line.
+    """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
     offsets = np.arange(-half_width, half_width + 1) / half_width
@@ -115,7 +128,9 @@ def _window_fits(
     matrix = (gain @ y).swapaxes(1, 2)
     weights = gain.reshape(n_line, n_input, n_block, width)
     # Of a force that is smooth over the lines itself nothing but rounding is left beside the leakage.
-    left_over = np.min(np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1)
+    left_over = np.min(
+        np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1
+    )
     condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
     return matrix, without_rounding(covariance), coherence, condition, weights
 
@@ -126,17 +141,23 @@ def _windows(spectra: ComplexArray, width: int) -> ComplexArray:
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
-    """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1) explain."""
+    """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1)
+    explain.
+    """
     return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
 
 def _correlation(weights: ComplexArray) -> FloatArray:
-    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: the noise of the lines that both windows hold, averaged over the lines."""
+    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: the noise of the lines that both windows
+    hold, averaged over the lines.
+    """
     width = weights.shape[3]
     size = np.sqrt(np.sum(np.abs(weights) ** 2, axis=(2, 3)))
     unit = weights / np.where(size > 0, size, 1.0)[:, :, None, None]
     shared = [
-        np.mean(np.sum(unit[:-lag, :, :, lag:] * unit[lag:, :, :, : width - lag].conj(), axis=(2, 3)).real) if unit.shape[0] > lag else 0.0
+        np.mean(np.sum(unit[:-lag, :, :, lag:] * unit[lag:, :, :, : width - lag].conj(), axis=(2, 3)).real)
+        if unit.shape[0] > lag
+        else 0.0
         for lag in range(1, width)
     ]
     return np.array(shared)
@@ -145,16 +166,19 @@ def _correlation(weights: ComplexArray) -> FloatArray:
 # Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing
 # in the residual.
 
-# Lines solved together, so that memory does not depend on the record; share of a column's power below which it is noise of rounding.
+# Lines solved together, so that memory does not depend on the record; share of a column's power below which
+# it is noise of rounding.
 RATIONAL_LINES_AT_ONCE, ROUNDING = 2048, 1e-13
 
 
 @dataclass(frozen=True)
 class LocalNoise:
-    """What a local rational FRF leaves of every line: noise (n_line, n_output, n_output) [output unit^2] of one block.
+    """What a local rational FRF leaves of every line: noise (n_line, n_output, n_output) [output unit^2] of
+    one block.
 
-    leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line, n_block, n_output) [1]; *dof*
-    complex degrees of freedom of the noise of a line, *width* the number of lines they come from.
+    leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line,
+    n_block, n_output) [1]; *dof* complex degrees of freedom of the noise of a line, *width* the number of
+    lines they come from.
     """
 
     noise: ComplexArray
@@ -165,15 +189,19 @@ class LocalNoise:
 
 
 def noise_freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
-    """Complex degrees of freedom of the residual of one output: as of local polynomials, less one for the pole."""
+    """Complex degrees of freedom of the residual of one output: as of local polynomials, less one for the
+    pole.
+    """
     return freedom(n_block, n_input, degree, half_width) - 1
 
 
 def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
-    """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block, n_line, n_input) [N].
+    """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block,
+    n_line, n_input) [N].
 
-    Both are transforms without window. Every output has its own pole, which all blocks share as they share B; each block has its own
-    leakage T, of which T(0) is the value at the line. The first and the last half_width lines are left out. Equation (frf-local-rational).
+    Both are transforms without window. Every output has its own pole, which all blocks share as they share B;
+    each block has its own leakage T, of which T(0) is the value at the line. The first and the last
+    half_width lines are left out. Equation (frf-local-rational).
     """
     n_line = forces.shape[1] - 2 * half_width
     parts: list[tuple[ComplexArray, ComplexArray, FloatArray]] = []
@@ -190,7 +218,9 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
 def _around_lines(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Sums of the residual's products (n_line, n_output, n_output), leakage and spread (n_line, n_block, n_output)."""
+    """Sums of the residual's products (n_line, n_output, n_output), leakage and spread (n_line, n_block,
+    n_output).
+    """
     n_block, _, n_output = responses.shape
     width = 2 * half_width + 1
     offsets = np.arange(-half_width, half_width + 1) / half_width
@@ -210,10 +240,14 @@ def _around_lines(
     return joined @ hermitian(joined), np.stack(leakage, axis=2), np.stack(spread, axis=2)
 
 
-def _solved(columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials *smooth* (width, degree + 1).
+def _solved(
+    columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials
+    *smooth* (width, degree + 1).
 
-    Gives residual (n_line, n_block, width), and leakage (n_line, n_block) in the middle of the window with its variance over the noise's.
+    Gives residual (n_line, n_block, width), and leakage (n_line, n_block) in the middle of the window with
+    its variance over the noise's.
     """
     n_line, n_block, width, n = columns.shape
     scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2), keepdims=True))
@@ -225,12 +259,17 @@ def _solved(columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: 
     inverse = np.linalg.pinv(hermitian(rows) @ rows, rcond=ROUNDING, hermitian=True)
     factors = inverse @ (hermitian(rows) @ rest.reshape(n_line, -1, 1))
     residual = rest - (rows @ factors).reshape(rest.shape)
-    spread = np.dot(at_middle, at_middle) + np.einsum("lbp,lpq,lbq->lb", of_columns, inverse, of_columns.conj()).real
+    spread = (
+        np.dot(at_middle, at_middle)
+        + np.einsum("lbp,lpq,lbq->lb", of_columns, inverse, of_columns.conj()).real
+    )
     return residual[..., 0], of_y - (of_columns @ factors)[..., 0], spread
 
 
 def _rational_without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
-    """Columns (n_line, n_block, width, n) without what polynomials (width, degree + 1) explain, n the last axis."""
+    """Columns (n_line, n_block, width, n) without what polynomials (width, degree + 1) explain, n the last
+    axis.
+    """
     return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
 
@@ -239,29 +278,42 @@ def _rational_without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray
 
 # Degrees of freedom of the noise of a line that the half width is chosen for, and least that is accepted.
 USUAL_DOF, LEAST_DOF = 8, 2
-# Condition number of the equations of a line above which the forces are not rough enough to tell FRF and leakage apart.
+# Condition number of the equations of a line above which the forces are not rough enough to tell FRF and
+# leakage apart.
 WORST_CONDITION = 1e8
 
 
 def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from DFTs of neighbouring blocks without window; DataError for forces that cannot be told from leakage or from each other."""
+    """The FRF from DFTs of neighbouring blocks without window.
+
+    DataError for forces that cannot be told from leakage or from each other.
+    """
     assert settings.block is not None
     rate = sources[0].sample_rate
     n_sample = round(settings.block * rate)
-    blocks = np.concatenate([layout.padded(number, _spectra(source, n_sample), 1) for number, source in enumerate(sources)])
+    blocks = np.concatenate(
+        [layout.padded(number, _spectra(source, n_sample), 1) for number, source in enumerate(sources)]
+    )
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
     if freedom(blocks.shape[0], n_input, settings.degree, half_width) < LEAST_DOF:
         least = usual_half_width(blocks.shape[0], n_input, settings.degree)
-        raise DataError(f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out")
+        raise DataError(
+            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
+        )
     frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
     inner = frequency[half_width:-half_width]
     if not inner.size:
-        raise DataError(f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}", hint="lengthen `block`")
+        raise DataError(
+            f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}",
+            hint="lengthen `block`",
+        )
     chosen = np.flatnonzero(lines_left(inner, settings))
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
-    fitted = local_polynomials(blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width)
+    fitted = local_polynomials(
+        blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width
+    )
     lines = chosen - first
     _check_condition(fitted.condition[lines], layout)
     coherence = fitted.multiple_coherence[lines]
@@ -276,21 +328,30 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         findings=coherence_findings(coherence, power, layout),
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
-        blocks=Blocks(settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree, layout.derivatives),
+        blocks=Blocks(
+            settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree, layout.derivatives
+        ),
         line_correlation=tuple(complex(value) for value in fitted.correlation),
     )
 
 
 def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
-    """The least half width with USUAL_DOF degrees of freedom of the noise, and with more lines than a polynomial has coefficients."""
+    """The least half width with USUAL_DOF degrees of freedom of the noise, and with more lines than a
+    polynomial has coefficients.
+    """
     return next(n for n in range(degree + 1, 10_000) if freedom(n_block, n_input, degree, n) >= USUAL_DOF)
 
 
 def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
-    """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last below half the rate."""
+    """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last
+    below half the rate.
+    """
     if source.n_sample < n_sample or n_sample < 8:
         have = source.n_sample / source.sample_rate
-        raise DataError(f"'{source.name}' is {have:g} s long, too short for one block of {n_sample / source.sample_rate:g} s")
+        raise DataError(
+            f"'{source.name}' is {have:g} s long, too short for one block of "
+            f"{n_sample / source.sample_rate:g} s"
+        )
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
     return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])
@@ -299,5 +360,8 @@ def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
 def _check_condition(condition: FloatArray, layout: Layout) -> None:
     if np.any(condition > WORST_CONDITION):
         names = ", ".join(port.label for port in layout.inputs)
-        what = f"the force {names} is too smooth over the lines, or too few recordings have it, to tell FRF and leakage apart"
+        what = (
+            f"the force {names} is too smooth over the lines, or too few recordings have it, to tell FRF "
+            "and leakage apart"
+        )
         raise DataError(what, hint="a random force in every direction, or leave `local` out")

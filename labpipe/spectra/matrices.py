@@ -16,12 +16,15 @@ def hermitian(matrix: ComplexArray) -> ComplexArray:
 
 
 def lines_last(n_line: int, n_row: int, n_column: int) -> ComplexArray:
-    """An empty array (n_line, n_row, n_column) [any unit], lines last in memory: work on its elements then runs over long rows."""
+    """An empty array (n_line, n_row, n_column) [any unit], lines last in memory: work on its elements then
+    runs over long rows.
+    """
     return np.empty((n_row, n_column, n_line), np.complex128).transpose(2, 0, 1)
 
 
 def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
-    """left right of matrices (n_line, n, m) and (n_line, m, k) [any unit], (n_line, n, k); lines are last in memory.
+    """left right of matrices (n_line, n, m) and (n_line, m, k) [any unit], (n_line, n, k); lines are last in
+    memory.
 
     For small matrices whose lines are last in memory too many times faster than ``@``.
     """
@@ -31,18 +34,28 @@ def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
 
 
 def at_lines(matrix: ComplexArray, chosen: BoolArray) -> ComplexArray:
-    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit]; lines stay last in memory where they are, all are no copy."""
+    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit].
+
+    Lines stay last in memory where they are, all are no copy.
+    """
     if np.all(chosen):
         return matrix
     return np.compress(chosen, matrix.transpose(1, 2, 0), axis=2).transpose(2, 0, 1)
 
 
 def inverse(matrix: ComplexArray) -> ComplexArray:
-    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular. Closed form for n = 1, 2."""
+    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular.
+
+    Closed form for n = 1, 2.
+    """
     n = matrix.shape[-1]
     if n > 2:
         return np.linalg.inv(matrix)
-    determinant = matrix[..., 0, 0] if n == 1 else matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+    determinant = (
+        matrix[..., 0, 0]
+        if n == 1
+        else matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+    )
     if np.any(determinant == 0):
         raise np.linalg.LinAlgError("Singular matrix")
     result = np.empty_like(matrix, np.complex128)
@@ -50,16 +63,22 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
         np.divide(1.0, matrix, out=result)
         return result
     reciprocal = 1.0 / determinant
-    for (row, column), (i, j), sign in (((0, 0), (1, 1), 1), ((0, 1), (0, 1), -1), ((1, 0), (1, 0), -1), ((1, 1), (0, 0), 1)):
+    for (row, column), (i, j), sign in (
+        ((0, 0), (1, 1), 1),
+        ((0, 1), (0, 1), -1),
+        ((1, 0), (1, 0), -1),
+        ((1, 1), (0, 0), 1),
+    ):
         np.multiply(matrix[..., i, j], reciprocal if sign > 0 else -reciprocal, out=result[..., row, column])
     return result
 
 
 def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots (n_line, n) [any unit].
+    """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots
+    (n_line, n) [any unit].
 
-    Gauss-Jordan elimination of all lines at once, which needs no exchange of rows; the determinant is the product of the pivots.
-    numpy.linalg.LinAlgError when a pivot is not positive.
+    Gauss-Jordan elimination of all lines at once, which needs no exchange of rows; the determinant is the
+    product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
     """
     n_line, n = matrix.shape[:2]
     work = lines_last(n_line, n, n)
@@ -80,10 +99,12 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
 
 
 def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
-    """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A (n_line, n_first, n_first).
+    """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A
+    (n_line, n_first, n_first).
 
-    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal, of a few lines at a time, which stay in the
-    cache: no inverse of A, whose condition would enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
+    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal, of a few lines
+    at a time, which stay in the cache: no inverse of A, whose condition would enter; exactly Hermitian, and a
+    diagonal that rounding makes negative is 0.
     """
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)
@@ -103,9 +124,11 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
 
 
 def _eliminated(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line) [any unit].
+    """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line)
+    [any unit].
 
-    *first* (n_line, n, n_first): the first columns of Hermitian matrices, of which what lies below the diagonal is read.
+    *first* (n_line, n, n_first): the first columns of Hermitian matrices, of which what lies below the
+    diagonal is read.
     """
     columns = np.array(first.transpose(1, 2, 0), order="C")
     factors = np.zeros_like(columns)
@@ -117,7 +140,9 @@ def _eliminated(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 
 
 def without_rounding(covariance: ComplexArray) -> ComplexArray:
-    """The Hermitian part of covariances (..., n, n) [any unit], diagonals real and not negative: removes rounding errors."""
+    """The Hermitian part of covariances (..., n, n) [any unit], diagonals real and not negative: removes
+    rounding errors.
+    """
     covariance = (covariance + hermitian(covariance)) / 2
     diagonal = np.einsum("...ii->...i", covariance)
     diagonal[...] = np.maximum(diagonal.real, 0.0)

@@ -11,7 +11,13 @@ import numpy as np
 from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, Port, StoredCovariance
+from labpipe.records.response import (
+    BlockCovariance,
+    FactoredCovariance,
+    FrequencyResponse,
+    Port,
+    StoredCovariance,
+)
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import uncertainty_findings
@@ -44,17 +50,23 @@ EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], P
 
 
 def measure(
-    sources: Sequence[SampleSource], settings: FrfSettings, *, name: str = "", conditions: dict[str, Any] | None = None
+    sources: Sequence[SampleSource],
+    settings: FrfSettings,
+    *,
+    name: str = "",
+    conditions: dict[str, Any] | None = None,
 ) -> FrequencyResponse:
     """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
 
-    Several recordings, for example one per force direction, give one matrix; a force that a recording lacks is zero in it. Memory
-    use does not depend on the recordings' length. Raises DataError for recordings that do not fit together, are too short, hold NaN,
-    or whose forces are not independent.
+    Several recordings, for example one per force direction, give one matrix; a force that a recording lacks
+    is zero in it. Memory use does not depend on the recordings' length. Raises DataError for recordings that
+    do not fit together, are too short, hold NaN, or whose forces are not independent.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
-        raise ConfigError(f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay")
+        raise ConfigError(
+            f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
+        )
     if settings.realisations:
         responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
@@ -68,7 +80,9 @@ def measure(
 def _of_sensor_places(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
-    """The response of recordings between which the sensors moved: one for each of their places, joined to one matrix."""
+    """The response of recordings between which the sensors moved: one for each of their places, joined to one
+    matrix.
+    """
     places: dict[tuple[Any, ...], list[SampleSource]] = {}
     for source in sources:
         place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
@@ -80,7 +94,10 @@ def _of_sensor_places(
     responses = [_measured(members, settings, members[0].name, conditions) for members in places.values()]
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
-        responses = [dataclasses.replace(response, outputs=tuple(map(_by_dof, response.outputs))) for response in responses]
+        responses = [
+            dataclasses.replace(response, outputs=tuple(map(_by_dof, response.outputs)))
+            for response in responses
+        ]
     return dataclasses.replace(joined(responses), name=name)
 
 
@@ -88,7 +105,9 @@ def _by_dof(port: Port) -> Port:
     return dataclasses.replace(port, label=port.dof)
 
 
-def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None) -> FrequencyResponse:
+def _measured(
+    sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
+) -> FrequencyResponse:
     """The response in the directions of the sensors, averaged over all recordings."""
     layout = find_layout(sources)
     bands = masked_bands(sources, settings)
@@ -98,12 +117,24 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
     loop = feedback_of_records(sources, settings, layout) if settings.excitation in RECORDS else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
-    evaluate = joint_parts if settings.reference and settings.excitation == "random" else EXCITATIONS[settings.excitation]
+    evaluate = (
+        joint_parts
+        if settings.reference and settings.excitation == "random"
+        else EXCITATIONS[settings.excitation]
+    )
     parts = evaluate(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
     loop = () if aliasing else loop
-    findings = (*source_findings(sources), *uncertainty_findings(sources), *mask_findings(bands), *shaft, *aliasing, *parts.findings, *loop)
+    findings = (
+        *source_findings(sources),
+        *uncertainty_findings(sources),
+        *mask_findings(bands),
+        *shaft,
+        *aliasing,
+        *parts.findings,
+        *loop,
+    )
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
     return FrequencyResponse(
@@ -125,7 +156,9 @@ def _measured(sources: Sequence[SampleSource], settings: FrfSettings, name: str,
         line_correlation=parts.line_correlation,
         line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
         blocks=parts.blocks,
-        errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]),
+        errors=sum_errors(
+            cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]
+        ),
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),
@@ -141,13 +174,18 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
 
 
 def _corrected(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
-    """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input); as it is where that is one."""
+    """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input).
+
+    As it is where that is one.
+    """
     if covariance is None or np.all(factor == 1):
         return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
     if isinstance(covariance, BlockCovariance):
         return covariance.times(flat)
-    corrected: ComplexArray = (covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance) * flat[:, :, None]
+    corrected: ComplexArray = (
+        covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
+    ) * flat[:, :, None]
     corrected *= flat[:, None, :].conj()
     return handed_over(corrected)
 
@@ -159,7 +197,9 @@ def _phase(values: ComplexArray) -> ComplexArray:
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
-    """Channels of the outputs coherent with the forces: noise alone does not show whether an anti-alias filter was used."""
+    """Channels of the outputs coherent with the forces: noise alone does not show whether an anti-alias
+    filter was used.
+    """
     n_output = len(layout.outputs)
     if parts.multiple_coherence is not None:
         coherent = np.median(parts.multiple_coherence, axis=0) > EXPLAINED

@@ -23,7 +23,9 @@ from labpipe.spectra.shaft import ShaftMotion, shaft_motion
 
 @dataclass(frozen=True)
 class Plane:
-    """Two outputs of one plane: its *name* ("front" of front.x and front.y, empty for x and y), their *columns* and *angles* [rad]."""
+    """Two outputs of one plane: its *name* ("front" of front.x and front.y, empty for x and y), their
+    *columns* and *angles* [rad].
+    """
 
     name: str
     columns: tuple[int, int]
@@ -51,7 +53,9 @@ def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
         if angle is not None:
             members_of.setdefault(name, []).append((column, angle))
     pairs = {name: members for name, members in members_of.items() if len(members) == 2}
-    planes = [Plane(name, (first[0], second[0]), (first[1], second[1])) for name, (first, second) in pairs.items()]
+    planes = [
+        Plane(name, (first[0], second[0]), (first[1], second[1])) for name, (first, second) in pairs.items()
+    ]
     return tuple(plane for plane in planes if abs(np.linalg.det(plane.directions)) >= SMALLEST_ANGLE)
 
 
@@ -63,9 +67,10 @@ def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
 class OrderTrack:
     """One order of the outputs: x = Re X exp(j order theta), theta the shaft angle from the tacho pulse.
 
-    time (n,) [s], speed (n,) [Hz] of the segments; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance (n, n_channel)
-    E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half the peak-to-peak value of the total
-    motion [SI]; orbit (n, n_plane): largest distance of the total motion from its centre in each of `planes` [SI].
+    time (n,) [s], speed (n,) [Hz] of the segments; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance
+    (n, n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half
+    the peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion
+    from its centre in each of `planes` [SI].
     """
 
     order: float
@@ -79,24 +84,35 @@ class OrderTrack:
     planes: tuple[Plane, ...] = ()
 
 
-def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, revolutions: int = 20) -> OrderTrack:
+def track_order(
+    source: SampleSource, lines: ShaftLines, *, order: float = 1.0, revolutions: int = 20
+) -> OrderTrack:
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
 
-    *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the order. With the noise variance
-    s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds no complete segment. Equation (run-order).
+    *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
+    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds
+    no complete segment. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
-    ports = tuple(Port(c.name, c.name, c.dof, c.angle, c.uncertainties) for c in (source.channels[number] for number in outputs))
+    ports = tuple(
+        Port(c.name, c.name, c.dof, c.angle, c.uncertainties)
+        for c in (source.channels[number] for number in outputs)
+    )
     planes = planes_of(ports)
     segments = []
     for time, angle, samples in _segments(source, motion, revolutions):
         fitted = _fitted(time, angle, samples, outputs, orders, order)
         segments.append((*fitted, *_total_motion(samples[:, outputs], planes)))
     if not segments:
-        raise DataError(f"recording '{source.name}' is shorter than {revolutions} revolutions", hint="lower the number of revolutions")
-    times, speed, amplitude, variance, overall, orbit = (np.array(column) for column in zip(*segments, strict=True))
+        raise DataError(
+            f"recording '{source.name}' is shorter than {revolutions} revolutions",
+            hint="lower the number of revolutions",
+        )
+    times, speed, amplitude, variance, overall, orbit = (
+        np.array(column) for column in zip(*segments, strict=True)
+    )
     return OrderTrack(
         order=order,
         time=times,
@@ -111,16 +127,21 @@ def track_order(source: SampleSource, lines: ShaftLines, *, order: float = 1.0, 
 
 
 def directional_track(track: OrderTrack) -> OrderTrack:
-    """The track as forward and backward circles: [f, b] = A^-1 [x, y], A = [[1, 1], [-j, j]], columns f and b.
+    """The track as forward and backward circles: [f, b] = A^-1 [x, y], A = [[1, 1], [-j, j]], columns f and
+    b.
 
-    The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. DataError unless two outputs have known directions.
+    The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. DataError unless two outputs have
+    known directions.
     """
     directions(track.ports, "responses")
     return plane_track(track, track.planes[0])
 
 
 def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
-    """The track of one plane as forward and backward circles, columns f and b with the plane's name. Equation (run-circles)."""
+    """The track of one plane as forward and backward circles, columns f and b with the plane's name.
+
+    Equation (run-circles).
+    """
     turn = np.linalg.inv(FROM_DIRECTIONAL) @ np.linalg.inv(plane.directions)
     columns = list(plane.columns)
     amplitude = track.amplitude[:, columns] @ turn.T
@@ -144,7 +165,9 @@ Segment = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> Iterator[Segment]:
-    """Times (n,) [s], angles (n,) [rad] and samples (n, n_channel) [SI] of consecutive segments of whole revolutions."""
+    """Times (n,) [s], angles (n,) [rad] and samples (n, n_channel) [SI] of consecutive segments of whole
+    revolutions.
+    """
     rest, start = np.empty((0, len(source.channels))), 0
     for block in checked_blocks(source):
         samples = np.concatenate([rest, block])
@@ -162,10 +185,14 @@ def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> It
 
 
 def _total_motion(samples: FloatArray, planes: tuple[Plane, ...]) -> tuple[FloatArray, FloatArray]:
-    """Half the peak-to-peak value of every output (n_output,), and the largest radius of every plane's orbit (n_plane,)."""
+    """Half the peak-to-peak value of every output (n_output,), and the largest radius of every plane's orbit
+    (n_plane,).
+    """
     low, high = samples.min(axis=0), samples.max(axis=0)
     centred = samples - (low + high) / 2
-    radii = [np.hypot(*(np.linalg.inv(plane.directions) @ centred[:, list(plane.columns)].T)) for plane in planes]
+    radii = [
+        np.hypot(*(np.linalg.inv(plane.directions) @ centred[:, list(plane.columns)].T)) for plane in planes
+    ]
     return (high - low) / 2, np.array([radius.max() for radius in radii])
 
 
@@ -196,7 +223,9 @@ MOST_BLOCKS = 40
 
 @dataclass(frozen=True)
 class CascadeSpectra:
-    """speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude (n_block, n_line, n_output) 0-to-peak [SI], labels (n_output,)."""
+    """speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude (n_block, n_line, n_output) 0-to-peak [SI],
+    labels (n_output,).
+    """
 
     speed: FloatArray
     frequency: FloatArray
@@ -204,10 +233,14 @@ class CascadeSpectra:
     labels: tuple[str, ...]
 
 
-def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0) -> CascadeSpectra:
-    """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled to a sine's amplitude).
+def cascade_spectra(
+    source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0
+) -> CascadeSpectra:
+    """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled
+    to a sine's amplitude).
 
-    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two blocks. Equation (spec-cascade).
+    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two
+    blocks. Equation (spec-cascade).
     """
     length = round(source.sample_rate / resolution)
     motion = shaft_motion(source, lines)
@@ -215,11 +248,18 @@ def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: floa
     samples = np.concatenate(list(checked_blocks(source)))[:, outputs]
     count = samples.shape[0] // length
     if count < 2:
-        raise DataError(f"recording '{source.name}' is shorter than two blocks of {1 / resolution:g} s", hint="a cascade needs a run")
+        raise DataError(
+            f"recording '{source.name}' is shorter than two blocks of {1 / resolution:g} s",
+            hint="a cascade needs a run",
+        )
     window = np.hanning(length + 1)[:-1]
     starts = [int(start) for start in np.linspace(0, samples.shape[0] - length, min(count, MOST_BLOCKS))]
     blocks = np.stack([samples[start : start + length] for start in starts])
-    amplitude = 2 * np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window[:, None], axis=1)) / window.sum()
+    amplitude = (
+        2
+        * np.abs(np.fft.rfft((blocks - blocks.mean(axis=1, keepdims=True)) * window[:, None], axis=1))
+        / window.sum()
+    )
     ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
     speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
     frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length

@@ -13,7 +13,8 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settling import Differences
 
-# Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for example).
+# Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for
+# example).
 OUTLIER_LEVEL = 1e-3
 
 
@@ -21,10 +22,9 @@ OUTLIER_LEVEL = 1e-3
 class LineSpectrum:
     """Fourier amplitudes of all channels averaged over periods, and the noise of the averages.
 
-    frequency  (n_line,) [Hz]
-    mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t) [unit of the channel]
-    noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H], or None with a single period
-    dof        complex degrees of freedom behind each line of the noise
+    frequency  (n_line,) [Hz] mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t)
+    [unit of the channel] noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H],
+    or None with a single period dof        complex degrees of freedom behind each line of the noise
     """
 
     frequency: FloatArray
@@ -34,7 +34,10 @@ class LineSpectrum:
     dof: float
 
     def select(self, lines: BoolArray) -> LineSpectrum:
-        """The spectrum at the lines of the mask *lines* (n_line,); mean and noise keep their units [unit of the channel]."""
+        """The spectrum at the lines of the mask *lines* (n_line,).
+
+        Mean and noise keep their units [unit of the channel].
+        """
         noise = None if self.noise is None else self.noise[lines]
         return LineSpectrum(self.frequency[lines], self.mean[lines], noise, self.n_period, self.dof)
 
@@ -45,18 +48,25 @@ def samples_per_period(period: float, sample_rate: float) -> int:
     n_sample = round(exact)
     if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
         hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
-        raise ConfigError(f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number", hint=hint)
+        raise ConfigError(
+            f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number",
+            hint=hint,
+        )
     return n_sample
 
 
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
 
-    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation (spec-period).
+    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation
+    (spec-period).
     """
 
     def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
-        """*n_sample* samples per period, *skip* transient periods; *lines* of the DFT, by default all above 0 Hz."""
+        """*n_sample* samples per period, *skip* transient periods.
+
+        *lines* of the DFT, by default all above 0 Hz.
+        """
         self._n_sample = n_sample
         self._lines = lines
         self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
@@ -81,7 +91,9 @@ class PeriodAverage:
             self._skip -= 1
             return
         # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
-        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (2 / self._n_sample)
+        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (
+            2 / self._n_sample
+        )
         self.n_period += 1
         self.differences.add(amplitude)
         before = amplitude - self._mean
@@ -90,12 +102,16 @@ class PeriodAverage:
         self._scatter += before[:, :, None] * after[:, None, :].conj()
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines; DataError when no period is left after the transient ones. Equation (spec-period-noise)."""
+        """The averaged lines; DataError when no period is left after the transient ones.
+
+        Equation (spec-period-noise).
+        """
         n = self.n_period
         if n == 0:
             raise DataError(
                 "the recording is too short for one period after the transient ones",
-                hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or record longer",
+                hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or "
+                "record longer",
             )
         frequency = self._line_numbers * (sample_rate / self._n_sample)
         noise = None if n == 1 else self._scatter / (n * (n - 1))
@@ -105,11 +121,11 @@ class PeriodAverage:
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
     """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
 
-    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood fit with weights
-    of 4 degrees of freedom is inefficient and underestimates its standard errors. Measurement noise is broadband, so neighbouring
-    lines share it. A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged;
-    of fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours' raises theirs.
-    Equation (spec-smoothed-noise).
+    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood
+    fit with weights of 4 degrees of freedom is inefficient and underestimates its standard errors.
+    Measurement noise is broadband, so neighbouring lines share it. A line whose noise in any channel exceeds
+    that of its neighbours (F-test at 0.1 %) is not averaged; of fewer periods than channels its own noise has
+    no inverse, and *with_inverse* what exceeds its neighbours' raises theirs. Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
@@ -119,7 +135,11 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
     if with_inverse and spectrum.dof < own.shape[-1]:
         power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
         raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
-        own = np.where(np.all((around > 0) | (power == 0), axis=1)[:, None, None], smooth * raised[:, :, None] * raised[:, None], own)
+        own = np.where(
+            np.all((around > 0) | (power == 0), axis=1)[:, None, None],
+            smooth * raised[:, :, None] * raised[:, None],
+            own,
+        )
     noise = np.where(broadband[:, None, None], smooth, own)
     count = _neighbourhood_count(broadband, half_width, centre=True)
     dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
@@ -129,7 +149,8 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
 def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
     """Lines whose noise power (n_line, n_channel) equals that of their neighbours, by repeated F-tests.
 
-    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is repeated without the outliers.
+    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is
+    repeated without the outliers.
     """
     broadband = np.ones(power.shape[0], bool)
     while True:
@@ -159,18 +180,26 @@ def _neighbourhood_count(chosen: BoolArray, half_width: int, centre: bool) -> Fl
     return np.maximum(_neighbourhood_sum(chosen.astype(np.float64), half_width, centre), 1)
 
 
-def neighbourhood_mean(values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True) -> NDArray[Any]:
-    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ... k+h, with or without line k itself."""
+def neighbourhood_mean(
+    values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True
+) -> NDArray[Any]:
+    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ...
+
+    k+h, with or without line k itself.
+    """
     shape = (-1,) + (1,) * (values.ndim - 1)
     total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, centre)
     mean: NDArray[Any] = total / _neighbourhood_count(chosen, half_width, centre).reshape(shape)
     return mean
 
 
-def excited_lines(spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3) -> BoolArray:
+def excited_lines(
+    spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3
+) -> BoolArray:
     """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
 
-    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation (spec-excited).
+    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation
+    (spec-excited).
     """
     force = np.abs(spectrum.mean[:, inputs])
     excited = force > floor * np.max(force, axis=0)

@@ -1,4 +1,6 @@
-"""Recordings of a periodic excitation -> FRF matrix: scatter between periods as covariance, phase realisations, nonlinear distortion."""
+"""Recordings of a periodic excitation -> FRF matrix: scatter between periods as covariance, phase
+realisations, nonlinear distortion.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,13 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.joint import check_references, covariance_by_neighbours, open_loop_note
-from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.period_average import (
+    LineSpectrum,
+    PeriodAverage,
+    excited_lines,
+    samples_per_period,
+    smoothed_noise,
+)
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.random import cut_at, rest_of_mean
@@ -35,7 +43,8 @@ LOW_SNR = 10.0
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
 
-    DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation (frf-periodic).
+    DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation
+    (frf-periodic).
     """
     assert settings.period is not None
     averaged = [_period_average(source, settings) for source in sources]
@@ -65,13 +74,20 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         for number, port in enumerate(layout.inputs):
             check_moved(snr[:, number], spectra[0].frequency, settings.reference, [port.label])
     findings: tuple[Finding, ...] = (
-        _no_covariance_finding(spectra[0].n_period) if covariance is None else _snr_findings(snr, mean, layout, not unsettled)
+        _no_covariance_finding(spectra[0].n_period)
+        if covariance is None
+        else _snr_findings(snr, mean, layout, not unsettled)
     )
-    open_loop = None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
+    open_loop = (
+        None if covariance is None or not settings.reference else _open_loop(spectra, mean, noises, n_input)
+    )
     if open_loop is not None and covariance is not None:
         findings = (*findings, open_loop_note(spectra[0].frequency, matrix, covariance, open_loop))
     else:
-        findings = (*findings, *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, layout))
+        findings = (
+            *findings,
+            *feedback_of_periods([spectrum.select(lines) for spectrum in single], matrix, layout),
+        )
     averages = float(min(spectrum.n_period for spectrum in spectra))
     dof = min(spectrum.dof for spectrum in spectra) if covariance is not None else np.inf
     return Parts(
@@ -87,44 +103,70 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     )
 
 
-def _injected(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings) -> BoolArray:
-    """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that the loop answers.
+def _injected(
+    spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings
+) -> BoolArray:
+    """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that
+    the loop answers.
 
-    Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign. DataError for a reference without
-    lines.
+    Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign.
+    DataError for a reference without lines.
     """
     check_references(sources, settings)
     injected = np.ones(spectra[0].frequency.size, bool)
     for spectrum, source in zip(spectra, sources, strict=True):
-        columns = [number for number, channel in enumerate(source.channels) if channel.name in settings.reference]
+        columns = [
+            number for number, channel in enumerate(source.channels) if channel.name in settings.reference
+        ]
         columns = [column for column in columns if np.any(spectrum.mean[:, column] != 0)]
         lines = excited_lines(spectrum, columns) if columns else np.zeros_like(injected)
         if not np.any(lines):
-            what = f"recording '{source.name}': no line of the reference {', '.join(settings.reference)} exceeds its noise"
+            what = (
+                f"recording '{source.name}': no line of the reference {', '.join(settings.reference)} "
+                "exceeds its noise"
+            )
             raise DataError(what, hint="is it what is injected into this loop, and `period` its period?")
         injected &= lines
     if not np.any(injected):
-        raise DataError("no line is excited by a reference in all recordings", hint="inject the same lines into every axis, one by one")
+        raise DataError(
+            "no line is excited by a reference in all recordings",
+            hint="inject the same lines into every axis, one by one",
+        )
     return injected
 
 
-def _open_loop(spectra: Sequence[LineSpectrum], mean: ComplexArray, noises: Sequence[ComplexArray], n_input: int) -> ComplexArray:
-    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input); *mean* (n_line, n_channel, n_recording)."""
+def _open_loop(
+    spectra: Sequence[LineSpectrum], mean: ComplexArray, noises: Sequence[ComplexArray], n_input: int
+) -> ComplexArray:
+    """H1 = S_yu S_uu^-1 of all periods as if the loop were open, (n_line, n_output, n_input).
+
+    *mean* (n_line, n_channel, n_recording).
+    """
     power = mean @ mean.conj().swapaxes(1, 2)
-    power = power + np.sum([spectrum.n_period * noise for spectrum, noise in zip(spectra, noises, strict=True)], axis=0)
-    return np.asarray(power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True))
+    power = power + np.sum(
+        [spectrum.n_period * noise for spectrum, noise in zip(spectra, noises, strict=True)], axis=0
+    )
+    return np.asarray(
+        power[:, n_input:, :n_input] @ np.linalg.pinv(power[:, :n_input, :n_input], hermitian=True)
+    )
 
 
 def _change(
     spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
 ) -> ComplexArray | None:
-    """H of the second half of the periods less that of the first, (n_line, n_output, n_input) [output unit / N]."""
+    """H of the second half of the periods less that of the first, (n_line, n_output, n_input) [output unit /
+    N].
+    """
     first = [half.select(lines) for half in halves if half is not None]
     if len(first) < len(spectra):
         return None
-    rest = [rest_of_mean(s.mean, s.n_period, half.mean, half.n_period) for s, half in zip(spectra, first, strict=True)]
+    rest = [
+        rest_of_mean(s.mean, s.n_period, half.mean, half.n_period)
+        for s, half in zip(spectra, first, strict=True)
+    ]
     before, after = (
-        np.stack([layout.padded(e, mean, 1) for e, mean in enumerate(means)], axis=2) for means in ([half.mean for half in first], rest)
+        np.stack([layout.padded(e, mean, 1) for e, mean in enumerate(means)], axis=2)
+        for means in ([half.mean for half in first], rest)
     )
     n_input = len(layout.inputs)
     old, new = (mean[:, n_input:] @ force_inverse(mean[:, :n_input], layout) for mean in (before, after))
@@ -136,11 +178,16 @@ def _refuse_lines(acting: BoolArray) -> None:
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    raise DataError("no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level")
+    raise DataError(
+        "no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level"
+    )
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
-    """Whether every force acts in one of the recordings, (n_line, n_input); a line counts where all do, hum in a single one does not."""
+    """Whether every force acts in one of the recordings, (n_line, n_input).
+
+    A line counts where all do, hum in a single one does not.
+    """
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
         for number, column in enumerate(columns):
@@ -149,8 +196,12 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
     return acting
 
 
-def _period_average(source: SampleSource, settings: FrfSettings) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
-    """The averaged lines of one recording in the band, those of the first half of its periods, and whether its motion had settled."""
+def _period_average(
+    source: SampleSource, settings: FrfSettings
+) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
+    """The averaged lines of one recording in the band, those of the first half of its periods, and whether
+    its motion had settled.
+    """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
@@ -176,12 +227,18 @@ def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
 
 
 def _no_covariance_finding(n_period: int) -> tuple[Finding, ...]:
-    message = f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods after the transient ones"
+    message = (
+        f"{n_period} period is left, so the noise of the FRF is unknown; record at least 2 periods "
+        "after the transient ones"
+    )
     return (Finding("no-covariance", message),)
 
 
-def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout, settled: bool) -> tuple[Finding, ...]:
-    """Forces line by line, since their noise makes H too small there; responses by their power over the band, as lines weigh by noise.
+def _snr_findings(
+    snr: FloatArray | None, mean: ComplexArray, layout: Layout, settled: bool
+) -> tuple[Finding, ...]:
+    """Forces line by line, since their noise makes H too small there; responses by their power over the band,
+    as lines weigh by noise.
 
     Not responses that have not *settled*: their scatter is not noise.
     """
@@ -189,7 +246,11 @@ def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout, se
     n_input = len(layout.inputs)
     poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
     forces = (
-        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of the lines")
+        Finding(
+            "low-snr",
+            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise at "
+            f"{100 * share:.0f} % of the lines",
+        )
         for port, share in zip(layout.inputs, poor, strict=True)
         if share > POOR_SHARE
     )
@@ -197,7 +258,11 @@ def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout, se
     noise = np.divide(size, snr[:, n_input:], out=np.zeros_like(size), where=size > 0)
     weak = np.sum(noise**2, axis=0) * LOW_SNR**2 > np.sum(size**2, axis=0)
     responses = (
-        Finding("low-snr", f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in power over the band")
+        Finding(
+            "low-snr",
+            f"channel {port.label}: the signal is less than {LOW_SNR:g} times its noise, in "
+            "power over the band",
+        )
         for port, is_weak in zip(layout.outputs, weak, strict=True)
         if is_weak and settled
     )
@@ -209,10 +274,12 @@ def _snr_findings(snr: FloatArray | None, mean: ComplexArray, layout: Layout, se
 
 @dataclass(frozen=True)
 class Distortion:
-    """Levels of one FRF element over frequency (n_frequency,) [Hz], all as standard deviations of one realisation's FRF [its unit].
+    """Levels of one FRF element over frequency (n_frequency,) [Hz], all as standard deviations of one
+    realisation's FRF [its unit].
 
-    gain (n_frequency,): best linear approximation, the mean of the realisations; total: standard deviation between realisations of
-    the phases; noise: standard deviation from the scatter between periods; nonlinear: the excess of total over noise.
+    gain (n_frequency,): best linear approximation, the mean of the realisations; total: standard deviation
+    between realisations of the phases; noise: standard deviation from the scatter between periods; nonlinear:
+    the excess of total over noise.
     """
 
     frequency: FloatArray
@@ -223,34 +290,51 @@ class Distortion:
 
     @property
     def nonlinear(self) -> FloatArray:
-        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total. Equation (frf-distortion)."""
+        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total.
+
+        Equation (frf-distortion).
+        """
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
-def robust_distortion(realisations: Sequence[FrequencyResponse], output: int = 0, force: int = 0) -> Distortion:
+def robust_distortion(
+    realisations: Sequence[FrequencyResponse], output: int = 0, force: int = 0
+) -> Distortion:
     """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
 
-    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to realisation (Pintelon and
-    Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method). DataError for fewer than two realisations, different
-    lines, or FRFs of single periods.
+    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to
+    realisation (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method).
+    DataError for fewer than two realisations, different lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
-        raise DataError("distortion needs at least two realisations of the phases", hint="record with other phases")
+        raise DataError(
+            "distortion needs at least two realisations of the phases", hint="record with other phases"
+        )
     first = realisations[0]
     for other in realisations:
         if other.frequency.shape != first.frequency.shape or np.any(other.frequency != first.frequency):
             raise DataError(f"'{other.name}' has other lines than '{first.name}'")
         if other.variance is None:
-            raise DataError(f"'{other.name}' has no covariance, so its noise level is unknown", hint="record several periods")
+            raise DataError(
+                f"'{other.name}' has no covariance, so its noise level is unknown",
+                hint="record several periods",
+            )
     matrices = np.array([response.matrix[:, output, force] for response in realisations])
-    noise = np.mean([response.variance[:, output, force] for response in realisations if response.variance is not None], axis=0)
+    noise = np.mean(
+        [response.variance[:, output, force] for response in realisations if response.variance is not None],
+        axis=0,
+    )
     total = np.var(matrices, axis=0, ddof=1)
-    return Distortion(first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise), len(realisations))
+    return Distortion(
+        first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise), len(realisations)
+    )
 
 
 @dataclass(frozen=True)
 class DetectionLines:
-    """Response at lines without force: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of the channel]."""
+    """Response at lines without force: *frequency* (n,) [Hz], *level* |Y| and *noise* std of Y (n,) [unit of
+    the channel].
+    """
 
     frequency: FloatArray
     level: FloatArray
@@ -258,16 +342,23 @@ class DetectionLines:
 
     @property
     def distortion(self) -> float:
-        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger. Equation (frf-detection)."""
+        """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger.
+
+        Equation (frf-detection).
+        """
         return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5 if self.level.size else 0.0
 
 
-def detection_lines(spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float) -> dict[str, DetectionLines]:
-    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of one output.
+def detection_lines(
+    spectrum: LineSpectrum, excited: BoolArray, column: int, spacing: float
+) -> dict[str, DetectionLines]:
+    """Odd and even lines without force, within the band of the excited ones: "odd" and "even" distortion of
+    one output.
 
-    An odd multisine in a nonlinear system of even order responds at even lines only, of odd order at odd ones only, so lines left
-    out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spacing* [Hz]: fundamental of the excitation;
-    *excited* (n_line,): mask of the spectrum's lines. DataError without noise, or when the force leaves no line out.
+    An odd multisine in a nonlinear system of even order responds at even lines only, of odd order at odd ones
+    only, so lines left out on purpose show both (Pintelon and Schoukens, sec. 4.3.2: the fast method).
+    *spacing* [Hz]: fundamental of the excitation; *excited* (n_line,): mask of the spectrum's lines.
+    DataError without noise, or when the force leaves no line out.
     """
     if spectrum.noise is None:
         raise DataError("detection lines need the noise of at least two periods")
@@ -279,18 +370,25 @@ def detection_lines(spectrum: LineSpectrum, excited: BoolArray, column: int, spa
     silent = on_grid & ~excited
     silent[:first] = silent[last + 1 :] = False
     if not np.any(silent):
-        raise DataError("the force acts at every line, none is left to detect distortion", hint="leave lines out of the excitation")
+        raise DataError(
+            "the force acts at every line, none is left to detect distortion",
+            hint="leave lines out of the excitation",
+        )
     std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, column])
     level = np.abs(spectrum.mean[:, column])
     chosen = {"odd": silent & (numbers % 2 == 1), "even": silent & (numbers % 2 == 0)}
-    return {kind: DetectionLines(spectrum.frequency[lines], level[lines], std[lines]) for kind, lines in chosen.items()}
+    return {
+        kind: DetectionLines(spectrum.frequency[lines], level[lines], std[lines])
+        for kind, lines in chosen.items()
+    }
 
 
 # Several phase realisations of a periodic excitation: mean FRF and nonlinear distortion.
 
 
 def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
-    """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many as it has forces.
+    """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many
+    as it has forces.
 
     DataError unless every set of forces has the same number of realisations, at least two.
     """
@@ -303,7 +401,10 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     if len(counts) > 1 or number < 2 or number != int(number):
         hint = "as many recordings of every force direction, two or more; leave `realisations` out for one"
         raise DataError(f"{len(sources)} recording(s) do not form realisations of one measurement", hint=hint)
-    return [[source for members in series.values() for source in _chunk(members, n, int(number))] for n in range(int(number))]
+    return [
+        [source for members in series.values() for source in _chunk(members, n, int(number))]
+        for n in range(int(number))
+    ]
 
 
 def _chunk(series: list[SampleSource], n: int, number: int) -> list[SampleSource]:
@@ -312,10 +413,11 @@ def _chunk(series: list[SampleSource], n: int, number: int) -> list[SampleSource
 
 
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
-    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the number M of realisations.
+    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the
+    number M of realisations.
 
-    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1 degrees of freedom per
-    line. Raises as robust_distortion does. Equation (frf-robust).
+    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1
+    degrees of freedom per line. Raises as robust_distortion does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
     distortion = np.empty(first.matrix.shape)
@@ -325,7 +427,9 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         excess = _neighbours_mean(levels.total**2 - levels.noise**2, half_width)
         distortion[:, output, force] = np.sqrt(np.maximum(excess, 0.0))
         noise[:, output, force] = levels.noise
-    covariance = np.mean([response.covariance for response in responses if response.covariance is not None], axis=0)
+    covariance = np.mean(
+        [response.covariance for response in responses if response.covariance is not None], axis=0
+    )
     matrix = np.mean([response.matrix for response in responses], axis=0)
     return dataclasses.replace(
         first,
@@ -335,10 +439,17 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         errors=_mean_errors(responses),
         change=_mean_of(responses, "change"),
         open_loop=_mean_of(responses, "open_loop"),
-        snr=None if first.snr is None else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
+        snr=None
+        if first.snr is None
+        else np.mean([response.snr for response in responses if response.snr is not None], axis=0),
         averages=sum(response.averages for response in responses),
-        covariance_dof=min(sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)),
-        findings=(*dict.fromkeys(f for response in responses for f in response.findings), _distortion_note(matrix, distortion, noise, m)),
+        covariance_dof=min(
+            sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)
+        ),
+        findings=(
+            *dict.fromkeys(f for response in responses for f in response.findings),
+            _distortion_note(matrix, distortion, noise, m),
+        ),
     )
 
 
@@ -351,7 +462,10 @@ def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> ComplexArray 
 def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
     """The systematic errors of the mean: all realisations were measured through the same sums."""
     together = zip(*(response.errors for response in responses), strict=True)
-    return tuple(MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0))) for errors in together)
+    return tuple(
+        MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0)))
+        for errors in together
+    )
 
 
 def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
@@ -365,5 +479,8 @@ def _neighbours_mean(values: FloatArray, half_width: int) -> FloatArray:
 def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
     size = np.sqrt(np.mean(np.abs(matrix) ** 2))
     nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
-    message = f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), noise by {noisy:.2g} % in each"
+    message = (
+        f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), "
+        f"noise by {noisy:.2g} % in each"
+    )
     return note("distortion", message)

@@ -1,4 +1,6 @@
-"""Inputs and outputs of recordings as rows and columns of their common FRF matrix, and responses joined to one."""
+"""Inputs and outputs of recordings as rows and columns of their common FRF matrix, and responses joined to
+one.
+"""
 
 from __future__ import annotations
 
@@ -45,12 +47,17 @@ class Layout:
     output_sensors: tuple[Channel, ...]
 
     def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
-        """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at *frequency* (n_line,) [Hz].
+        """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at
+        *frequency* (n_line,) [Hz].
 
-        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement of the one over acceleration
-        of the other is motion over motion. Raises as sensor_response does. Equation (spec-sensor-frf).
+        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement
+        of the one over acceleration of the other is motion over motion. Raises as sensor_response does.
+        Equation (spec-sensor-frf).
         """
-        responses = [[sensor_response(sensor, frequency) for sensor in sensors] for sensors in (self.output_sensors, self.input_sensors)]
+        responses = [
+            [sensor_response(sensor, frequency) for sensor in sensors]
+            for sensors in (self.output_sensors, self.input_sensors)
+        ]
         outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
         factor = inputs[:, None, :] / outputs[:, :, None]
         motion = (2j * np.pi * frequency[:, None, None]) ** -self.derivatives if self.derivatives else 1.0
@@ -58,18 +65,28 @@ class Layout:
 
     @property
     def one_force_each(self) -> bool:
-        """Whether there are several forces of which one alone acts in every recording, as of a roving hammer."""
-        return len(self.inputs) > 1 and all(sum(column >= 0 for column in columns) == 1 for columns in self.input_columns)
+        """Whether there are several forces of which one alone acts in every recording, as of a roving
+        hammer.
+        """
+        return len(self.inputs) > 1 and all(
+            sum(column >= 0 for column in columns) == 1 for columns in self.input_columns
+        )
 
     @property
     def derivatives(self) -> int:
-        """Time derivatives of the measured responses beyond those of the measured motion of a base; 0 for forces."""
+        """Time derivatives of the measured responses beyond those of the measured motion of a base.
+
+        0 for forces.
+        """
         if self.form != TRANSMISSIBILITY:
             return 0
         return ORDER_OF[self.output_sensors[0].quantity] - ORDER_OF[self.input_sensors[0].quantity]
 
     def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
-        """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs; zero for an absent force."""
+        """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs.
+
+        Zero for an absent force.
+        """
         columns = np.array([*self.input_columns[recording], *self.output_columns[recording]])
         if np.array_equal(columns, np.arange(values.shape[-1])):
             return values
@@ -83,7 +100,10 @@ class Layout:
 
 
 def find_layout(sources: Sequence[SampleSource]) -> Layout:
-    """The layout of the recordings' common matrix; DataError when a recording lacks an output or quantities differ."""
+    """The layout of the recordings' common matrix.
+
+    DataError when a recording lacks an output or quantities differ.
+    """
     forces = [_of_role(source, "input") for source in sources]
     responses = [_of_role(source, "output") for source in sources]
     inputs = _distinct(forces)
@@ -100,8 +120,13 @@ def find_layout(sources: Sequence[SampleSource]) -> Layout:
     )
 
 
-def response_ports(sources: Sequence[SampleSource]) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
-    """The responses of recordings without regard to forces: ports, the columns of each recording, channels; DataError as find_layout."""
+def response_ports(
+    sources: Sequence[SampleSource],
+) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
+    """The responses of recordings without regard to forces: ports, the columns of each recording, channels.
+
+    DataError as find_layout.
+    """
     check_rates(sources)
     responses = [_of_role(source, "output") for source in sources]
     outputs = _distinct(responses)
@@ -114,9 +139,11 @@ def response_ports(sources: Sequence[SampleSource]) -> tuple[tuple[Port, ...], t
 
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
-    """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at *frequency* (n_line,) [Hz].
+    """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at
+    *frequency* (n_line,) [Hz].
 
-    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the table. Equation (spec-sensor).
+    Gain g and phase phi are interpolated linearly in the channel's table. DataError for a line outside the
+    table. Equation (spec-sensor).
     """
     response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
@@ -124,9 +151,16 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     nodes, gain, phase = np.array(sensor.response).T
     if frequency[0] < nodes[0] * (1 - EDGE) or frequency[-1] > nodes[-1] * (1 + EDGE):
         span = f"{nodes[0]:g}-{nodes[-1]:g} Hz"
-        what = f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel '{sensor.name}' ({span})"
+        what = (
+            f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel "
+            f"'{sensor.name}' ({span})"
+        )
         raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
-    return response * np.interp(frequency, nodes, gain) * np.exp(1j * np.interp(frequency, nodes, np.unwrap(phase)))
+    return (
+        response
+        * np.interp(frequency, nodes, gain)
+        * np.exp(1j * np.interp(frequency, nodes, np.unwrap(phase)))
+    )
 
 
 Key = tuple[str, str, float | None, float, tuple[tuple[float, float, float], ...]]
@@ -174,19 +208,26 @@ def _form(forces: list[list[tuple[int, Channel]]], responses: list[list[tuple[in
     causes = {channel.quantity for members in forces for _, channel in members}
     effects = {channel.quantity for members in responses for _, channel in members}
     if len(effects) > 1:
-        hint = "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or use frf: {result: spectra}"
+        hint = (
+            "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or "
+            "use frf: {result: spectra}"
+        )
         raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint=hint)
     if len(causes) == 1 and causes | effects <= ORDER_OF.keys():
         return TRANSMISSIBILITY
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
 
 
-def _check_complete(sources: Sequence[SampleSource], responses: list[list[tuple[int, Channel]]], outputs: list[Key]) -> None:
+def _check_complete(
+    sources: Sequence[SampleSource], responses: list[list[tuple[int, Channel]]], outputs: list[Key]
+) -> None:
     """DataError when a recording lacks a response that another has."""
     for source, channels in zip(sources, responses, strict=True):
         missing = [key[0] for key in outputs if key not in [_key(channel) for _, channel in channels]]
         if missing:
-            raise DataError(f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording")
+            raise DataError(
+                f"recording '{source.name}' lacks the response {', '.join(missing)} of another recording"
+            )
 
 
 def check_rates(sources: Sequence[SampleSource]) -> None:
@@ -222,8 +263,9 @@ LOW_COHERENCE = 0.9
 class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
 
-    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts; coherences and snr [1] as in
-    FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour, n_output, n_input) likewise, change, open_loop and blocks.
+    frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts;
+    coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
+    n_output, n_input) likewise, change, open_loop and blocks.
     """
 
     frequency: FloatArray
@@ -244,7 +286,10 @@ class Parts:
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
-    """Lines (n_line,) [Hz] in the settings' band and outside its excluded bands, as a mask (n_line,); DataError when none is left."""
+    """Lines (n_line,) [Hz] in the settings' band and outside its excluded bands, as a mask (n_line,).
+
+    DataError when none is left.
+    """
     chosen = lines_in(frequency, settings.band, settings.exclude)
     if not np.any(chosen):
         raise DataError("no line of the band is left", hint="`exclude` and `mask` cover them all")
@@ -252,14 +297,22 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
 
 
 def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
-    """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the *multiple* coherence (same shape).
+    """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
+    *multiple* coherence (same shape).
 
-    Lines of low coherence alone are no fault: every response has some, beside its resonances and at antiresonances.
+    Lines of low coherence alone are no fault: every response has some, beside its resonances and at
+    antiresonances.
     """
     total = np.sum(power, axis=0)
-    noise = np.divide(np.sum((1 - multiple) * power, axis=0), total, out=np.zeros_like(total), where=total > 0)
+    noise = np.divide(
+        np.sum((1 - multiple) * power, axis=0), total, out=np.zeros_like(total), where=total > 0
+    )
     return tuple(
-        Finding("low-coherence", f"response {port.label}: {100 * share:.0f} % of its power in the band is not explained by the forces")
+        Finding(
+            "low-coherence",
+            f"response {port.label}: {100 * share:.0f} % of its power in the band is "
+            "not explained by the forces",
+        )
         for port, share in zip(layout.outputs, noise, strict=True)
         if share > 1 - LOW_COHERENCE
     )
@@ -274,11 +327,12 @@ QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "open_loo
 
 
 def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
-    """One matrix (n_frequency, n_output, n_input) [unit of the form] of elements, rows or columns that lie in several responses.
+    """One matrix (n_frequency, n_output, n_input) [unit of the form] of elements, rows or columns that lie in
+    several responses.
 
-    Rows and columns are in the order of the numbers in their labels. Coherences and covariances stay where all responses have them; the
-    noise of different responses is independent. DataError, with the names of the responses, for an element that is missing or there
-    twice, for frequencies or forms that differ.
+    Rows and columns are in the order of the numbers in their labels. Coherences and covariances stay where
+    all responses have them; the noise of different responses is independent. DataError, with the names of the
+    responses, for an element that is missing or there twice, for frequencies or forms that differ.
     """
     first = responses[0]
     for response in responses[1:]:
@@ -306,7 +360,9 @@ def joined(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     )
 
 
-def _placed(responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]) -> Any:
+def _placed(
+    responses: Sequence[FrequencyResponse], name: str, rows: dict[str, int], columns: dict[str, int]
+) -> Any:
     """An array by output and input, its last two dimensions, of all responses; None where one has none."""
     parts = [getattr(response, name) for response in responses]
     if any(part is None for part in parts):
@@ -319,12 +375,21 @@ def _placed(responses: Sequence[FrequencyResponse], name: str, rows: dict[str, i
     return whole
 
 
-def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> StoredCovariance:
-    """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are alike; None where one has none."""
-    covariances = [covariance for covariance in (response.covariance for response in responses) if covariance is not None]
+def _covariance(
+    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+) -> StoredCovariance:
+    """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are
+    alike; None where one has none.
+    """
+    covariances = [
+        covariance for covariance in (response.covariance for response in responses) if covariance is not None
+    ]
     if len(covariances) < len(responses):
         return None
-    places = [np.array([rows[o.label] * len(columns) + columns[i.label] for o in part.outputs for i in part.inputs]) for part in responses]
+    places = [
+        np.array([rows[o.label] * len(columns) + columns[i.label] for o in part.outputs for i in part.inputs])
+        for part in responses
+    ]
     if len({place.size for place in places}) == 1:
         return BlockCovariance(np.array(places), np.stack(covariances, axis=1))
     n = len(rows) * len(columns)
@@ -334,9 +399,13 @@ def _covariance(responses: Sequence[FrequencyResponse], rows: dict[str, int], co
     return whole
 
 
-def _errors(responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]) -> tuple[MatrixError, ...]:
+def _errors(
+    responses: Sequence[FrequencyResponse], rows: dict[str, int], columns: dict[str, int]
+) -> tuple[MatrixError, ...]:
     """The systematic errors of all responses; one of several responses is one error in all of them."""
-    uncertainties = {error.uncertainty.source: error.uncertainty for response in responses for error in response.errors}
+    uncertainties = {
+        error.uncertainty.source: error.uncertainty for response in responses for error in response.errors
+    }
     errors = []
     for source, uncertainty in uncertainties.items():
         whole = np.zeros((responses[0].n_frequency, len(rows), len(columns)), np.complex128)
@@ -350,7 +419,9 @@ def _errors(responses: Sequence[FrequencyResponse], rows: dict[str, int], column
     return tuple(errors)
 
 
-def _check_all_joined(responses: Sequence[FrequencyResponse], rows: Iterable[str], columns: Iterable[str]) -> None:
+def _check_all_joined(
+    responses: Sequence[FrequencyResponse], rows: Iterable[str], columns: Iterable[str]
+) -> None:
     """DataError unless every element lies in one response."""
     holders: dict[tuple[str, str], str] = {}
     for response in responses:
@@ -358,10 +429,15 @@ def _check_all_joined(responses: Sequence[FrequencyResponse], rows: Iterable[str
             pair = output.label, port.label
             if pair in holders:
                 raise DataError(
-                    f"{output.label}/{port.label} lies in {holders[pair]} and in {response.name}", hint="one file for each element"
+                    f"{output.label}/{port.label} lies in {holders[pair]} and in {response.name}",
+                    hint="one file for each element",
                 )
             holders[pair] = response.name
-    missing = [f"{output}/{port}" for output, port in itertools.product(rows, columns) if (output, port) not in holders]
+    missing = [
+        f"{output}/{port}"
+        for output, port in itertools.product(rows, columns)
+        if (output, port) not in holders
+    ]
     if missing:
         raise DataError(f"{', '.join(missing[:5])} was not measured", hint="every output needs every input")
 
@@ -370,12 +446,14 @@ def _check_alike(response: FrequencyResponse, first: FrequencyResponse) -> None:
     if response.form != first.form:
         raise DataError(f"{response.name} is a {response.form}, {first.name} a {first.form}")
     if response.n_frequency != first.n_frequency:
-        raise DataError(f"{response.name} has {response.n_frequency} frequencies, {first.name} has {first.n_frequency}")
+        raise DataError(
+            f"{response.name} has {response.n_frequency} frequencies, {first.name} has {first.n_frequency}"
+        )
     if not np.allclose(response.frequency, first.frequency, rtol=SAME_AXIS, atol=0):
         line = int(np.argmax(np.abs(response.frequency - first.frequency)))
         raise DataError(
-            f"the frequencies of {response.name} differ from those of {first.name}: {response.frequency[line]:g} and "
-            f"{first.frequency[line]:g} Hz at line {line + 1}"
+            f"the frequencies of {response.name} differ from those of {first.name}: "
+            f"{response.frequency[line]:g} and {first.frequency[line]:g} Hz at line {line + 1}"
         )
 
 
@@ -386,4 +464,6 @@ def _joined_ports(ports: Sequence[Port]) -> tuple[Port, ...]:
 
 
 def _natural(label: str) -> list[tuple[int, int, str]]:
-    return [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", label) if part]
+    return [
+        (1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", label) if part
+    ]

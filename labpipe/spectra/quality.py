@@ -24,7 +24,9 @@ WORST_FORCE_CONDITION = 1e3
 
 
 def condition_number(correlation: ComplexArray) -> FloatArray:
-    """Largest over smallest eigenvalue [1], (n_frequency,), of Hermitian matrices (n_frequency, n, n) with ones on the diagonal."""
+    """Largest over smallest eigenvalue [1], (n_frequency,), of Hermitian matrices (n_frequency, n, n) with
+    ones on the diagonal.
+    """
     if correlation.shape[1] == 2:
         # Two channels, the usual case: the eigenvalues are 1 +- |c|.
         c = np.minimum(np.abs(correlation[:, 0, 1]), 1.0)
@@ -36,10 +38,12 @@ def condition_number(correlation: ComplexArray) -> FloatArray:
 
 
 def _worst_condition(correlation: ComplexArray) -> float:
-    """The largest condition number [1] of matrices as in condition_number, or a bound of it that is far below what matters.
+    """The largest condition number [1] of matrices as in condition_number, or a bound of it that is far below
+    what matters.
 
-    Between a determinant d and the smallest of n eigenvalues of mean 1 stands d <= smallest (n / (n - 1))^(n - 1), and the largest is below
-    n: eigenvalues cost ten times a determinant, and are needed only where that bound is large.
+    Between a determinant d and the smallest of n eigenvalues of mean 1 stands d <= smallest (n / (n - 1))^(n
+    - 1), and the largest is below n: eigenvalues cost ten times a determinant, and are needed only where that
+    bound is large.
     """
     n = correlation.shape[1]
     if n > 2:
@@ -61,17 +65,24 @@ def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
     size = np.max(np.abs(forces), axis=(0, 2))
     singular = np.linalg.svd(forces / size[:, None], compute_uv=False)
     if np.any(singular[:, -1] * WORST_FORCE_CONDITION < singular[:, 0]):
-        raise DataError(f"the forces {names} do not act in independent directions", hint="excite each direction in its own recording")
+        raise DataError(
+            f"the forces {names} do not act in independent directions",
+            hint="excite each direction in its own recording",
+        )
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
 
 
 def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
-    """DataError unless the forces with spectra (n_frequency, n_input, n_input) [N^2/Hz] are independent at every line."""
+    """DataError unless the forces with spectra (n_frequency, n_input, n_input) [N^2/Hz] are independent at
+    every line.
+    """
     scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
     check_power(scale)
     if _worst_condition(s_uu / (scale[:, :, None] * scale[:, None, :])) > WORST_FORCE_CONDITION**2:
         names = ", ".join(port.label for port in layout.inputs)
-        raise DataError(f"the forces {names} do not act independently", hint="excite each direction in its own recording")
+        raise DataError(
+            f"the forces {names} do not act independently", hint="excite each direction in its own recording"
+        )
 
 
 def check_power(power: FloatArray) -> None:
@@ -81,9 +92,11 @@ def check_power(power: FloatArray) -> None:
 
 
 def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
-    """DataError unless *estimator* can use the outputs with spectra (n_frequency, n_output, n_output) [unit^2/Hz].
+    """DataError unless *estimator* can use the outputs with spectra (n_frequency, n_output, n_output)
+    [unit^2/Hz].
 
-    No output may be silent; for H2 the outputs must also be independent, since their cross-spectra are inverted.
+    No output may be silent; for H2 the outputs must also be independent, since their cross-spectra are
+    inverted.
     """
     power = np.einsum("foo->fo", s_yy).real
     silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]
@@ -93,7 +106,9 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
     scale = np.sqrt(power)
     condition = condition_number(s_yy / (scale[:, :, None] * scale[:, None, :]))
     if estimator == "H2" and np.any(condition > WORST_FORCE_CONDITION**2):
-        raise DataError("the responses do not move independently, so H2 cannot be formed", hint="use H1 or Hv")
+        raise DataError(
+            "the responses do not move independently, so H2 cannot be formed", hint="use H1 or Hv"
+        )
 
 
 # Ordinary, multiple and partial coherence: the share of an output's power that is linear in the forces.
@@ -102,33 +117,39 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1].
 
-    s_uu (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency, n_output, n_output).
-    Equation (frf-coherence).
+    s_uu (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency,
+    n_output, n_output). Equation (frf-coherence).
     """
     return coherence_by_power(np.einsum("fii->fi", s_uu).real, s_yu, s_yy)
 
 
 def coherence_by_power(force_power: FloatArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
-    """ordinary_coherence (n_frequency, n_output, n_input) [1] from the *force_power* (n_frequency, n_input) [N^2/Hz] alone."""
+    """ordinary_coherence (n_frequency, n_output, n_input) [1] from the *force_power* (n_frequency, n_input)
+    [N^2/Hz] alone.
+    """
     power = np.einsum("foo->fo", s_yy).real[:, :, None] * force_power[:, None, :]
     return _clipped(_squared(s_yu), power)
 
 
 def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
-    """gamma^2 = H1 S_uy / S_yy per output, (n_frequency, n_output) [1], the share of H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input).
+    """gamma^2 = H1 S_uy / S_yy per output, (n_frequency, n_output) [1], the share of H1 = S_yu S_uu^-1,
+    (n_frequency, n_output, n_input).
 
     Spectra as in ordinary_coherence. Equation (frf-multiple-coherence).
     """
     return _clipped(_explained(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
 
-def partial_coherence(inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
-    """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output, n_input) [1].
+def partial_coherence(
+    inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray
+) -> FloatArray:
+    """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output,
+    n_input) [1].
 
-    gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and Piersol, Random
-    Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q.
-    inverse_force: the diagonal of S_uu^-1, (n_frequency, n_input) [Hz/N^2]; the other arguments as in multiple_coherence.
-    Equation (frf-partial-coherence).
+    gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and
+    Piersol, Random Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1
+    with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency, n_input) [Hz/N^2];
+    the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained(h1, s_yu)
     explained = _squared(h1)
@@ -169,8 +190,9 @@ LEAST_CHANCE = 1e-12
 class Reciprocity:
     """H from dof *second* (force) to *first* (response) against the reverse.
 
-    ratio (n_frequency,) [1]: |H_ij - H_ji|^2 over its variance, 1 on average where reciprocity holds; difference [1]: rms of
-    |H_ij - H_ji| over the rms of both; p_value: probability of a mean ratio at least as large where reciprocity holds.
+    ratio (n_frequency,) [1]: |H_ij - H_ji|^2 over its variance, 1 on average where reciprocity holds;
+    difference [1]: rms of |H_ij - H_ji| over the rms of both; p_value: probability of a mean ratio at least
+    as large where reciprocity holds.
     """
 
     first: str
@@ -181,12 +203,17 @@ class Reciprocity:
 
 
 def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
-    """All pairs of dofs with both a response and a force; DataError without covariance or without such a pair.
+    """All pairs of dofs with both a response and a force; DataError without covariance or without such a
+    pair.
 
-    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation (frf-reciprocity).
+    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation
+    (frf-reciprocity).
     """
     if response.variance is None:
-        raise DataError("reciprocity cannot be tested without the covariance of the FRF", hint="record more periods or blocks")
+        raise DataError(
+            "reciprocity cannot be tested without the covariance of the FRF",
+            hint="record more periods or blocks",
+        )
     rows = {port.dof: number for number, port in enumerate(response.outputs)}
     columns = {port.dof: number for number, port in enumerate(response.inputs)}
     shared = [dof for dof in rows if dof in columns]
@@ -197,7 +224,10 @@ def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
 
 
 def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
-    """Notes on the pairs of dofs both excited and measured, the least reciprocal first; none where reciprocity cannot be tested."""
+    """Notes on the pairs of dofs both excited and measured, the least reciprocal first.
+
+    None where reciprocity cannot be tested.
+    """
     try:
         pairs = sorted(reciprocity(response), key=lambda pair: (pair.p_value, -pair.difference))
     except DataError:
@@ -212,14 +242,18 @@ def _statement(pair: Reciprocity) -> str:
     return f"{what} differ by {100 * pair.difference:.3g} % (rms), {verdict} (p {chance})"
 
 
-def _pair(response: FrequencyResponse, first: str, second: str, forward: tuple[int, int], reverse: tuple[int, int]) -> Reciprocity:
+def _pair(
+    response: FrequencyResponse, first: str, second: str, forward: tuple[int, int], reverse: tuple[int, int]
+) -> Reciprocity:
     n_input = len(response.inputs)
     p, q = (row * n_input + column for row, column in (forward, reverse))
     c = response.covariance_of
     variance = (c(p, p) + c(q, q) - 2 * c(p, q).real).real
     here, there = response.matrix[:, *forward], response.matrix[:, *reverse]
     if np.any(variance <= 0):
-        raise DataError(f"H of {first} to {second} and its reverse have no variance at a line, so they cannot be compared")
+        raise DataError(
+            f"H of {first} to {second} and its reverse have no variance at a line, so they cannot be compared"
+        )
     normal = (here - there) / np.sqrt(variance)
     ratio = np.abs(normal) ** 2
     size = np.sqrt(np.mean(np.abs(here) ** 2 + np.abs(there) ** 2) / 2)
@@ -228,15 +262,22 @@ def _pair(response: FrequencyResponse, first: str, second: str, forward: tuple[i
 
 
 def _p_value(normal: ComplexArray, dof: float) -> float:
-    """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2 dof) ratios.
+    """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2
+    dof) ratios.
 
-    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e, with n_e = n / (1 + 2 sum |r_k|^2) effective lines, r_k the
-    sample correlation of the differences k lines apart.
+    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e, with n_e = n / (1 + 2 sum |r_k|^2) effective
+    lines, r_k the sample correlation of the differences k lines apart.
     """
     if dof <= 2:
-        raise DataError(f"reciprocity cannot be tested with {dof:g} degrees of freedom of the covariance", hint="record longer")
+        raise DataError(
+            f"reciprocity cannot be tested with {dof:g} degrees of freedom of the covariance",
+            hint="record longer",
+        )
     power = np.sum(np.abs(normal) ** 2)
-    shared = [abs(np.sum(normal[k:] * normal[:-k].conj())) / power for k in range(1, min(SHARED_LINES, normal.size - 1) + 1)]
+    shared = [
+        abs(np.sum(normal[k:] * normal[:-k].conj())) / power
+        for k in range(1, min(SHARED_LINES, normal.size - 1) + 1)
+    ]
     # The mean of |r|^2 over n lines is 1/n without correlation.
     excess = sum(max(r**2 - 1 / normal.size, 0.0) for r in shared)
     n_effective = max(normal.size / (1 + 2 * excess), 1.0)
@@ -251,20 +292,26 @@ def _p_value(normal: ComplexArray, dof: float) -> float:
 # Length of the segment analysed in every block [samples].
 SEGMENT = 1024
 SHORTEST = 64
-# Above TOP_SHARE of half the sampling rate an anti-alias filter leaves less than MOST_POWER of the power density in the band.
+# Above TOP_SHARE of half the sampling rate an anti-alias filter leaves less than MOST_POWER of the power
+# density in the band.
 TOP_SHARE = 0.95
 MOST_POWER = 0.1
 
 
 class AliasingMonitor:
-    """A recording that accumulates the power spectrum of its channels while its blocks are read; satisfies SampleSource."""
+    """A recording that accumulates the power spectrum of its channels while its blocks are read.
+
+    Satisfies SampleSource.
+    """
 
     def __init__(self, source: SampleSource, hits: bool = False) -> None:
         """*hits*: hammer excitation; each segment is then centred on the largest force of its block."""
         self._source = source
         self._n = min(SEGMENT, 1 << (max(source.n_sample, 1).bit_length() - 1))
         self._window = hann(self._n)[:, None]
-        self._forces = [number for number, channel in enumerate(source.channels) if hits and channel.role == "input"]
+        self._forces = [
+            number for number, channel in enumerate(source.channels) if hits and channel.role == "input"
+        ]
         self._power = np.zeros((self._n // 2 + 1, len(source.channels)))
         self._n_segment = 0
 
@@ -303,9 +350,11 @@ class AliasingMonitor:
         self._power += np.abs(fft.rfft((segment - segment.mean(axis=0)) * self._window, axis=0)) ** 2
 
     def powers(self, band: tuple[float, float] | None) -> FloatArray:
-        """Mean power per line above and inside the band, (2, n_channel) [unit^2]; 0 without complete segments or lines to compare.
+        """Mean power per line above and inside the band, (2, n_channel) [unit^2]; 0 without complete segments
+        or lines to compare.
 
-        "Above": between TOP_SHARE of half the sampling rate (or the band's upper edge) and half the sampling rate.
+        "Above": between TOP_SHARE of half the sampling rate (or the band's upper edge) and half the sampling
+        rate.
         """
         half = self.sample_rate / 2
         frequency = np.arange(self._power.shape[0]) * (self.sample_rate / self._n)
@@ -321,24 +370,30 @@ class AliasingMonitor:
 def aliasing_findings(
     sources: Sequence[AliasingMonitor], band: tuple[float, float] | None, channels: Collection[str]
 ) -> tuple[Finding, ...]:
-    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth of that in the band.
+    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth of
+    that in the band.
 
-    Components above half the sampling rate fold back to just below it first; behind an anti-alias filter neither is strong. The powers
-    of all recordings are added, since an output that a force does not excite holds noise only. Force channels are left out by the
-    caller: they are often white by design.
+    Components above half the sampling rate fold back to just below it first; behind an anti-alias filter
+    neither is strong. The powers of all recordings are added, since an output that a force does not excite
+    holds noise only. Force channels are left out by the caller: they are often white by design.
     """
     total: dict[str, FloatArray] = {}
     for source in sources:
         for channel, power in zip(source.channels, source.powers(band).T, strict=True):
             if channel.name in channels:
                 total[channel.name] = total.get(channel.name, np.zeros(2)) + power
-    ratios = {name: near_half / in_band for name, (near_half, in_band) in total.items() if near_half > MOST_POWER * in_band}
+    ratios = {
+        name: near_half / in_band
+        for name, (near_half, in_band) in total.items()
+        if near_half > MOST_POWER * in_band
+    }
     rate = sources[0].sample_rate if sources else 0.0
     return tuple(
         Finding(
             "aliasing",
-            f"channel {name}: the power just below half the sampling rate ({rate / 2:g} Hz) is {100 * share:.0f} % of that in the band, so "
-            "frequencies above it are probably folded into the FRF; use the logger's anti-alias filter, or sample faster",
+            f"channel {name}: the power just below half the sampling rate ({rate / 2:g} Hz) is "
+            f"{100 * share:.0f} % of that in the band, so frequencies above it are probably folded into the "
+            "FRF; use the logger's anti-alias filter, or sample faster",
         )
         for name, share in ratios.items()
     )

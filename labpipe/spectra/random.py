@@ -1,13 +1,15 @@
-"""Recordings of a random excitation -> FRF matrix: H1, H2, Hv from Welch's averages, with coherence and covariance.
+"""Recordings of a random excitation -> FRF matrix: H1, H2, Hv from Welch's averages, with coherence and
+covariance.
 
 FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
 
 Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
 S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
 
-Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]. The instruments determine how noise
-propagates, so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output, n_input, n_input + n_output) from the response
-and the power of all channels, forces first (n_frequency, n_input + n_output); n_output is 1 where all outputs share them.
+Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]. The instruments
+determine how noise propagates, so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output,
+n_input, n_input + n_output) from the response and the power of all channels, forces first (n_frequency,
+n_input + n_output); n_output is 1 where all outputs share them.
 """
 
 from __future__ import annotations
@@ -27,7 +29,13 @@ from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
-from labpipe.spectra.quality import check_forces, check_responses, multiple_coherence, ordinary_coherence, partial_coherence
+from labpipe.spectra.quality import (
+    check_forces,
+    check_responses,
+    multiple_coherence,
+    ordinary_coherence,
+    partial_coherence,
+)
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.single_forces import no_average_finding, parts_of_single_forces
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
@@ -37,9 +45,11 @@ from labpipe.spectra.windows import window_values
 
 
 def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001 (one signature for the whole table)
-    """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the outputs.
+    """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the
+    outputs.
 
-    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu. Equation (frf-h1).
+    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu.
+    Equation (frf-h1).
     """
     return product(s_yu, definite_inverse(s_uu)[0])
 
@@ -47,8 +57,8 @@ def h1(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
 def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001
     """H2 = S_yy S_uy^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the forces.
 
-    Spectra as in the module's docstring [unit^2/Hz]. ConfigError unless there are as many outputs as forces; numpy.linalg.LinAlgError
-    for a singular S_uy. Equation (frf-h2).
+    Spectra as in the module's docstring [unit^2/Hz]. ConfigError unless there are as many outputs as forces;
+    numpy.linalg.LinAlgError for a singular S_uy. Equation (frf-h2).
     """
     if s_yu.shape[1] != s_yu.shape[2]:
         raise ConfigError("H2 needs as many responses as forces", hint="use H1 or Hv")
@@ -56,10 +66,12 @@ def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
 
 
 def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:
-    """Hv, total least squares per output, (n_frequency, n_output, n_input) [output unit / N]: noise on forces and output alike.
+    """Hv, total least squares per output, (n_frequency, n_output, n_input) [output unit / N]: noise on forces
+    and output alike.
 
-    Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the line, so that the result
-    does not depend on units: in metres the unscaled form would collapse to H1. Equation (frf-hv).
+    Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the
+    line, so that the result does not depend on units: in metres the unscaled form would collapse to H1.
+    Equation (frf-hv).
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
@@ -96,10 +108,12 @@ def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
 
 
 def adjusted_forces_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:
-    """z = the forces projected onto the plane y = H u in scaled channels, for Hv: W (n_frequency, n_output, n_input, n) [1].
+    """z = the forces projected onto the plane y = H u in scaled channels, for Hv: W (n_frequency, n_output,
+    n_input, n) [1].
 
-    response (n_frequency, n_output, n_input) [output unit / N], power (n_frequency, n) [unit^2/Hz], n = n_input + n_output. With q the
-    normal (-H, 1) of that plane in channels divided by their own power, z = (I - q q^H / q^H q) [u; y]. Equation (frf-hv-instruments).
+    response (n_frequency, n_output, n_input) [output unit / N], power (n_frequency, n) [unit^2/Hz], n =
+    n_input + n_output. With q the normal (-H, 1) of that plane in channels divided by their own power, z = (I
+    - q q^H / q^H q) [u; y]. Equation (frf-hv-instruments).
     """
     n_frequency, n_output, n_input = response.shape
     scale = np.sqrt(power)
@@ -109,11 +123,17 @@ def adjusted_forces_as_instruments(response: ComplexArray, power: FloatArray) ->
         residual = np.concatenate([-response[:, output], np.ones((n_frequency, 1))], axis=1)
         normal = (residual * scale[:, columns]).conj()
         shift = normal[:, :n_input] * scale[:, :n_input] / np.sum(np.abs(normal) ** 2, axis=1)[:, None]
-        weights[:, output, :, columns] = np.moveaxis(np.eye(n_input, n_input + 1) - shift[:, :, None] * residual[:, None, :], 2, 0)
+        weights[:, output, :, columns] = np.moveaxis(
+            np.eye(n_input, n_input + 1) - shift[:, :, None] * residual[:, None, :], 2, 0
+        )
     return weights
 
 
-ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], ComplexArray]] = {"H1": h1, "H2": h2, "Hv": hv}
+ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], ComplexArray]] = {
+    "H1": h1,
+    "H2": h2,
+    "Hv": hv,
+}
 INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
     "H1": forces_as_instruments,
     "H2": responses_as_instruments,
@@ -122,13 +142,16 @@ INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
 
 # The first and the second half of a record: what changed between them drifts, or has not settled.
 
-# A record of which the spectra of the whole and of its first half are known; None where that is too short. Of the half the columns of the
-# forces may be all there is.
+# A record of which the spectra of the whole and of its first half are known; None where that is too short. Of
+# the half the columns of the forces may be all there is.
 Halved = tuple[CrossSpectra, CrossSpectra | None]
 
 
 def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArray, bool]]:
-    """The *blocks* (n, n_channel) [any unit] in order, cut so that one ends before sample *middle*; True for that one."""
+    """The *blocks* (n, n_channel) [any unit] in order, cut so that one ends before sample *middle*.
+
+    True for that one.
+    """
     start = 0
     for block in blocks:
         end = start + block.shape[0]
@@ -141,19 +164,26 @@ def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArr
 
 
 def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexArray:
-    """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their numbers of blocks.
+    """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their
+    numbers of blocks.
 
-    Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each recording.
+    Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each
+    recording.
     """
     n_block = sum(spectrum.n_block for spectrum in spectra)
     if len(spectra) == 1:
         return _padded(layout, 0, spectra[0].matrix)
-    joined: ComplexArray = np.sum([_padded(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0)
+    joined: ComplexArray = np.sum(
+        [_padded(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0
+    )
     return joined
 
 
 def _padded(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
-    """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout; zero for an absent force."""
+    """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout.
+
+    Zero for an absent force.
+    """
     if matrix.shape[1] == matrix.shape[2]:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
@@ -166,22 +196,35 @@ def _padded(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArra
 
 
 def acting_forces(layout: Layout, recording: int, estimator: str) -> list[int] | None:
-    """The channels of the forces in a recording, whose columns are all that H1 needs of a half; None for another *estimator*."""
-    return [column for column in layout.input_columns[recording] if column >= 0] if estimator == "H1" else None
+    """The channels of the forces in a recording, whose columns are all that H1 needs of a half.
+
+    None for another *estimator*.
+    """
+    return (
+        [column for column in layout.input_columns[recording] if column >= 0] if estimator == "H1" else None
+    )
 
 
 def change_of_random(
-    halved: Sequence[Halved], layout: Layout, chosen: BoolArray, response_of: Callable[[ComplexArray], ComplexArray], least: float
+    halved: Sequence[Halved],
+    layout: Layout,
+    chosen: BoolArray,
+    response_of: Callable[[ComplexArray], ComplexArray],
+    least: float,
 ) -> ComplexArray | None:
-    """H of the second half of all records less that of the first, (n_line, n_output, n_input) [output unit / N], at the *chosen* lines.
+    """H of the second half of all records less that of the first, (n_line, n_output, n_input) [output unit /
+    N], at the *chosen* lines.
 
-    *response_of*: H of the spectra (n_line, n_channel, n_channel) [unit^2/Hz] of the layout's channels. None where a half has no more
-    than *least* averages, too few for the noise of an FRF of so many forces.
+    *response_of*: H of the spectra (n_line, n_channel, n_channel) [unit^2/Hz] of the layout's channels. None
+    where a half has no more than *least* averages, too few for the noise of an FRF of so many forces.
     """
     first = [half for _, half in halved if half is not None]
     if len(first) < len(halved) or min(half.averages for half in first) <= least:
         return None
-    rest = [_rest(whole, half, layout.input_columns[number]) for number, ((whole, _), half) in enumerate(zip(halved, first, strict=True))]
+    rest = [
+        _rest(whole, half, layout.input_columns[number])
+        for number, ((whole, _), half) in enumerate(zip(halved, first, strict=True))
+    ]
     before, after = (response_of(at_lines(joined_spectra(half, layout), chosen)) for half in (first, rest))
     return after - before
 
@@ -197,16 +240,22 @@ def _rest(whole: CrossSpectra, half: CrossSpectra, forces: Sequence[int]) -> Cro
 
 
 def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], ComplexArray]:
-    """The *estimator* (H1, H2, Hv) as a function of the spectra (n_line, n_channel, n_channel) [unit^2/Hz], *n_input* forces first."""
+    """The *estimator* (H1, H2, Hv) as a function of the spectra (n_line, n_channel, n_channel) [unit^2/Hz],
+    *n_input* forces first.
+    """
 
     def response_of(matrix: ComplexArray) -> ComplexArray:
-        return ESTIMATORS[estimator](matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:])
+        return ESTIMATORS[estimator](
+            matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
+        )
 
     return response_of
 
 
 def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count: int) -> ComplexArray:
-    """Mean (n_line, n_channel) [unit of the channel] of *count* values of that *mean* without *part_count* values of the mean *part*."""
+    """Mean (n_line, n_channel) [unit of the channel] of *count* values of that *mean* without *part_count*
+    values of the mean *part*.
+    """
     rest: ComplexArray = (mean * count - part * part_count) / (count - part_count)
     return rest
 
@@ -215,22 +264,38 @@ def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count:
 
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from Welch averages of all recordings, or by local polynomials; DataError for recordings or forces that do not allow one."""
+    """The FRF from Welch averages of all recordings, or by local polynomials.
+
+    DataError for recordings or forces that do not allow one.
+    """
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
-    halved = [welch_average(source, settings, acting_forces(layout, number, settings.estimator)) for number, source in enumerate(sources)]
+    halved = [
+        welch_average(source, settings, acting_forces(layout, number, settings.estimator))
+        for number, source in enumerate(sources)
+    ]
     spectra = [whole for whole, _ in halved]
     assert settings.block is not None
     n_block = sum(spectrum.n_block for spectrum in spectra)
-    blocks = Blocks(settings.block, settings.window, settings.overlap, n_block, settings.estimator, derivatives=layout.derivatives)
+    blocks = Blocks(
+        settings.block,
+        settings.window,
+        settings.overlap,
+        n_block,
+        settings.estimator,
+        derivatives=layout.derivatives,
+    )
     parts = parts_of_spectra(spectra, settings, layout)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
     change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
     return replace(parts, blocks=blocks, change=change)
 
 
-def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0) -> Parts:
-    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over *half_width* lines around.
+def parts_of_spectra(
+    spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0
+) -> Parts:
+    """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over
+    *half_width* lines around.
 
     DataError when the forces, or the outputs an estimator inverts, are not independent.
     """
@@ -239,7 +304,11 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
     if settings.estimator == "H1" and layout.one_force_each:
         return parts_of_single_forces(spectra, chosen, layout, half_width)
     matrix = at_lines(joined_spectra(spectra, layout), chosen)
-    s_uu, s_yu, s_yy = matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
+    s_uu, s_yu, s_yy = (
+        matrix[:, :n_input, :n_input],
+        matrix[:, n_input:, :n_input],
+        matrix[:, n_input:, n_input:],
+    )
     check_forces(s_uu, layout)
     if settings.estimator != "H1":
         check_responses(s_yy, layout, settings.estimator)
@@ -261,41 +330,59 @@ def parts_of_spectra(spectra: Sequence[CrossSpectra], settings: FrfSettings, lay
         covariance=covariance,
         averages=averages,
         dof=averages - n_input if enough else np.inf,
-        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout) if enough else no_average_finding(averages),
+        findings=coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout)
+        if enough
+        else no_average_finding(averages),
         coherence=ordinary_coherence(s_uu, s_yu, s_yy),
         multiple_coherence=multiple,
-        partial_coherence=partial_coherence(np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy) if n_input > 1 else None,
+        partial_coherence=partial_coherence(np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy)
+        if n_input > 1
+        else None,
         line_correlation=spectra[0].line_correlation,
     )
 
 
-def welch_average(source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None) -> Halved:
-    """Spectra of forces, responses and the named references of a recording, and those of its first half; DataError where it is short.
+def welch_average(
+    source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None
+) -> Halved:
+    """Spectra of forces, responses and the named references of a recording, and those of its first half;
+    DataError where it is short.
 
     *of_half*: channels of the recording whose columns are needed of its first half, by default all.
     """
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
     if n_sample < 4:
-        raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
+        raise DataError(
+            f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'",
+            hint="lengthen `block`",
+        )
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
     # Other references (tacho, temperature) are not part of the FRF matrix.
     columns = [
-        number for number, channel in enumerate(source.channels) if channel.role != "reference" or channel.name in settings.reference
+        number
+        for number, channel in enumerate(source.channels)
+        if channel.role != "reference" or channel.name in settings.reference
     ]
-    average = WelchAverage(window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend)
+    average = WelchAverage(
+        window_values(settings.window, n_sample), step, len(columns), lines, settings.detrend
+    )
     half: CrossSpectra | None = None
     for block, ends_half in cut_at(checked_blocks(source), source.n_sample // 2):
         average.add(block if len(columns) == block.shape[1] else block[:, columns])
         if ends_half and source.n_sample // 2 >= n_sample:
             chosen = None if of_half is None else [columns.index(column) for column in of_half]
-            half = _in_all_channels(average.spectra(source.sample_rate, chosen), columns, len(source.channels))
+            half = _in_all_channels(
+                average.spectra(source.sample_rate, chosen), columns, len(source.channels)
+            )
     return _in_all_channels(average.spectra(source.sample_rate), columns, len(source.channels)), half
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows of the other channels, and in their columns where those of all are there."""
+    """The spectra with zeros in the rows of the other channels, and in their columns where those of all are
+    there.
+    """
     if len(columns) == n_channel:
         return spectra
     n_column = spectra.matrix.shape[2]

@@ -1,10 +1,12 @@
-"""All channels under random excitation: what is due to each recorded drive, and how far noise covers the rest.
+"""All channels under random excitation: what is due to each recorded drive, and how far noise covers the
+rest.
 
-All channels under random excitation: the part of every channel that is due to each recorded drive, and what is left as noise.
+All channels under random excitation: the part of every channel that is due to each recorded drive, and what
+is left as noise.
 
-With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since the drives hold none of the
-sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over the number of averages, is independent from column to
-column.
+With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since
+the drives hold none of the sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over
+the number of averages, is independent from column to column.
 """
 
 from __future__ import annotations
@@ -32,29 +34,38 @@ from labpipe.spectra.windows import window_values
 # What either excitation gives of all channels side by side, and how far noise covers it.
 
 LOW_SNR = 10.0
-# A force's part that is due to what is injected, over the standard deviation of that part, below which it might as well be noise.
+# A force's part that is due to what is injected, over the standard deviation of that part, below which it
+# might as well be noise.
 SILENT = 2.0
 
 
-def check_moved(strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]) -> None:
-    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength* (n_line,) [1] at *frequency* [Hz].
+def check_moved(
+    strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]
+) -> None:
+    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength* (n_line,)
+    [1] at *frequency* [Hz].
 
-    On such a line the ratio to the force is one of noise to noise, so that not even many of them are left out of a fit by their weight.
+    On such a line the ratio to the force is one of noise to noise, so that not even many of them are left out
+    of a fit by their weight.
     """
     share = float(np.mean(strength < SILENT))
     if share <= POOR_SHARE:
         return
     what = (
-        f"the reference {', '.join(injected)} does not move the force {', '.join(forces)} beyond its noise at {100 * share:.0f} % "
-        f"of the lines in {frequency[0]:g}-{frequency[-1]:g} Hz"
+        f"the reference {', '.join(injected)} does not move the force {', '.join(forces)} beyond its noise "
+        f"at {100 * share:.0f} % of the lines in {frequency[0]:g}-{frequency[-1]:g} Hz"
     )
-    raise DataError(what, hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it")
+    raise DataError(
+        what,
+        hint="is it what is injected into this loop? Raise its level, record longer, or narrow `band` to it",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredLines:
-    """frequency (n_line,) [Hz], vectors (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel, n_channel) [SI], as in
-    ChannelSpectra; dof: complex degrees of freedom of the covariance; weak: outputs that are mostly noise.
+    """frequency (n_line,) [Hz], vectors (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
+    n_channel) [SI], as in ChannelSpectra; dof: complex degrees of freedom of the covariance; weak: outputs
+    that are mostly noise.
     """
 
     frequency: FloatArray
@@ -70,9 +81,11 @@ class MeasuredLines:
 def snr_findings(
     vectors: ComplexArray, covariance: ComplexArray, channels: Sequence[Channel], excited: BoolArray
 ) -> tuple[tuple[Finding, ...], set[str]]:
-    """Warnings where noise is large, and the names of the outputs among them; *vectors* and *covariance* [SI] as in MeasuredLines.
+    """Warnings where noise is large, and the names of the outputs among them; *vectors* and *covariance* [SI]
+    as in MeasuredLines.
 
-    Of forces line by line where they act, *excited* (n_line, n_run, n_channel), of responses in power over band and runs.
+    Of forces line by line where they act, *excited* (n_line, n_run, n_channel), of responses in power over
+    band and runs.
     """
     size = np.abs(vectors)
     noise = np.sqrt(np.maximum(np.einsum("lrcc->lrc", covariance).real, 0.0))
@@ -83,10 +96,18 @@ def snr_findings(
         if channel.role == "input" and np.any(acting):
             share = float(np.mean((size < LOW_SNR * noise)[:, :, number][acting]))
             if share > POOR_SHARE:
-                what = f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise at {100 * share:.0f} % of its lines"
+                what = (
+                    f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise at "
+                    f"{100 * share:.0f} % of its lines"
+                )
                 findings.append(Finding("low-snr", what))
-        if channel.role == "output" and np.sum(noise[:, :, number] ** 2) * LOW_SNR**2 > np.sum(size[:, :, number] ** 2):
-            what = f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise, in power over the band"
+        if channel.role == "output" and np.sum(noise[:, :, number] ** 2) * LOW_SNR**2 > np.sum(
+            size[:, :, number] ** 2
+        ):
+            what = (
+                f"channel {channel.name}: the signal is less than {LOW_SNR:g} times its noise, in power "
+                "over the band"
+            )
             findings.append(Finding("low-snr", what))
             weak.add(channel.name)
     return tuple(findings), weak
@@ -100,8 +121,11 @@ INDEPENDENT = 1e-3
 DRIVES = ("voltage", "current")
 
 
-def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> MeasuredLines:
-    """The part of all channels that is due to each drive, one run per drive, as amplitudes of a line as wide as a block's.
+def random_lines(
+    sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout
+) -> MeasuredLines:
+    """The part of all channels that is due to each drive, one run per drive, as amplitudes of a line as wide
+    as a block's.
 
     DataError without recorded drives, for drives that are not independent, and for too few blocks.
     """
@@ -109,13 +133,16 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
     chosen = lines_left(spectra[0].frequency, settings)
     weights = np.array([spectrum.n_block for spectrum in spectra], float)
-    matrix = np.tensordot(weights / weights.sum(), np.stack([spectrum.matrix[chosen] for spectrum in spectra]), axes=1)
+    matrix = np.tensordot(
+        weights / weights.sum(), np.stack([spectrum.matrix[chosen] for spectrum in spectra]), axes=1
+    )
     averages = sum(spectrum.averages for spectrum in spectra)
     frequency = spectra[0].frequency[chosen]
     n, n_drive = len(layout.recorded), len(drives)
     if averages <= n_drive + 2:
         raise DataError(
-            f"{averages:.2g} effective averages are too few for the noise of the channels", hint="record longer, or shorten `block`"
+            f"{averages:.2g} effective averages are too few for the noise of the channels",
+            hint="record longer, or shorten `block`",
         )
     lower = lower_of_drives(matrix[:, n:, n:], drives)
     transform = layout.transform(frequency)
@@ -128,7 +155,9 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     covariance = np.repeat((residual * (width / averages))[:, None], n_drive, axis=1)
     vectors = np.sqrt(width) * columns.swapaxes(1, 2)
     excited = np.zeros(vectors.shape, bool)
-    excited[:, :, layout.inputs] = np.abs(vectors[:, :, layout.inputs]) > 0.1 * np.max(np.abs(vectors), axis=1)[:, None, layout.inputs]
+    excited[:, :, layout.inputs] = (
+        np.abs(vectors[:, :, layout.inputs]) > 0.1 * np.max(np.abs(vectors), axis=1)[:, None, layout.inputs]
+    )
     findings, weak = snr_findings(vectors, covariance, layout.channels, excited)
     _check_inputs(columns, residual / averages, frequency, drives, layout)
     return MeasuredLines(
@@ -143,18 +172,31 @@ def random_lines(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     )
 
 
-def _check_inputs(columns: ComplexArray, noise: ComplexArray, frequency: FloatArray, drives: Sequence[str], layout: ChannelLayout) -> None:
-    """DataError where the drives move a force no further than its noise does; *columns*, *noise* of all channels as in `due_to_drives`."""
+def _check_inputs(
+    columns: ComplexArray,
+    noise: ComplexArray,
+    frequency: FloatArray,
+    drives: Sequence[str],
+    layout: ChannelLayout,
+) -> None:
+    """DataError where the drives move a force no further than its noise does.
+
+    *columns*, *noise* of all channels as in `due_to_drives`.
+    """
     for number in layout.inputs:
         moved = np.linalg.norm(columns[:, number], axis=1)
-        strength = np.divide(moved, np.sqrt(noise[:, number, number].real), out=np.full(moved.shape, np.inf), where=moved > 0)
+        strength = np.divide(
+            moved, np.sqrt(noise[:, number, number].real), out=np.full(moved.shape, np.inf), where=moved > 0
+        )
         check_moved(strength, frequency, drives, [layout.channels[number].name])
 
 
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
-    """The names of the drives: those of `reference`, else all voltages and currents of role reference; DataError where there are none.
+    """The names of the drives: those of `reference`, else all voltages and currents of role reference;
+    DataError where there are none.
 
-    ConfigError where more of them stand beside fewer forces: a command that the loop makes is no drive, and only its user knows it.
+    ConfigError where more of them stand beside fewer forces: a command that the loop makes is no drive, and
+    only its user knows it.
     """
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
@@ -162,54 +204,85 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
         every = [channel.name for source in sources for channel in source.channels]
         for name in settings.reference:
             if name not in every:
-                raise ConfigError(f"'{name}' is no channel of the recordings", hint=nearest(name, dict.fromkeys(every)), field="reference")
+                raise ConfigError(
+                    f"'{name}' is no channel of the recordings",
+                    hint=nearest(name, dict.fromkeys(every)),
+                    field="reference",
+                )
         names = settings.reference
     elif len(names) > len(layout.inputs) > 0:
-        what = f"{', '.join(names)} have the role reference, more than there are forces or currents ({len(layout.inputs)})"
+        what = (
+            f"{', '.join(names)} have the role reference, more than there are forces or currents "
+            f"({len(layout.inputs)})"
+        )
         hint = f"name what is injected from outside, not what the loop makes: frf: {{reference: {names[0]}}}"
         raise ConfigError(what, hint=hint, field="reference")
     if not names:
-        hint = "record the drives of the shakers as channels of quantity: voltage, role: reference, or use a periodic excitation"
-        raise DataError("random excitation needs a recorded drive of every shaker: each measured channel has noise", hint=hint)
+        hint = (
+            "record the drives of the shakers as channels of quantity: voltage, role: reference, or use "
+            "a periodic excitation"
+        )
+        raise DataError(
+            "random excitation needs a recorded drive of every shaker: each measured channel has noise",
+            hint=hint,
+        )
     for source in sources:
         missing = set(names) - {channel.name for channel in source.channels}
         if missing:
-            raise DataError(f"recording '{source.name}' lacks the drive {', '.join(sorted(missing))} of another recording")
+            raise DataError(
+                f"recording '{source.name}' lacks the drive {', '.join(sorted(missing))} of another recording"
+            )
     return names
 
 
-def _welch(source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int, drives: Sequence[str]) -> CrossSpectra:
+def _welch(
+    source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int, drives: Sequence[str]
+) -> CrossSpectra:
     """Cross-spectra of the recorded channels, then the drives, of one recording."""
     assert settings.block is not None
     n_sample = round(settings.block * source.sample_rate)
     if n_sample < 4:
-        raise DataError(f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'", hint="lengthen `block`")
+        raise DataError(
+            f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'",
+            hint="lengthen `block`",
+        )
     names = [channel.name for channel in source.channels]
     columns = np.array([*layout.columns[number], *(names.index(name) for name in drives)])
     step = max(1, round(n_sample * (1 - settings.overlap)))
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
-    average = WelchAverage(window_values(settings.window, n_sample), step, columns.size, lines, settings.detrend)
+    average = WelchAverage(
+        window_values(settings.window, n_sample), step, columns.size, lines, settings.detrend
+    )
     for block in checked_blocks(source):
         average.add(block[:, np.maximum(columns, 0)] * (columns >= 0))
     return average.spectra(source.sample_rate)
 
 
-def due_to_drives(s_zz: ComplexArray, s_zr: ComplexArray, lower: ComplexArray, averages: float) -> tuple[ComplexArray, ComplexArray]:
-    """W = S_zr L^-H (n_line, n, n_drive) and the noise (S_zz - W W^H) n / (n - n_drive) (n_line, n, n) [unit^2/Hz], n *averages*.
+def due_to_drives(
+    s_zz: ComplexArray, s_zr: ComplexArray, lower: ComplexArray, averages: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """W = S_zr L^-H (n_line, n, n_drive) and the noise (S_zz - W W^H) n / (n - n_drive) (n_line, n, n)
+    [unit^2/Hz], n *averages*.
 
-    s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and drives, *lower* L of the drives (n_line, n_drive, n_drive).
-    Equation (frf-due-to-drives).
+    s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and drives, *lower* L of the drives
+    (n_line, n_drive, n_drive). Equation (frf-due-to-drives).
     """
     columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
     return columns, (s_zz - columns @ hermitian(columns)) * (averages / (averages - lower.shape[1]))
 
 
 def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "drive") -> ComplexArray:
-    """L of S_rr = L L^H (n_line, n_drive, n_drive) [unit^2/Hz]; DataError where a drive is silent or follows from the others."""
+    """L of S_rr = L L^H (n_line, n_drive, n_drive) [unit^2/Hz].
+
+    DataError where a drive is silent or follows from the others.
+    """
     power = np.einsum("lrr->lr", s_rr).real
     if np.any(power <= 0):
         silent = drives[int(np.flatnonzero(np.any(power <= 0, axis=0))[0])]
-        raise DataError(f"the {word} {silent} is silent in the band", hint=f"is it the {word} of this excitation? narrow `band` to it")
+        raise DataError(
+            f"the {word} {silent} is silent in the band",
+            hint=f"is it the {word} of this excitation? narrow `band` to it",
+        )
     scale = np.sqrt(power)
     smallest = np.linalg.eigvalsh(s_rr / (scale[:, :, None] * scale[:, None, :]))[:, 0]
     if np.any(smallest < INDEPENDENT):
@@ -218,7 +291,9 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
     return np.linalg.cholesky(s_rr)
 
 
-def _fed_back(sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout) -> tuple[Finding, ...]:
+def _fed_back(
+    sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout
+) -> tuple[Finding, ...]:
     """The warning `feedback` where a drive follows the responses: it is made in the loop."""
     responses = [channel.name for channel in layout.channels if channel.role == "output"]
     return feedback_of_drives(sources, drives, responses)
@@ -228,7 +303,11 @@ def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayo
     """Warnings for channels of whose power in the band the drives leave much unexplained."""
     power, rest = (np.sum(np.einsum("lcc->lc", matrix).real, axis=0) for matrix in (s_zz, residual))
     return tuple(
-        Finding("low-coherence", f"channel {channel.name}: {100 * part / whole:.0f} % of its power in the band is not due to the drives")
+        Finding(
+            "low-coherence",
+            f"channel {channel.name}: {100 * part / whole:.0f} % of its power in the "
+            "band is not due to the drives",
+        )
         for channel, whole, part in zip(layout.channels, power, rest, strict=True)
         if channel.role != "reference" and whole > 0 and part > (1 - LOW_COHERENCE) * whole
     )

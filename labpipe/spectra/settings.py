@@ -19,7 +19,18 @@ KEYS: dict[str, tuple[str, ...]] = {
     "periodic": (*OF_LINES, "period", "skip", "smooth", "remove", "realisations", "reference"),
     "random": (
         *OF_LINES,
-        *("block", "window", "overlap", "detrend", "estimator", "local", "degree", "half_width", "remove", "reference"),
+        *(
+            "block",
+            "window",
+            "overlap",
+            "detrend",
+            "estimator",
+            "local",
+            "degree",
+            "half_width",
+            "remove",
+            "reference",
+        ),
     ),
     "impact": (*OF_LINES, "block", "estimator", "impact", "windowed"),
     "stepped-sine": (*OF_LINES, "skip", "settle", "smooth"),
@@ -60,7 +71,9 @@ class ShaftLines(Settings):
 class MaskSettings(ShaftLines):
     """Lines excluded from the response: the shaft speed and its harmonics."""
 
-    width: float | None = setting("value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None)
+    width: float | None = setting(
+        "value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,12 +85,24 @@ class MaskSettings(ShaftLines):
 class ImpactSettings(Settings):
     """Detection, windows and acceptance of hammer hits; levels as shares of the hit's peak."""
 
-    trigger: float = setting("value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1)
-    pretrigger: float = setting("value", "share of the block that lies before the hit", unit="1", default=0.02)
-    force_window: float | None = setting("value", "length of the force window from the hit on; default: none", unit="s", default=None)
-    decay: float | None = setting("value", "time constant of the exponential window; default: none", unit="s", default=None)
-    double_hit: float = setting("value", "a second push above this share of the peak is a double hit", unit="1", default=0.1)
-    reject: tuple[int, ...] = setting("names", "numbers of hits that are left out, counted from 1", default=())
+    trigger: float = setting(
+        "value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1
+    )
+    pretrigger: float = setting(
+        "value", "share of the block that lies before the hit", unit="1", default=0.02
+    )
+    force_window: float | None = setting(
+        "value", "length of the force window from the hit on; default: none", unit="s", default=None
+    )
+    decay: float | None = setting(
+        "value", "time constant of the exponential window; default: none", unit="s", default=None
+    )
+    double_hit: float = setting(
+        "value", "a second push above this share of the peak is a double hit", unit="1", default=0.1
+    )
+    reject: tuple[int, ...] = setting(
+        "names", "numbers of hits that are left out, counted from 1", default=()
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
@@ -95,10 +120,21 @@ class ImpactSettings(Settings):
 class FreeDecaySettings(Settings):
     """Where the free decays of a recording begin and end; times from its first sample on."""
 
-    start: float | None = setting("value", "where the decay begins; default: after every hit or release", unit="s", default=None)
-    end: float | None = setting("value", "where it ends; default: at the next hit, or in the noise", unit="s", default=None)
-    settle: float | None = setting("value", "left out after the largest value of every decay; default: one period", unit="s", default=None)
-    trigger: float = setting("value", "a hit counts where the response exceeds this share of its largest", unit="1", default=0.1)
+    start: float | None = setting(
+        "value", "where the decay begins; default: after every hit or release", unit="s", default=None
+    )
+    end: float | None = setting(
+        "value", "where it ends; default: at the next hit, or in the noise", unit="s", default=None
+    )
+    settle: float | None = setting(
+        "value",
+        "left out after the largest value of every decay; default: one period",
+        unit="s",
+        default=None,
+    )
+    trigger: float = setting(
+        "value", "a hit counts where the response exceeds this share of its largest", unit="1", default=0.1
+    )
 
     def __post_init__(self) -> None:
         for name in ("start", "end", "settle"):
@@ -117,51 +153,83 @@ class FrfSettings(Settings):
 
     excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
     _: KW_ONLY
-    period: float | None = setting("value", "length of one period of a periodic excitation", unit="s", default=None)
+    period: float | None = setting(
+        "value", "length of one period of a periodic excitation", unit="s", default=None
+    )
     skip: int = setting(
-        "integer", "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)", default=1
+        "integer",
+        "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)",
+        default=1,
     )
     settle: float | None = setting(
-        "value", "time dropped after each step (stepped-sine); default: until the transient is in the noise", unit="s", default=None
+        "value",
+        "time dropped after each step (stepped-sine); default: until the transient is in the noise",
+        unit="s",
+        default=None,
     )
-    smooth: int = setting("integer", "noise is averaged over this many lines to either side (periodic)", default=5)
+    smooth: int = setting(
+        "integer", "noise is averaged over this many lines to either side (periodic)", default=5
+    )
     block: float | None = setting("value", "length of one block (random, impact)", unit="s", default=None)
-    window: str = setting("text", "window of random data: any name of scipy.signal.get_window", default="hann")
+    window: str = setting(
+        "text", "window of random data: any name of scipy.signal.get_window", default="hann"
+    )
     overlap: float = setting("value", "overlap of neighbouring blocks (random)", unit="1", default=0.5)
-    detrend: str = setting("choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant")
+    detrend: str = setting(
+        "choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant"
+    )
     estimator: str = setting("choice", "estimator of random data and hits", choices=ESTIMATORS, default="H1")
     local: str = setting(
-        "choice", "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)", choices=LOCALS, default="none"
+        "choice",
+        "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)",
+        choices=LOCALS,
+        default="none",
     )
     degree: int = setting("integer", "degree of the local polynomials (local, sweep)", default=2)
-    half_width: int | None = setting("integer", "lines to either side that they span; default: as many as the noise needs", default=None)
+    half_width: int | None = setting(
+        "integer", "lines to either side that they span; default: as many as the noise needs", default=None
+    )
     band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
-    mask: MaskSettings | None = setting("section", "lines of the shaft speed left out", section=MaskSettings, default=None)
+    mask: MaskSettings | None = setting(
+        "section", "lines of the shaft speed left out", section=MaskSettings, default=None
+    )
     remove: ShaftLines | None = setting(
         "section",
         "part synchronous with the shaft (runout, unbalance) taken out of all channels (periodic, random)",
         section=ShaftLines,
         default=None,
     )
-    realisations: bool = setting("flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False)
-    impact: ImpactSettings = setting("section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings())
+    realisations: bool = setting(
+        "flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False
+    )
+    impact: ImpactSettings = setting(
+        "section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings()
+    )
     windowed: WindowedSettings | None = setting(
         "section",
         "window that hits have already: its damping is taken out",
         section=WindowedSettings,
         default=None,
     )
-    decay: FreeDecaySettings = setting("section", "free decays: start and end", section=FreeDecaySettings, default=FreeDecaySettings())
+    decay: FreeDecaySettings = setting(
+        "section", "free decays: start and end", section=FreeDecaySettings, default=FreeDecaySettings()
+    )
     result: str = setting(
-        "choice", "one response matrix, or the spectra of all channels side by side with their noise", choices=RESULTS, default="response"
+        "choice",
+        "one response matrix, or the spectra of all channels side by side with their noise",
+        choices=RESULTS,
+        default="response",
     )
     reference: tuple[str, ...] = setting(
         "names",
-        "what is injected into a closed loop (random, periodic); with result: spectra the drives of the shakers (random)",
+        "what is injected into a closed loop (random, periodic); with result: spectra the drives of the "
+        "shakers (random)",
         default=(),
     )
-    directional: bool = setting("flag", "the response in forward and backward terms (two responses, two forces)", default=False)
+    directional: bool = setting(
+        "flag", "the response in forward and backward terms (two responses, two forces)", default=False
+    )
 
     def __post_init__(self) -> None:
         self._check_length()
@@ -174,15 +242,23 @@ class FrfSettings(Settings):
         self._check_found()
 
     def _check_keys(self) -> None:
-        """ConfigError for keys that would change nothing under this excitation, or beside this way of averaging."""
-        given = [field.name for field in fields(self) if "setting" in field.metadata and getattr(self, field.name) != field.default]
+        """ConfigError for keys that would change nothing under this excitation, or beside this way of
+        averaging.
+        """
+        given = [
+            field.name
+            for field in fields(self)
+            if "setting" in field.metadata and getattr(self, field.name) != field.default
+        ]
         for name in (name for name in given if name not in ("excitation", *KEYS[self.excitation])):
             able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
             what = f"'{name}' is not for {self.excitation} excitation"
             raise ConfigError(what, hint=f"leave it out; excitations that take it: {able}", field=name)
         if self.excitation != "random":
             return
-        for name in (name for name in given if name in (OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES)):
+        for name in (
+            name for name in given if name in (OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES)
+        ):
             what = f"'{name}' is for local: {'polynomial' if self.local == 'none' else 'none'}"
             raise ConfigError(what, hint="leave it out", field=name)
 
@@ -195,24 +271,45 @@ class FrfSettings(Settings):
             what = f"'result: spectra' is for periodic and random excitation, not for {self.excitation}"
             raise ConfigError(what, hint="leave it out", field="result")
         if self.reference and self.excitation != "random":
-            raise ConfigError("'reference' is for random excitation: periodic data need no drives", hint="leave it out", field="reference")
-        matrix_only = {"directional": self.directional, "realisations": self.realisations, "local": self.local != "none"}
+            raise ConfigError(
+                "'reference' is for random excitation: periodic data need no drives",
+                hint="leave it out",
+                field="reference",
+            )
+        matrix_only = {
+            "directional": self.directional,
+            "realisations": self.realisations,
+            "local": self.local != "none",
+        }
         matrix_only["estimator"] = self.estimator != "H1"
         for name in (name for name, is_set in matrix_only.items() if is_set):
-            raise ConfigError(f"'{name}' belongs to a response matrix, not to result: spectra", hint="leave it out", field=name)
+            raise ConfigError(
+                f"'{name}' belongs to a response matrix, not to result: spectra",
+                hint="leave it out",
+                field=name,
+            )
 
     def _check_reference(self) -> None:
         """ConfigError for a reference where no loop can be opened by it, and beside another estimator."""
         if not self.reference:
             return
         if self.local != "none":
-            raise ConfigError("'local' takes the loop as open, 'reference' as closed", hint="leave one of them out", field="local")
+            raise ConfigError(
+                "'local' takes the loop as open, 'reference' as closed",
+                hint="leave one of them out",
+                field="local",
+            )
         if self.estimator != "H1":
-            what = f"with 'reference' the FRF is estimated by the joint input-output method, not by {self.estimator}"
+            what = (
+                "with 'reference' the FRF is estimated by the joint input-output method, not by "
+                f"{self.estimator}"
+            )
             raise ConfigError(what, hint="leave `estimator` out", field="estimator")
 
     def _check_found(self) -> None:
-        """ConfigError for a settling time without steps, and for a mask without width where no block or period sets one."""
+        """ConfigError for a settling time without steps, and for a mask without width where no block or
+        period sets one.
+        """
         if self.settle is not None and self.settle < 0:
             raise ConfigError("'settle' must not be negative", field="settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
@@ -224,7 +321,9 @@ class FrfSettings(Settings):
             return
         if self.impact.decay is not None:
             hint = "leave out impact.decay: the data have their window already"
-            raise ConfigError("'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed")
+            raise ConfigError(
+                "'windowed' and impact.decay are two exponential windows", hint=hint, field="windowed"
+            )
 
     @property
     def gives(self) -> str:
@@ -234,7 +333,9 @@ class FrfSettings(Settings):
 
     @property
     def damping_window(self) -> float | None:
-        """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever applied it; None for none."""
+        """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever
+        applied it; None for none.
+        """
         return self.impact.decay if self.windowed is None else self.windowed.exponential
 
     def _check_local(self) -> None:
@@ -243,12 +344,20 @@ class FrfSettings(Settings):
             return
         self._check_polynomials()
         if self.local != "none" and self.estimator != "H1":
-            raise ConfigError(f"'local' takes the forces as exact, {self.estimator} does not", hint="estimator: H1", field="estimator")
+            raise ConfigError(
+                f"'local' takes the forces as exact, {self.estimator} does not",
+                hint="estimator: H1",
+                field="estimator",
+            )
 
     def _check_polynomials(self) -> None:
         """ConfigError for local polynomials without room."""
         if self.degree < 1:
-            raise ConfigError(f"'degree' is {self.degree}", hint="2 follows a resonance, 4 follows it better", field="degree")
+            raise ConfigError(
+                f"'degree' is {self.degree}",
+                hint="2 follows a resonance, 4 follows it better",
+                field="degree",
+            )
         if self.half_width is not None and self.half_width <= self.degree:
             raise ConfigError("'half_width' must exceed 'degree'", hint="leave it out", field="half_width")
 
@@ -259,7 +368,9 @@ class FrfSettings(Settings):
             return
         length = getattr(self, needed)
         if length is None:
-            raise ConfigError(f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s")
+            raise ConfigError(
+                f"'{needed}' is missing", hint=f"{self.excitation} excitation needs it, e.g. {needed}: 1 s"
+            )
         if length <= 0:
             raise ConfigError(f"'{needed}' must be positive")
 

@@ -12,7 +12,8 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.channels import READ_SAMPLES
 from labpipe.spectra.settings import ShaftLines
 
-# Hysteresis of the pulse detection, as shares of the tacho's range: below the lower level, then above the upper one.
+# Hysteresis of the pulse detection, as shares of the tacho's range: below the lower level, then above the
+# upper one.
 LOW_SHARE, HIGH_SHARE = 0.4, 0.6
 
 # Revolutions over which the speed is averaged.
@@ -21,13 +22,17 @@ STRETCH = 10
 
 @dataclass(frozen=True)
 class ShaftMotion:
-    """Revolutions (n,) [1] counted at times (n,) [s], both ascending; constant speed between them and beyond the ends."""
+    """Revolutions (n,) [1] counted at times (n,) [s], both ascending.
+
+    Constant speed between them and beyond the ends.
+    """
 
     times: FloatArray
     revolutions: FloatArray
 
     def angle(self, time: FloatArray) -> FloatArray:
-        """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given speed).
+        """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given
+        speed).
 
         Equation (spec-angle).
         """
@@ -46,8 +51,12 @@ class ShaftMotion:
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """Lowest and highest speed [Hz] over STRETCH revolutions: single pulse times are only accurate to a sample."""
-        ends = np.linspace(self.revolutions[0], self.revolutions[-1], max(2, int(np.ptp(self.revolutions) / STRETCH) + 1))
+        """Lowest and highest speed [Hz] over STRETCH revolutions: single pulse times are only accurate to a
+        sample.
+        """
+        ends = np.linspace(
+            self.revolutions[0], self.revolutions[-1], max(2, int(np.ptp(self.revolutions) / STRETCH) + 1)
+        )
         speeds = np.diff(ends) / np.diff(np.interp(ends, self.revolutions, self.times))
         return float(speeds.min()), float(speeds.max())
 
@@ -58,19 +67,27 @@ def steady(speed: float, duration: float) -> ShaftMotion:
 
 
 def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion in a recording; DataError when the tacho channel is missing or has fewer than two pulses."""
+    """The shaft's motion in a recording.
+
+    DataError when the tacho channel is missing or has fewer than two pulses.
+    """
     if lines.tacho is None:
         assert lines.speed is not None
         return steady(lines.speed, source.n_sample / source.sample_rate)
     pulses = tacho_pulses(source, lines.tacho)
     if pulses.size < 2:
         hint = "check the channel and its range"
-        raise DataError(f"the tacho '{lines.tacho}' of '{source.name}' shows {pulses.size} pulse(s), 2 are needed", hint=hint)
+        raise DataError(
+            f"the tacho '{lines.tacho}' of '{source.name}' shows {pulses.size} pulse(s), 2 are needed",
+            hint=hint,
+        )
     return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
 
 
 def at_rest(source: SampleSource, lines: ShaftLines) -> bool:
-    """Whether a recording has the tacho that is named and this shows fewer than two pulses: the shaft does not turn."""
+    """Whether a recording has the tacho that is named and this shows fewer than two pulses: the shaft does
+    not turn.
+    """
     if lines.tacho is None or lines.tacho not in [channel.name for channel in source.channels]:
         return False
     try:
@@ -80,14 +97,18 @@ def at_rest(source: SampleSource, lines: ShaftLines) -> bool:
 
 
 def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
-    """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly between samples.
+    """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly
+    between samples.
 
-    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part of the range. The recording is
-    read twice: for its range, then for its pulses. DataError for a missing channel or one that does not vary.
+    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part of the
+    range. The recording is read twice: for its range, then for its pulses. DataError for a missing channel or
+    one that does not vary.
     """
     names = [record.name for record in source.channels]
     if channel not in names:
-        raise DataError(f"recording '{source.name}' has no channel '{channel}'", hint=f"channels: {', '.join(names)}")
+        raise DataError(
+            f"recording '{source.name}' has no channel '{channel}'", hint=f"channels: {', '.join(names)}"
+        )
     column = names.index(channel)
     low, high = np.inf, -np.inf
     for block in source.blocks(READ_SAMPLES):

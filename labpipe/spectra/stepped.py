@@ -1,4 +1,6 @@
-"""Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the scatter of blocks."""
+"""Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the
+scatter of blocks.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +28,16 @@ STEPS = 6
 
 
 def design(frequency: float, n_sample: int) -> FloatArray:
-    """cos, -sin and 1 (n_sample, 3) [1] at a *frequency* [periods per sample], so that the first two factors are Re and Im of X."""
+    """cos, -sin and 1 (n_sample, 3) [1] at a *frequency* [periods per sample], so that the first two factors
+    are Re and Im of X.
+    """
     phase = 2 * np.pi * frequency * np.arange(n_sample)
     return np.column_stack([np.cos(phase), -np.sin(phase), np.ones(n_sample)])
 
 
 def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
-    """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample, n_channel) [unit of the channel].
+    """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample,
+    n_channel) [unit of the channel].
 
     Equation (spec-sine).
     """
@@ -42,10 +47,11 @@ def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
 
 
 def sine_frequency(signal: FloatArray, frequency: float) -> float:
-    """Frequency [periods per sample] of a sine with offset in white noise, by least squares (n_sample,) [any unit] from a first guess.
+    """Frequency [periods per sample] of a sine with offset in white noise, by least squares (n_sample,) [any
+    unit] from a first guess.
 
-    Its variance is the bound of Cramer and Rao, 6 s^2 / (pi^2 A^2 N^3) [periods^2 per sample^2] for the amplitude A and the noise s
-    (Rife and Boorstyn 1974, IEEE Trans. Inf. Theory 20, for large N).
+    Its variance is the bound of Cramer and Rao, 6 s^2 / (pi^2 A^2 N^3) [periods^2 per sample^2] for the
+    amplitude A and the noise s (Rife and Boorstyn 1974, IEEE Trans. Inf. Theory 20, for large N).
     """
     n = signal.size
     time = np.arange(n) - (n - 1) / 2
@@ -60,7 +66,8 @@ def sine_frequency(signal: FloatArray, frequency: float) -> float:
 
 
 def block_amplitudes(samples: FloatArray, frequency: float, length: float, count: int) -> ComplexArray:
-    """X (count, n_channel) [unit of the channel] in blocks of *length* samples one after the other, of *samples* (n_sample, n_channel).
+    """X (count, n_channel) [unit of the channel] in blocks of *length* samples one after the other, of
+    *samples* (n_sample, n_channel).
 
     Their phase is that of the first sample of all.
     """
@@ -72,7 +79,8 @@ def block_amplitudes(samples: FloatArray, frequency: float, length: float, count
 
 
 def frequency_variance(signal: FloatArray, frequency: float) -> float:
-    """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal* (n_sample,) [any unit].
+    """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal*
+    (n_sample,) [any unit].
 
     Equation (spec-sine-variance).
     """
@@ -92,13 +100,16 @@ N_BIN = 40
 SEEN = 4.0
 # Share of a standard error that the transient may leave in a result.
 LEFT = 0.2
-# Noise of a block [of its amplitude] below which no sensor is believed to be: a transient smaller than that has settled.
+# Noise of a block [of its amplitude] below which no sensor is believed to be: a transient smaller than that
+# has settled.
 LEAST_NOISE = 1e-4
 
 
 @dataclass(frozen=True)
 class Course:
-    """Amplitudes of a dwell, block by block: *times* (n_block,) [s] after the step, *values* (n_block, n_channel) [unit of the channel]."""
+    """Amplitudes of a dwell, block by block: *times* (n_block,) [s] after the step, *values* (n_block,
+    n_channel) [unit of the channel].
+    """
 
     times: FloatArray
     values: ComplexArray
@@ -107,22 +118,28 @@ class Course:
         return Course(self.times, self.values[:, [channel]])
 
     def deviation(self) -> FloatArray:
-        """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives, (n_block, n_channel) [1]."""
+        """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives,
+        (n_block, n_channel) [1].
+        """
         half = self.values[self.values.shape[0] // 2 :]
         n = half.shape[0]
         noise = np.mean(np.abs(np.diff(half, axis=0)) ** 2, axis=0) / 2
         floor = LEAST_NOISE * np.mean(np.abs(half), axis=0)
         scale = np.maximum(noise, floor**2)
         early = np.arange(self.values.shape[0])[:, None] < self.values.shape[0] - n
-        return np.asarray(np.abs(self.values - half.mean(axis=0)) ** 2 / scale - np.where(early, 1 + 1 / n, 1 - 1 / n))
+        return np.asarray(
+            np.abs(self.values - half.mean(axis=0)) ** 2 / scale - np.where(early, 1 + 1 / n, 1 - 1 / n)
+        )
 
 
 def settle_time(courses: Sequence[Course]) -> float:
-    """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0 where none is seen.
+    """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
+    where none is seen.
 
-    All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t - t_1) / tau), shows the
-    transient up to t_1, and is continued from there. A transient of a/s standard deviations of a block leaves the mean of n blocks
-    off by a tau / (n T) in standard errors s / sqrt(n). DataError when the transient outlasts the dwells. Equation (frf-settle).
+    All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t -
+    t_1) / tau), shows the transient up to t_1, and is continued from there. A transient of a/s standard
+    deviations of a block leaves the mean of n blocks off by a tau / (n T) in standard errors s / sqrt(n).
+    DataError when the transient outlasts the dwells. Equation (frf-settle).
     """
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
@@ -132,7 +149,10 @@ def settle_time(courses: Sequence[Course]) -> float:
     if last == 0:
         return 0.0
     if time[last - 1] > 0.6 * longest:
-        what = f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last {longest:.3g} s"
+        what = (
+            f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last "
+            f"{longest:.3g} s"
+        )
         raise DataError(what, hint="longer dwells; or state `settle`")
     end = float(edges[_bin(edges, time[last - 1]) + 1])
     tau = _time_constant(time[:last], excess[:last])
@@ -145,7 +165,9 @@ def _bin(edges: FloatArray, time: float) -> int:
 
 
 def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its standard error under noise."""
+    """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its
+    standard error under noise.
+    """
     total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     for course in courses:
@@ -155,7 +177,8 @@ def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, F
         deviation = course.deviation()
         sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
         total[some] += sums[some] / number[some]
-        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom, heavier than chi2.
+        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom,
+        # heavier than chi2.
         variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
         when += np.bincount(place, course.times, minlength=edges.size - 1)
         count += number
@@ -164,7 +187,10 @@ def _binned(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, F
 
 
 def _time_constant(time: FloatArray, excess: FloatArray) -> float:
-    """tau [s] of an excess exp(-2 t / tau), from its largest value to the end of what is seen; at least a bin, where it falls faster."""
+    """tau [s] of an excess exp(-2 t / tau), from its largest value to the end of what is seen.
+
+    At least a bin, where it falls faster.
+    """
     top = int(np.argmax(excess))
     shortest = float(time[-1]) / max(time.size, 1)
     if time.size - top < 2:
@@ -174,7 +200,9 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
 
 
 def _allowed(course: Course, tau: float) -> float:
-    """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n blocks."""
+    """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n
+    blocks.
+    """
     n = course.times.size
     step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
     return float(LEFT**2 * n / max(1.0, tau / step) ** 2)
@@ -187,7 +215,8 @@ def _allowed(course: Course, tau: float) -> float:
 MOST_BLOCKS, LEAST_BLOCKS = 32, 4
 # Fewest samples of a block, so that three values are fitted to more.
 LEAST_SAMPLES = 8
-# Frequencies of two dwells are the same within this share of one over their length: far below what a dwell can resolve.
+# Frequencies of two dwells are the same within this share of one over their length: far below what a dwell
+# can resolve.
 SAME_LINE = 0.05
 # Share of the force's power that the sine explains in a dwell, and of the largest amplitude that it has.
 SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
@@ -195,7 +224,8 @@ SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
 
 @dataclass(frozen=True)
 class Line:
-    """A dwell evaluated: *frequency* [Hz] and its variance [Hz^2], *duration* [s] of what is used, complex degrees of freedom *dof*.
+    """A dwell evaluated: *frequency* [Hz] and its variance [Hz^2], *duration* [s] of what is used, complex
+    degrees of freedom *dof*.
 
     mean (n_channel,) [unit of the channel], its covariance *noise* (n_channel, n_channel) [unit^2].
     """
@@ -211,11 +241,12 @@ class Line:
 def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) at the frequencies at which every recording dwells.
 
-    DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in common, or when the forces
-    are not independent. Equation (frf-stepped).
+    DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in
+    common, or when the forces are not independent. Equation (frf-stepped).
     """
     measured = [
-        _lines(source, settings, layout.input_columns[number], layout.output_columns[number]) for number, source in enumerate(sources)
+        _lines(source, settings, layout.input_columns[number], layout.output_columns[number])
+        for number, source in enumerate(sources)
     ]
     common, n_alone = _common([lines for lines, _ in measured])
     frequency = np.array([np.mean([line.frequency for line in row]) for row in common])
@@ -223,7 +254,10 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     common = [row for row, is_chosen in zip(common, chosen, strict=True) if is_chosen]
     columns = list(zip(*common, strict=True))
     n_input = len(layout.inputs)
-    mean = np.stack([layout.padded(e, np.stack([line.mean for line in lines]), 1) for e, lines in enumerate(columns)], axis=2)
+    mean = np.stack(
+        [layout.padded(e, np.stack([line.mean for line in lines]), 1) for e, lines in enumerate(columns)],
+        axis=2,
+    )
     dof = min(line.dof for row in common for line in row)
     half_width = min(settings.smooth, int(np.ceil((ENOUGH_DOF / dof - 1) / 2))) if dof < ENOUGH_DOF else 0
     noise = np.stack([layout.padded(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
@@ -232,7 +266,8 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     return Parts(
         frequency=frequency[chosen],
         matrix=matrix,
-        covariance=covariance_of_periodic(matrix, inverse, noise) + _of_frequency(frequency[chosen], matrix, common),
+        covariance=covariance_of_periodic(matrix, inverse, noise)
+        + _of_frequency(frequency[chosen], matrix, common),
         averages=dof + 1,
         dof=dof * min(2 * half_width + 1, len(common)),
         findings=(*(finding for _, finding in measured), *_alone(n_alone)),
@@ -240,8 +275,12 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     )
 
 
-def _of_frequency(frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]) -> ComplexArray:
-    """Covariance (n_line, n, n) that the uncertainty of the frequency leaves: g g^H var(f), g = dH/df (n_line, n)."""
+def _of_frequency(
+    frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]
+) -> ComplexArray:
+    """Covariance (n_line, n, n) that the uncertainty of the frequency leaves: g g^H var(f), g = dH/df
+    (n_line, n).
+    """
     flat = matrix.reshape(frequency.size, -1)
     slope = np.zeros(flat.shape, np.complex128)
     if frequency.size > 1:
@@ -251,7 +290,9 @@ def _of_frequency(frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tu
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
-    """Noise of the means (n_line, n_channel, n_channel) [unit^2], its density averaged over *half_width* lines to either side."""
+    """Noise of the means (n_line, n_channel, n_channel) [unit^2], its density averaged over *half_width*
+    lines to either side.
+    """
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -270,7 +311,11 @@ def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
 def _alone(number: int) -> tuple[Finding, ...]:
     if not number:
         return ()
-    return (Finding("dwells-left-out", f"{number} dwell(s) are left out: not every recording has their frequency"),)
+    return (
+        Finding(
+            "dwells-left-out", f"{number} dwell(s) are left out: not every recording has their frequency"
+        ),
+    )
 
 
 def _lines(
@@ -293,7 +338,8 @@ def _lines(
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
     repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
     message = (
-        f"'{source.name}': {len(merged)} frequencies{repeats}, {merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {settle:.3g} s are "
+        f"'{source.name}': {len(merged)} frequencies{repeats}, "
+        f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {settle:.3g} s are "
         f"left out after each step; {100 * used:.0f} % of the record is used"
     )
     return merged, note("dwells", message)
@@ -308,7 +354,9 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
         sizes.append(size)
         shares.append(size**2 / 2 / max(float(np.var(part)), np.finfo(float).tiny))
     kept = [
-        dwell for dwell, size, share in zip(dwells, sizes, shares, strict=True) if share > SINE_SHARE and size > LEAST_LEVEL * max(sizes)
+        dwell
+        for dwell, size, share in zip(dwells, sizes, shares, strict=True)
+        if share > SINE_SHARE and size > LEAST_LEVEL * max(sizes)
     ]
     if not kept:
         raise DataError("the force is no sine in any of its dwells", hint="is it another excitation?")
@@ -316,7 +364,9 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
 
 
 def _periods_per_block(frequency: float, n_period: int) -> int:
-    """Whole periods per block, at least as many as hold LEAST_SAMPLES, so that there are at most MOST_BLOCKS blocks."""
+    """Whole periods per block, at least as many as hold LEAST_SAMPLES, so that there are at most MOST_BLOCKS
+    blocks.
+    """
     return max(int(np.ceil(LEAST_SAMPLES * frequency)), -(-n_period // MOST_BLOCKS), 1)
 
 
@@ -333,7 +383,10 @@ class _Settling:
 
 
 def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
-    """The amplitudes of the dwells that have periods enough, from the step on; the first channel is the force that steps."""
+    """The amplitudes of the dwells that have periods enough, from the step on.
+
+    The first channel is the force that steps.
+    """
     courses = []
     for dwell in dwells:
         part = samples[dwell.start : dwell.stop]
@@ -350,12 +403,16 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 def _settle(courses: list[Course]) -> float:
     """The time after a step [s] that the recording itself shows."""
     if not courses:
-        raise DataError(f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`")
+        raise DataError(
+            f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`"
+        )
     return settle_time(courses)
 
 
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """The time after a step [s] from which the force alone is steady: it gives the frequency, the more exactly the longer it is."""
+    """The time after a step [s] from which the force alone is steady: it gives the frequency, the more
+    exactly the longer it is.
+    """
     try:
         return _settle([course.of(0) for course in courses])
     except DataError:
@@ -371,8 +428,14 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
     per_block = _periods_per_block(dwell.frequency, max(n_period, 1))
     count = n_period // per_block
     if count < LEAST_BLOCKS:
-        length, needed = (dwell.stop - dwell.start) / rate, (start - dwell.start + (LEAST_BLOCKS * per_block + 2) / dwell.frequency) / rate
-        what = f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, {needed:.3g} s are needed"
+        length, needed = (
+            (dwell.stop - dwell.start) / rate,
+            (start - dwell.start + (LEAST_BLOCKS * per_block + 2) / dwell.frequency) / rate,
+        )
+        what = (
+            f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, "
+            f"{needed:.3g} s are needed"
+        )
         raise DataError(
             f"{what}: {settling.responses:.3g} s for its transient, then periods",
             hint="longer dwells, or state `settle`; a slow sweep has none",
@@ -421,7 +484,10 @@ def _average(group: list[Line]) -> Line:
 
 
 def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], int]:
-    """Rows of the lines of all recordings at one frequency, and how many lines are in no row; DataError without any."""
+    """Rows of the lines of all recordings at one frequency, and how many lines are in no row.
+
+    DataError without any.
+    """
     rows = []
     for line in recordings[0]:
         partners = [next((other for other in lines if _same(line, other)), None) for lines in recordings[1:]]
@@ -429,5 +495,7 @@ def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], i
         if len(row) == len(recordings):
             rows.append(row)
     if not rows:
-        raise DataError("the recordings dwell at no frequency in common", hint="the same steps in every force direction")
+        raise DataError(
+            "the recordings dwell at no frequency in common", hint="the same steps in every force direction"
+        )
     return rows, sum(len(lines) for lines in recordings) - len(rows) * len(recordings)

@@ -21,7 +21,8 @@ LEAST_PERIODS = 5
 HYSTERESIS = 0.3
 # Share of the force's power below the frequency that sets how long its local peak is looked for.
 LOW_SHARE = 0.005
-# A period belongs to the dwell while its crossing lies within so many standard errors of where the periods before put it.
+# A period belongs to the dwell while its crossing lies within so many standard errors of where the periods
+# before put it.
 WITHIN = 6.0
 # Scatter of the crossings [periods] above which the force is no sine; least that is believed.
 MOST_SCATTER, LEAST_SCATTER = 0.05, 1e-6
@@ -31,7 +32,10 @@ CURVED = 4.0
 
 @dataclass(frozen=True)
 class Dwell:
-    """Samples *start* ... *stop* (not included), first and last zero crossing, of a sine of about *frequency* [periods per sample]."""
+    """Samples *start* ...
+
+    *stop* (not included), first and last zero crossing, of a sine of about *frequency* [periods per sample].
+    """
 
     start: int
     stop: int
@@ -41,8 +45,9 @@ class Dwell:
 def find_dwells(force: FloatArray) -> list[Dwell]:
     """The dwells in a force (n_sample,) [N], in their order in time.
 
-    The phase of the force, known at its zero crossings, is a broken line over time: every straight piece of LEAST_PERIODS periods or
-    more is a dwell. DataError for a force that is no sine, without dwells, or whose frequency runs on.
+    The phase of the force, known at its zero crossings, is a broken line over time: every straight piece of
+    LEAST_PERIODS periods or more is a dwell. DataError for a force that is no sine, without dwells, or whose
+    frequency runs on.
     """
     times = rising_crossings(force - np.mean(force))
     if times.size <= LEAST_PERIODS:
@@ -50,16 +55,25 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
     scatter = _scatter(times)
     if scatter > MOST_SCATTER:
         raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
-    pieces = [piece for piece in _refined(times, _straight_pieces(times, scatter)) if piece[1] - piece[0] > LEAST_PERIODS]
+    pieces = [
+        piece
+        for piece in _refined(times, _straight_pieces(times, scatter))
+        if piece[1] - piece[0] > LEAST_PERIODS
+    ]
     if not pieces:
         raise DataError(f"the force stays at no frequency for {LEAST_PERIODS} periods", hint=_HINT)
     curved = [_is_curved(times[first:last]) for first, last in pieces]
     if np.mean(curved) > 0.5:
         raise DataError(
-            "the frequency of the force runs on: a sweep, no dwells", hint="excitation: stepped-sine needs constant frequencies"
+            "the frequency of the force runs on: a sweep, no dwells",
+            hint="excitation: stepped-sine needs constant frequencies",
         )
     return [
-        Dwell(int(np.ceil(times[first])), int(times[last - 1]), float((last - 1 - first) / (times[last - 1] - times[first])))
+        Dwell(
+            int(np.ceil(times[first])),
+            int(times[last - 1]),
+            float((last - 1 - first) / (times[last - 1] - times[first])),
+        )
         for first, last in pieces
     ]
 
@@ -68,7 +82,9 @@ _HINT = "stepped-sine: one frequency after another, each kept; is it another exc
 
 
 def rising_crossings(force: FloatArray) -> FloatArray:
-    """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by a straight line."""
+    """Times [samples] at which a *force* (n_sample,) [N] of mean zero rises through zero, between samples by
+    a straight line.
+    """
     from scipy import ndimage
 
     peak = ndimage.maximum_filter1d(np.abs(force), _longest_period(force))
@@ -85,7 +101,9 @@ def _longest_period(force: FloatArray) -> int:
 
 
 def _crossing(force: FloatArray, before: int, after: int) -> float:
-    """Root of the straight line through the samples from *before* to *after*, or between the two of opposite sign if there are no more."""
+    """Root of the straight line through the samples from *before* to *after*, or between the two of opposite
+    sign if there are no more.
+    """
     values = force[before : after + 1]
     number = np.arange(values.size)
     slope, level = np.polyfit(number, values, 1)
@@ -103,7 +121,9 @@ def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
-        if number - first >= 3 and abs(time - line.at(number - first)) > WITHIN * scatter * line.slope * line.spread(number - first):
+        if number - first >= 3 and abs(
+            time - line.at(number - first)
+        ) > WITHIN * scatter * line.slope * line.spread(number - first):
             pieces.append((first, number))
             first, line = number, _Line()
         line.add(float(number - first), time)
@@ -135,7 +155,9 @@ class _Line:
 
 
 def _refined(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The *pieces* with the crossing from which the next one's line fits better: a step shows only some periods after it."""
+    """The *pieces* with the crossing from which the next one's line fits better: a step shows only some
+    periods after it.
+    """
     long = [piece for piece in pieces if piece[1] - piece[0] > LEAST_PERIODS]
     ends = [list(piece) for piece in long]
     for number in range(len(long) - 1):
@@ -147,7 +169,9 @@ def _refined(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int
         middle = start + (last - start) // 2
         after = np.polynomial.Polynomial.fit(np.arange(middle, last), times[middle:last], 1)(near)
         error_before, error_after = (times[near] - before) ** 2, (times[near] - after) ** 2
-        cost = np.concatenate([[0.0], np.cumsum(error_before)]) + np.concatenate([np.cumsum(error_after[::-1])[::-1], [0.0]])
+        cost = np.concatenate([[0.0], np.cumsum(error_before)]) + np.concatenate(
+            [np.cumsum(error_after[::-1])[::-1], [0.0]]
+        )
         ends[number][1] = ends[number + 1][0] = int(near[0] + np.argmin(cost)) if near.size else end
     return [(first, end) for first, end in ends]
 
@@ -165,7 +189,9 @@ def _is_curved(times: FloatArray) -> bool:
 
 
 def loudest(samples: FloatArray, columns: IntArray) -> int:
-    """The column of the input with the largest variance, of *samples* (n_sample, n_channel) [unit of the channel]."""
+    """The column of the input with the largest variance, of *samples* (n_sample, n_channel) [unit of the
+    channel].
+    """
     return int(columns[np.argmax(np.var(samples[:, columns], axis=0))])
 
 
@@ -180,11 +206,14 @@ LARGEST_STEP = 1.4
 TURNED = 0.1
 # Periods whose median gives the frequency at an end of a sweep.
 AT_END = 5
-# Share of the largest amplitude of a force below which its sweep is none: another shaker's, seen by this force.
+# Share of the largest amplitude of a force below which its sweep is none: another shaker's, seen by this
+# force.
 LEAST_LEVEL = 0.05
-# Slope of the frequency over a few periods, as a share of that of the whole, below which it stays and steps; fewest such pieces.
+# Slope of the frequency over a few periods, as a share of that of the whole, below which it stays and steps;
+# fewest such pieces.
 STEPPED, LEAST_WINDOWS = 0.5, 10
-# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing: its amplitude rises slowly.
+# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing: its
+# amplitude rises slowly.
 MARGIN, MARGIN_SHARE = 2.0, 0.02
 # Share of the length of the longest sweep below which a run is none: a restart looks like a short sweep back.
 LEAST_LENGTH = 0.1
@@ -198,10 +227,11 @@ _SWEEP_HINT = "sweep: a sine whose frequency runs steadily up or down; is it ano
 
 @dataclass(frozen=True)
 class FoundSweep:
-    """Samples *start* ... *stop* (not included) of a sweep from *first* to *last* [periods per sample]; *law* linear or logarithmic.
+    """Samples *start* ... *stop* (not included) of a sweep from *first* to *last* [periods per sample]; *law*
+    linear or logarithmic.
 
-    growth: |df/dt| [periods per sample^2] of a linear, |d ln f / dt| [1 per sample] of a logarithmic one; level: its rms [unit of the
-    force]; steps: whether its frequency stays and jumps instead of running.
+    growth: |df/dt| [periods per sample^2] of a linear, |d ln f / dt| [1 per sample] of a logarithmic one;
+    level: its rms [unit of the force]; steps: whether its frequency stays and jumps instead of running.
     """
 
     start: int
@@ -222,41 +252,60 @@ class FoundSweep:
         return max(self.first, self.last)
 
     def rate_at(self, frequency: float) -> float:
-        """|df/dt| [periods per sample^2] at a *frequency* [periods per sample]: constant (linear), or in proportion to it."""
+        """|df/dt| [periods per sample^2] at a *frequency* [periods per sample]: constant (linear), or in
+        proportion to it.
+        """
         return self.growth * (1.0 if self.law == "linear" else frequency)
 
 
 def find_sweeps(force: FloatArray) -> list[FoundSweep]:
-    """The sweeps in a force (n_sample,) [N], in their order in time; DataError for a force without, or with dwells in their place."""
+    """The sweeps in a force (n_sample,) [N], in their order in time.
+
+    DataError for a force without, or with dwells in their place.
+    """
     force = force - np.mean(force)
     times = rising_crossings(force)
     # In noise a line through few samples can put a crossing ahead of the one before.
     times = times[np.diff(np.maximum.accumulate(times), prepend=-np.inf) > 0]
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
-    sweeps = [_sweep(force, times[first:last]) for first, last in pieces if last - first > LEAST_SWEPT_PERIODS]
+    sweeps = [
+        _sweep(force, times[first:last]) for first, last in pieces if last - first > LEAST_SWEPT_PERIODS
+    ]
     sweeps = [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low]
     if not sweeps:
         raise DataError("the force holds no sweep", hint=_SWEEP_HINT)
     loudest, longest = max(sweep.level for sweep in sweeps), max(sweep.stop - sweep.start for sweep in sweeps)
-    sweeps = [sweep for sweep in sweeps if sweep.level > LEAST_LEVEL * loudest and sweep.stop - sweep.start > LEAST_LENGTH * longest]
+    sweeps = [
+        sweep
+        for sweep in sweeps
+        if sweep.level > LEAST_LEVEL * loudest and sweep.stop - sweep.start > LEAST_LENGTH * longest
+    ]
     if all(sweep.steps for sweep in sweeps):
-        raise DataError("the frequency of the force stays and steps: dwells, no sweep", hint="excitation: stepped-sine")
+        raise DataError(
+            "the frequency of the force stays and steps: dwells, no sweep", hint="excitation: stepped-sine"
+        )
     return sweeps
 
 
 def _runs(times: FloatArray) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings *times* (n,) [samples] whose distances change by little from one to the next."""
+    """Ranges (first, end) of crossings *times* (n,) [samples] whose distances change by little from one to
+    the next.
+    """
     if times.size < 3:
         return []
     step = np.abs(np.diff(np.log(np.diff(times))))
     # A distance that fits neither to the one before nor to the one after belongs to no run.
     breaks = np.flatnonzero(step > np.log(LARGEST_STEP)) + 1
     edges = [0, *breaks.tolist(), times.size - 1]
-    return [(first, last + 1) for first, last in itertools.pairwise(edges) if last - first > LEAST_SWEPT_PERIODS]
+    return [
+        (first, last + 1) for first, last in itertools.pairwise(edges) if last - first > LEAST_SWEPT_PERIODS
+    ]
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
-    """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings of the whole record."""
+    """The run of crossings *times* (n,) [samples] cut where its frequency turns, as ranges of the crossings
+    of the whole record.
+    """
     level = _smoothed(-np.log(np.diff(times)))
     wide = float(np.ptp(level))
     turns, extreme, sign = [], 0, 0.0
@@ -290,17 +339,31 @@ def _sweep(force: FloatArray, times: FloatArray) -> FoundSweep:
     first, last = float(np.median(frequency[:AT_END])), float(np.median(frequency[-AT_END:]))
     start, stop = int(times[0]), int(np.ceil(times[-1]))
     level = float(np.sqrt(np.mean(force[start:stop] ** 2)))
-    return FoundSweep(start, stop, first, last, law, abs(float(lines[law][0])), level, _stays(frequency, middle, curves[law]))
+    return FoundSweep(
+        start,
+        stop,
+        first,
+        last,
+        law,
+        abs(float(lines[law][0])),
+        level,
+        _stays(frequency, middle, curves[law]),
+    )
 
 
 def _stays(frequency: FloatArray, middle: FloatArray, law: FloatArray) -> bool:
-    """Whether a *frequency* (n,) [periods per sample] at times *middle* (n,) [samples] keeps its value and jumps where its *law* (n,) runs.
+    """Whether a *frequency* (n,) [periods per sample] at times *middle* (n,) [samples] keeps its value and
+    jumps where its *law* (n,) runs.
 
-    The slope over a few periods, over that of the law: its median is 1 for a sweep, 0 for a stepped sine, whatever the noise.
+    The slope over a few periods, over that of the law: its median is 1 for a sweep, 0 for a stepped sine,
+    whatever the noise.
     """
     width = AT_END
     while frequency.size // width >= LEAST_WINDOWS:
-        windows = [values[: frequency.size // width * width].reshape(-1, width) for values in (frequency, middle, law)]
+        windows = [
+            values[: frequency.size // width * width].reshape(-1, width)
+            for values in (frequency, middle, law)
+        ]
         f, t, expected = (window - window.mean(axis=1, keepdims=True) for window in windows)
         ratio = np.sum(f * t, axis=1) / np.sum(expected * t, axis=1)
         centre = float(np.median(ratio))
@@ -312,21 +375,30 @@ def _stays(frequency: FloatArray, middle: FloatArray, law: FloatArray) -> bool:
 
 
 def loudest_sweeps(sweeps: Sequence[Sequence[FoundSweep]]) -> list[FoundSweep]:
-    """Of the *sweeps* of each force of a recording, by time: where several forces have one at the same time, that of the loudest."""
+    """Of the *sweeps* of each force of a recording, by time: where several forces have one at the same time,
+    that of the loudest.
+    """
     ranked = sorted((sweep for members in sweeps for sweep in members), key=lambda sweep: -sweep.level)
     chosen: list[FoundSweep] = []
     for sweep in ranked:
-        if all(min(sweep.stop, other.stop) - max(sweep.start, other.start) < 0.5 * (sweep.stop - sweep.start) for other in chosen):
+        if all(
+            min(sweep.stop, other.stop) - max(sweep.start, other.start) < 0.5 * (sweep.stop - sweep.start)
+            for other in chosen
+        ):
             chosen.append(sweep)
     return sorted(chosen, key=lambda sweep: sweep.start)
 
 
 def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
-    """Ranges (start, stop) [samples] of a record of *n_sample*: every sweep with all that follows up to the next one."""
+    """Ranges (start, stop) [samples] of a record of *n_sample*: every sweep with all that follows up to the
+    next one.
+    """
     ends = [0, *(sweep.stop for sweep in sweeps)]
     starts = []
     for sweep, before in zip(sweeps, ends, strict=False):
-        early = sweep.start - int(np.ceil(max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start))))
+        early = sweep.start - int(
+            np.ceil(max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start)))
+        )
         # Without a pause the cut lies between the last crossing of one sweep and the first of the next.
         starts.append(max(early, 0 if before == 0 else (before + sweep.start + 1) // 2))
     return list(zip(starts, [*starts[1:], n_sample], strict=True))
@@ -334,33 +406,45 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
 
 # How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
 
-# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response. With half as many, the
-# damping of a record cut in full motion was off by up to half its standard error (tests/spectra/test_sweep_coverage.py has 8 and 16).
+# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response.
+# With half as many, the damping of a record cut in full motion was off by up to half its standard error
+# (tests/spectra/test_sweep_coverage.py has 8 and 16).
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
 
 
 def largest_rate(frequency: float, damping_ratio: float) -> float:
-    """Sweep rate [Hz/s] up to which a resonance at *frequency* [Hz] reaches its steady amplitude: 216 f_n^2 zeta^2 Hz/min.
+    """Sweep rate [Hz/s] up to which a resonance at *frequency* [Hz] reaches its steady amplitude: 216 f_n^2
+    zeta^2 Hz/min.
 
-    ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a logarithmic sweep are the
-    same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b. Equation (frf-sweep-rate).
+    ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a
+    logarithmic sweep are the same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b.
+    Equation (frf-sweep-rate).
     """
     return 216.0 / 60 * frequency**2 * damping_ratio**2
 
 
 def rate_findings(
-    frequency: FloatArray, matrix: ComplexArray, sweeps: Sequence[FoundSweep], rate: float, n_sample: int, *, leaking: bool
+    frequency: FloatArray,
+    matrix: ComplexArray,
+    sweeps: Sequence[FoundSweep],
+    rate: float,
+    n_sample: int,
+    *,
+    leaking: bool,
 ) -> tuple[Finding, ...]:
     """The highest resonance of each FRF that is swept faster than ISO 7626-2 allows: the one that is most so.
 
-    A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a warning where the lines are
-    too coarse for the resonance, or, when *leaking*, for the leakage that was taken out. frequency (n_line,) [Hz],
-    matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling [Hz]; *n_sample* of a block.
+    A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a
+    warning where the lines are too coarse for the resonance, or, when *leaking*, for the leakage that was
+    taken out. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling
+    [Hz]; *n_sample* of a block.
     """
     peaks = _peaks(frequency, matrix)
     if not peaks:
         return ()
-    excess = [max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowed(p) for p in peaks]
+    excess = [
+        max(sweep.rate_at(p.frequency / rate) * rate**2 for sweep in sweeps) / _allowed(p) for p in peaks
+    ]
     worst = int(np.argmax(excess))
     peak, times = peaks[worst], excess[worst]
     if times <= 1:
@@ -368,13 +452,21 @@ def rate_findings(
     width = peak.high - peak.low
     lines, enough = width * n_sample / rate, LEAKING_LINES if leaking else FEWEST_LINES
     message = (
-        f"the resonance at {peak.frequency:.4g} Hz, {width:.3g} Hz wide (half power), is swept at {times * _allowed(peak):.3g} Hz/s, "
-        f"{times:.3g} times the rate of ISO 7626-2 ({_allowed(peak):.3g} Hz/s): it does not reach its steady amplitude"
+        f"the resonance at {peak.frequency:.4g} Hz, {width:.3g} Hz wide (half power), is swept at "
+        f"{times * _allowed(peak):.3g} Hz/s, {times:.3g} times the rate of ISO 7626-2 ({_allowed(peak):.3g} "
+        "Hz/s): it does not reach its steady amplitude"
     )
     if lines >= enough:
-        why = "since the ringing that the record lacks is estimated" if leaking else "since the record holds all that rings"
+        why = (
+            "since the ringing that the record lacks is estimated"
+            if leaking
+            else ("since the record holds all that rings")
+        )
         return (note("sweep-rate", f"{message}; the FRF does not suffer, {why}"),)
-    needed = f"{lines:.2g} lines in its width are too few, {enough:.3g} would do: sweep slower, or record until the response is at rest"
+    needed = (
+        f"{lines:.2g} lines in its width are too few, {enough:.3g} would do: sweep slower, or record "
+        "until the response is at rest"
+    )
     return (Finding("sweep-rate", f"{message}; {needed}"),)
 
 
@@ -387,7 +479,9 @@ def _peaks(frequency: FloatArray, matrix: ComplexArray) -> list[HalfPower]:
     peaks = []
     for row, column in itertools.product(range(matrix.shape[1]), range(matrix.shape[2])):
         try:
-            peaks.append(half_power(frequency, matrix[:, row, column], (float(frequency[0]), float(frequency[-1]))))
+            peaks.append(
+                half_power(frequency, matrix[:, row, column], (float(frequency[0]), float(frequency[-1])))
+            )
         except (DataError, np.linalg.LinAlgError):
             continue
     return [peak for peak in peaks if peak.damping_ratio > 0]

@@ -1,4 +1,6 @@
-"""Recordings of swept sines -> FRF matrix line by line, with the covariance from repeated sweeps, or from the lines around each line."""
+"""Recordings of swept sines -> FRF matrix line by line, with the covariance from repeated sweeps, or from the
+lines around each line.
+"""
 
 from __future__ import annotations
 
@@ -22,19 +24,25 @@ from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import FoundSweep, cuts, find_sweeps, loudest_sweeps, rate_findings
 
-# Leakage counts where its power exceeds that of the noise in its estimate by this factor, and by so many standard errors.
+# Leakage counts where its power exceeds that of the noise in its estimate by this factor, and by so many
+# standard errors.
 LEAKING, SURELY = 1.2, 3.0
-# Variance of the leakage over that of the noise above which a line cannot be told from it: those swept at the ends of a record.
+# Variance of the leakage over that of the noise above which a line cannot be told from it: those swept at the
+# ends of a record.
 LARGEST_SPREAD = 1.0
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: with fewer, the weights of a fit scatter.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: with fewer, the weights
+# of a fit scatter.
 ENOUGH_DOF = 48.0
-# Share of the force's usual level around a line below which nothing is measured there, and lines that make the usual level.
+# Share of the force's usual level around a line below which nothing is measured there, and lines that make
+# the usual level.
 LEAST_SHARE, AROUND = 0.1, 101
 
 
 @dataclass(frozen=True)
 class _Swept:
-    """A recording's *name*, its *sweeps*, the *cuts* between them, and its *samples* (n_sample, n_channel)."""
+    """A recording's *name*, its *sweeps*, the *cuts* between them, and its *samples* (n_sample,
+    n_channel).
+    """
 
     name: str
     sweeps: list[FoundSweep]
@@ -44,9 +52,11 @@ class _Swept:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Transforms *blocks* (n_block, n_line, n_channel) [unit of the channel] of all sweeps, forces first, on *frequency* (n_line,) [Hz].
+    """Transforms *blocks* (n_block, n_line, n_channel) [unit of the channel] of all sweeps, forces first, on
+    *frequency* (n_line,) [Hz].
 
-    local: noise and leakage of the same lines by a local fit; leaking: whether leakage was found, and taken out of the responses.
+    local: noise and leakage of the same lines by a local fit; leaking: whether leakage was found, and taken
+    out of the responses.
     """
 
     frequency: FloatArray
@@ -56,16 +66,20 @@ class _Spectra:
 
     def select(self, lines: BoolArray) -> _Spectra:
         """The chosen lines (n_line,)."""
-        local = replace(self.local, **{name: getattr(self.local, name)[lines] for name in ("noise", "leakage", "spread")})
+        local = replace(
+            self.local, **{name: getattr(self.local, name)[lines] for name in ("noise", "leakage", "spread")}
+        )
         return replace(self, frequency=self.frequency[lines], blocks=self.blocks[:, lines], local=local)
 
 
 def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that all of them pass.
+    """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that
+    all of them pass.
 
-    Where a response has not come to rest before the next sweep or the end of the record, the leakage this leaves is estimated over the
-    lines by a local rational fit and taken out. DataError for recordings without sweeps, with fewer sweeps than forces, or whose sweeps
-    have no band or no length in common. Equation (frf-sweep).
+    Where a response has not come to rest before the next sweep or the end of the record, the leakage this
+    leaves is estimated over the lines by a local rational fit and taken out. DataError for recordings without
+    sweeps, with fewer sweeps than forces, or whose sweeps have no band or no length in common. Equation
+    (frf-sweep).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
@@ -73,11 +87,18 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     n_input = len(layout.inputs)
     if len(sweeps) < n_input:
         names = ", ".join(port.label for port in layout.inputs)
-        raise DataError(f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})", hint="one sweep or more for each force")
+        raise DataError(
+            f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})",
+            hint="one sweep or more for each force",
+        )
     n_sample = _common_length(swept, rate)
-    blocks = np.concatenate([layout.padded(number, _transforms(one, n_sample), 1) for number, one in enumerate(swept)])
+    blocks = np.concatenate(
+        [layout.padded(number, _transforms(one, n_sample), 1) for number, one in enumerate(swept)]
+    )
     spectra = _in_band(blocks, rate / n_sample, _common_band(sweeps, rate), n_input, settings)
-    spectra = spectra.select(lines_left(spectra.frequency, settings) & _driven(spectra.blocks[:, :, :n_input]))
+    spectra = spectra.select(
+        lines_left(spectra.frequency, settings) & _driven(spectra.blocks[:, :, :n_input])
+    )
     spectra, leakage = _without_leakage(spectra, n_input)
     parts = _parts(spectra, layout)
     rates = rate_findings(spectra.frequency, parts.matrix, sweeps, rate, n_sample, leaking=spectra.leaking)
@@ -95,18 +116,28 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
 
 
 def _common_length(swept: Sequence[_Swept], rate: float) -> int:
-    """Samples of a block: as many as every sweep has up to the next one; DataError where a sweep is longer than that."""
+    """Samples of a block: as many as every sweep has up to the next one.
+
+    DataError where a sweep is longer than that.
+    """
     n_sample = min(stop - start for run in swept for start, stop in run.cuts)
     for one in swept:
         for sweep, (start, _) in zip(one.sweeps, one.cuts, strict=True):
             if sweep.stop - start > n_sample:
-                what = f"'{one.name}': its sweep of {(sweep.stop - start) / rate:.4g} s is longer than another one with its pause"
-                raise DataError(f"{what}, {n_sample / rate:.4g} s", hint="sweeps of one length, or a test for each length")
+                what = (
+                    f"'{one.name}': its sweep of {(sweep.stop - start) / rate:.4g} s is longer than "
+                    "another one with its pause"
+                )
+                raise DataError(
+                    f"{what}, {n_sample / rate:.4g} s", hint="sweeps of one length, or a test for each length"
+                )
     return n_sample
 
 
 def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
-    """DFT of every sweep and what follows it, (n_block, n_line, n_channel), lines above 0 Hz and below half the rate."""
+    """DFT of every sweep and what follows it, (n_block, n_line, n_channel), lines above 0 Hz and below half
+    the rate.
+    """
     whole = np.stack([swept.samples[start : start + n_sample] for start, _ in swept.cuts])
     return np.asarray(fft.rfft(whole - whole.mean(axis=1, keepdims=True), axis=1)[:, 1 : (n_sample + 1) // 2])
 
@@ -119,20 +150,30 @@ def _common_band(sweeps: Sequence[FoundSweep], rate: float) -> tuple[float, floa
     return low, high
 
 
-def _in_band(blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings) -> _Spectra:
-    """The lines in the swept band and in the settings' one, with a local fit around each; DataError for too few lines."""
+def _in_band(
+    blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings
+) -> _Spectra:
+    """The lines in the swept band and in the settings' one, with a local fit around each.
+
+    DataError for too few lines.
+    """
     n_block, n_line, _ = blocks.shape
     # One line more than for polynomials alone makes up for the pole.
     half_width = settings.half_width or 1 + usual_half_width(n_block, n_input, settings.degree)
     if noise_freedom(n_block, n_input, settings.degree, half_width) < LEAST_DOF:
         least = 1 + usual_half_width(n_block, n_input, settings.degree)
-        raise DataError(f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out")
+        raise DataError(
+            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
+        )
     frequency = np.arange(1, n_line + 1) * spacing
     inside = lines_in(frequency, band) & lines_in(frequency, settings.band)
     inside[:half_width] = inside[n_line - half_width :] = False
     numbers = np.flatnonzero(inside)
     if numbers.size < 2 * half_width + 1:
-        what = f"{numbers.size} lines every {spacing:.3g} Hz lie in the swept band of {band[0]:.6g}-{band[1]:.6g} Hz"
+        what = (
+            f"{numbers.size} lines every {spacing:.3g} Hz lie in the swept band of "
+            f"{band[0]:.6g}-{band[1]:.6g} Hz"
+        )
         raise DataError(what, hint="a wider `band`, or longer sweeps")
     around = blocks[:, numbers[0] - half_width : numbers[-1] + half_width + 1]
     local = local_noise(around[:, :, :n_input], around[:, :, n_input:], settings.degree, half_width)
@@ -140,7 +181,9 @@ def _in_band(blocks: ComplexArray, spacing: float, band: tuple[float, float], n_
 
 
 def _driven(forces: ComplexArray) -> BoolArray:
-    """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines around, or not much less."""
+    """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines
+    around, or not much less.
+    """
     from scipy import ndimage
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
@@ -151,22 +194,32 @@ def _driven(forces: ComplexArray) -> BoolArray:
 def _without_leakage(spectra: _Spectra, n_input: int) -> tuple[_Spectra, tuple[Finding, ...]]:
     """The spectra without the leakage of their responses where there is some, and a note on it.
 
-    A sweep at the very end of a record looks like leakage itself: its lines are left out then. DataError when that leaves none.
+    A sweep at the very end of a record looks like leakage itself: its lines are left out then. DataError when
+    that leaves none.
     """
     local = spectra.local
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
     if not _leaks(spectra.select(is_determined)):
         return spectra, ()
     if np.count_nonzero(is_determined) < 2:
-        raise DataError("the responses ring on at the ends of the record, and no line can be told from that", hint="pauses between sweeps")
+        raise DataError(
+            "the responses ring on at the ends of the record, and no line can be told from that",
+            hint="pauses between sweeps",
+        )
     blocks = spectra.blocks.copy()
     blocks[:, :, n_input:] -= local.leakage.swapaxes(0, 1)
-    lost = f"; {np.count_nonzero(~is_determined)} lines swept next to its ends are left out" if not np.all(is_determined) else ""
-    message = (
-        "the responses had not come to rest before a sweep, or at the end of the record: this leakage is estimated over the lines and "
-        f"taken out{lost}"
+    lost = (
+        f"; {np.count_nonzero(~is_determined)} lines swept next to its ends are left out"
+        if not np.all(is_determined)
+        else ""
     )
-    return replace(spectra, blocks=blocks, leaking=True).select(is_determined), (note("sweep-leakage", message),)
+    message = (
+        "the responses had not come to rest before a sweep, or at the end of the record: this leakage is "
+        f"estimated over the lines and taken out{lost}"
+    )
+    return replace(spectra, blocks=blocks, leaking=True).select(is_determined), (
+        note("sweep-leakage", message),
+    )
 
 
 def _leaks(spectra: _Spectra) -> bool:
@@ -178,14 +231,17 @@ def _leaks(spectra: _Spectra) -> bool:
     noise = np.einsum("loo->lo", local.noise).real[:, None, :] * local.spread
     power = np.abs(local.leakage) ** 2
     ratio = np.divide(power, noise, out=np.where(power > 0, np.inf, 0.0), where=noise > 0)
-    # A ratio of two estimates of the noise: F, with 2 and 2 dof degrees of freedom; lines within a window share theirs.
+    # A ratio of two estimates of the noise: F, with 2 and 2 dof degrees of freedom; lines within a window
+    # share theirs.
     mean = np.mean(ratio, axis=(0, 1)) * (local.dof - 1) / local.dof
     error = np.sqrt(2.0 * local.width / (n_line * n_block))
     return bool(np.any(mean > max(LEAKING, 1 + SURELY * error)))
 
 
 def _parts(spectra: _Spectra, layout: Layout) -> Parts:
-    """The FRF, its covariance from the scatter of repeated sweeps or else from the residual around each line, and coherence."""
+    """The FRF, its covariance from the scatter of repeated sweeps or else from the residual around each line,
+    and coherence.
+    """
     n_input = len(layout.inputs)
     channels = spectra.blocks.transpose(1, 2, 0)
     forces, responses = channels[:, :n_input], channels[:, n_input:]
@@ -196,10 +252,14 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
     noise = pooled_residual(noise, matrix, half_width)
     spread = (hermitian(inverse) @ inverse).swapaxes(1, 2)
     n = matrix.shape[1] * n_input
-    covariance = without_rounding((noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(-1, n, n))
+    covariance = without_rounding(
+        (noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(-1, n, n)
+    )
     power: FloatArray = np.mean(np.abs(responses) ** 2, axis=2)
     noise_power = np.einsum("loo->lo", noise).real
-    coherence: FloatArray = np.clip(1 - np.divide(noise_power, power, out=np.ones_like(power), where=power > 0), 0.0, 1.0)
+    coherence: FloatArray = np.clip(
+        1 - np.divide(noise_power, power, out=np.ones_like(power), where=power > 0), 0.0, 1.0
+    )
     return Parts(
         frequency=spectra.frequency,
         matrix=matrix,
@@ -213,9 +273,11 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
 
 
 def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[ComplexArray, float, int]:
-    """Noise (n_line, n_output, n_output) [unit^2] of the responses in one block, its complex degrees of freedom per line, lines it is of.
+    """Noise (n_line, n_output, n_output) [unit^2] of the responses in one block, its complex degrees of
+    freedom per line, lines it is of.
 
-    residual (n_line, n_output, n_block) [unit] beside the common FRF: nothing is left of it with no more sweeps than forces.
+    residual (n_line, n_output, n_block) [unit] beside the common FRF: nothing is left of it with no more
+    sweeps than forces.
     """
     n_block, local = spectra.blocks.shape[0], spectra.local
     if n_block <= n_input:
@@ -226,7 +288,9 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
 
 
 def _lines_averaged(width: int, half_width: int) -> float:
-    """Independent lines in the average over *half_width* to either side of values that are each of *width* lines."""
+    """Independent lines in the average over *half_width* to either side of values that are each of *width*
+    lines.
+    """
     weights = np.convolve(np.ones(width), np.ones(2 * half_width + 1))
     return float(np.sum(weights) ** 2 / np.sum(weights**2))
 
@@ -236,13 +300,19 @@ def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding
     return tuple(
         note(
             "sweeps",
-            f"'{one.name}': {len(one.sweeps)} sweep(s): {'; '.join(dict.fromkeys(_described(sweep, rate) for sweep in one.sweeps))}; "
-            f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every {rate / n_sample:.3g} Hz",
+            f"'{one.name}': {len(one.sweeps)} sweep(s): "
+            f"{'; '.join(dict.fromkeys(_described(sweep, rate) for sweep in one.sweeps))}; "
+            f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every "
+            f"{rate / n_sample:.3g} Hz",
         )
         for one in swept
     )
 
 
 def _described(sweep: FoundSweep, rate: float) -> str:
-    speed = f"{sweep.growth * rate**2:.3g} Hz/s" if sweep.law == "linear" else f"{sweep.growth * rate / np.log(2) * 60:.3g} octaves/min"
+    speed = (
+        f"{sweep.growth * rate**2:.3g} Hz/s"
+        if sweep.law == "linear"
+        else f"{sweep.growth * rate / np.log(2) * 60:.3g} octaves/min"
+    )
     return f"{sweep.first * rate:.3g} to {sweep.last * rate:.3g} Hz, {sweep.law}, {speed}"

@@ -1,10 +1,12 @@
 """The part of a recording that is synchronous with the shaft: runout and unbalance, fitted and subtracted.
 
-Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitted to what is left after the mean over periods.
+Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitted to what is left after the
+mean over periods.
 
-x(t) = p(t) + Re sum_h X_h e^{j h theta(t)} with p periodic and free is linear; without the mean over the periods of both sides the
-normal equations hold X_h alone, so the excitation does not disturb them, however strong it is. A harmonic that is itself periodic with the
-excitation, on one of its lines, is not left in the remainder: it cannot be told from the response there, and the line is dropped.
+x(t) = p(t) + Re sum_h X_h e^{j h theta(t)} with p periodic and free is linear; without the mean over the
+periods of both sides the normal equations hold X_h alone, so the excitation does not disturb them, however
+strong it is. A harmonic that is itself periodic with the excitation, on one of its lines, is not left in the
+remainder: it cannot be told from the response there, and the line is dropped.
 """
 
 from __future__ import annotations
@@ -33,7 +35,10 @@ from labpipe.spectra.windows import hann
 
 @dataclass(frozen=True)
 class WithoutSynchronous:
-    """A recording minus its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI]."""
+    """A recording minus its synchronous part; satisfies SampleSource.
+
+    amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI].
+    """
 
     source: SampleSource
     motion: ShaftMotion
@@ -60,7 +65,9 @@ class WithoutSynchronous:
         return (*self.source.findings, *_removed(self.source.channels, self.motion, self.amplitude))
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
-        """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h theta)."""
+        """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h
+        theta).
+        """
         start = 0
         for block in self.source.blocks(n_sample):
             turns = shaft_turns(self.motion, start, block.shape[0], self.sample_rate, self.amplitude.shape[0])
@@ -69,17 +76,20 @@ class WithoutSynchronous:
 
 
 def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
-    """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole recording.
+    """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
+    recording.
 
-    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of the first `harmonics`.
-    A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution within 100 s. DataError for fewer than two
-    revolutions. Equation (spec-synchronous).
+    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of
+    the first `harmonics`. A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution
+    within 100 s. DataError for fewer than two revolutions. Equation (spec-synchronous).
     """
     motion = shaft_motion(source, lines)
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
-        raise DataError(f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm")
+        raise DataError(
+            f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm"
+        )
     amplitude = _fitted(source, motion, lines.harmonics)
     if lines.speed is not None:
         refined = steady(_refined(source, motion, lines.speed), duration)
@@ -87,12 +97,21 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
-    return WithoutSynchronous(source, motion, amplitude * [is_cleaned(channel) for channel in source.channels])
+    return WithoutSynchronous(
+        source, motion, amplitude * [is_cleaned(channel) for channel in source.channels]
+    )
 
 
 def is_cleaned(channel: Channel) -> bool:
-    """Whether a channel's synchronous part is taken out: not that of the tacho and of other references that are no force or motion."""
-    return channel.role != "reference" or channel.quantity in ("force", "displacement", "velocity", "acceleration")
+    """Whether a channel's synchronous part is taken out: not that of the tacho and of other references that
+    are no force or motion.
+    """
+    return channel.role != "reference" or channel.quantity in (
+        "force",
+        "displacement",
+        "velocity",
+        "acceleration",
+    )
 
 
 def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
@@ -102,14 +121,21 @@ def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
     return np.sum(np.abs(amplitude[:, outputs]) ** 2, axis=0) / np.where(power > 0, power, 1.0)
 
 
-def shaft_turns(motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int) -> ComplexArray:
-    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at *sample_rate* [Hz]."""
+def shaft_turns(
+    motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int
+) -> ComplexArray:
+    """exp(j h theta) of h = 1 ...
+
+    n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at *sample_rate* [Hz].
+    """
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
 
 def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
-    """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic, n_channel)."""
+    """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic,
+    n_channel).
+    """
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
     start = 0
@@ -124,7 +150,9 @@ def _fitted(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Compl
 
 
 def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
-    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with its own power."""
+    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with
+    its own power.
+    """
     stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
     window = hann(stretch)
     outputs = [number for number, channel in enumerate(source.channels) if channel.role == "output"]
@@ -132,9 +160,15 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     for block in source.blocks(READ_SAMPLES):
         samples = np.concatenate([rest, block[:, outputs]])
         n_whole = samples.shape[0] // stretch
-        turns = shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj().reshape(n_whole, stretch)
+        turns = (
+            shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1)
+            .conj()
+            .reshape(n_whole, stretch)
+        )
         pieces = samples[: n_whole * stretch].reshape(n_whole, stretch, len(outputs))
-        amplitudes.append(np.einsum("s,ks,ksc->kc", window, turns, pieces - pieces.mean(axis=1, keepdims=True)))
+        amplitudes.append(
+            np.einsum("s,ks,ksc->kc", window, turns, pieces - pieces.mean(axis=1, keepdims=True))
+        )
         rest, start = samples[n_whole * stretch :], start + n_whole * stretch
     joined = np.concatenate(amplitudes)
     size = np.linalg.norm(joined, axis=0)
@@ -143,7 +177,9 @@ def _refined(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray) -> tuple[Finding, ...]:
+def _removed(
+    channels: Sequence[Channel], motion: ShaftMotion, amplitude: ComplexArray
+) -> tuple[Finding, ...]:
     """Notes on the subtracted amplitudes of every channel, 0-to-peak."""
     low, high = motion.speed_range
     speed = f"{low:.6g} Hz" if high - low < 1e-9 * high else f"{low:.6g}-{high:.6g} Hz"
@@ -151,7 +187,10 @@ def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: Comple
         note(
             "synchronous-removed",
             f"channel {channel.name}: the part synchronous with {speed} was taken out, "
-            + ", ".join(f"{order}x {plain_text(abs(value), channel.unit, 3)}" for order, value in enumerate(amplitudes, 1))
+            + ", ".join(
+                f"{order}x {plain_text(abs(value), channel.unit, 3)}"
+                for order, value in enumerate(amplitudes, 1)
+            )
             + " 0-to-peak",
         )
         for channel, amplitudes in zip(channels, amplitude.T, strict=True)
@@ -162,21 +201,25 @@ def _removed(channels: Sequence[Channel], motion: ShaftMotion, amplitude: Comple
 # Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitted to what is left after
 # the mean over periods.
 
-# A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that line is dropped. It is fitted
-# all the same, since it leaks into neighbouring lines, down to the smaller share: what leaks of its error falls as the share does.
+# A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
+# line is dropped. It is fitted all the same, since it leaks into neighbouring lines, down to the smaller
+# share: what leaks of its error falls as the share does.
 LEAST_LEFT, LEAST_FITTED = 0.5, 1e-4
 # A force acts on a line above this share of its strongest line.
 ACTING = 1e-3
 # Instants of tacho pulses are uncertain by this much [samples] where they are steps between two samples.
 PULSE_ERROR = 0.35
 MOST_DEGREES = 8
-# Gain in the logarithm of the likelihood that noise alone does not give a speed, with some twenty amplitudes beside it.
+# Gain in the logarithm of the likelihood that noise alone does not give a speed, with some twenty amplitudes
+# beside it.
 BETTER = 30.0
 
 
 @dataclass(frozen=True)
 class Cleaned:
-    """A recording without its synchronous part, bands [Hz] of lines that are dropped since a harmonic lies on them, and what was found."""
+    """A recording without its synchronous part, bands [Hz] of lines that are dropped since a harmonic lies on
+    them, and what was found.
+    """
 
     source: SampleSource
     bands: tuple[tuple[float, float], ...]
@@ -184,7 +227,8 @@ class Cleaned:
 
 
 def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
-    """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the tacho, and a single period.
+    """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the
+    tacho, and a single period.
 
     Equation (spec-runout).
     """
@@ -194,13 +238,23 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
     n_period = source.n_sample // n_sample - settings.skip
     if n_period < 2:
         hint = "record at least 2 periods after the transient ones, or leave the lines out with `mask`"
-        raise DataError(f"recording '{source.name}' has {max(n_period, 0)} period(s), too few to tell the shaft from it", hint=hint)
+        raise DataError(
+            f"recording '{source.name}' has {max(n_period, 0)} period(s), too few to tell the shaft from it",
+            hint=hint,
+        )
     given = shaft_motion(source, lines)
-    motion = _refined_between(source, given, lines, settings, n_sample) if lines.tacho is None else smooth_motion(given, source.sample_rate)
+    motion = (
+        _refined_between(source, given, lines, settings, n_sample)
+        if lines.tacho is None
+        else smooth_motion(given, source.sample_rate)
+    )
     fitted = _fit(source, motion, lines.harmonics, n_sample, settings.skip, n_period)
     amplitude = fitted.amplitudes * [is_cleaned(channel) for channel in source.channels]
     low, high = motion.speed_range
-    on_lines = {order: round(order * (low + high) / 2 * settings.period) / settings.period for order in fitted.on_lines}
+    on_lines = {
+        order: round(order * (low + high) / 2 * settings.period) / settings.period
+        for order in fitted.on_lines
+    }
     bands = tuple((line - 0.4 / settings.period, line + 0.4 / settings.period) for line in on_lines.values())
     findings = tuple(
         _dropped(source, order, line, (low + high) / 2)
@@ -212,14 +266,16 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
 
 def _dropped(source: SampleSource, order: int, line: float, speed: float) -> Finding:
     message = (
-        f"{source.name}: the excited line {line:g} Hz lies on {order}x of the shaft's {speed:.6g} Hz, so its runout cannot be told "
-        "from the response there; the line is left out"
+        f"{source.name}: the excited line {line:g} Hz lies on {order}x of the shaft's {speed:.6g} Hz, so its "
+        "runout cannot be told from the response there; the line is left out"
     )
     return Finding("shaft-line", message)
 
 
 def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
-    """The shaft's motion without the scatter of pulse instants: the polynomial of lowest degree that follows the counts within it."""
+    """The shaft's motion without the scatter of pulse instants: the polynomial of lowest degree that follows
+    the counts within it.
+    """
     times, counts = motion.times, motion.revolutions
     allowed = PULSE_ERROR / sample_rate * float(np.mean(motion.speeds))
     for degree in range(1, min(MOST_DEGREES, times.size - 2) + 1):
@@ -231,8 +287,9 @@ def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """amplitudes (n_harmonic, n_channel) [SI units of the channels] and the harmonics on_lines; acting (n_line,): where a force acts, from
-    0 Hz; power (n_channel,): left after the mean over periods; likelihood: logarithm of that of the outputs over that of noise alone.
+    """amplitudes (n_harmonic, n_channel) [SI units of the channels] and the harmonics on_lines; acting
+    (n_line,): where a force acts, from 0 Hz; power (n_channel,): left after the mean over periods;
+    likelihood: logarithm of that of the outputs over that of noise alone.
     """
 
     amplitudes: ComplexArray
@@ -242,7 +299,9 @@ class _Fitted:
     likelihood: float
 
 
-def _fit(source: SampleSource, motion: ShaftMotion, n_harmonic: int, n_sample: int, first: int, n_period: int) -> _Fitted:
+def _fit(
+    source: SampleSource, motion: ShaftMotion, n_harmonic: int, n_sample: int, first: int, n_period: int
+) -> _Fitted:
     """Least squares over *n_period* periods from the period *first* on."""
     n_column = 2 * n_harmonic
     gram, right = np.zeros((n_column, n_column)), np.zeros((n_column, len(source.channels)))
@@ -291,8 +350,11 @@ def _periods(source: SampleSource, n_sample: int) -> Iterator[FloatArray]:
         rest = samples[n_whole * n_sample :]
 
 
-def _refined_between(source: SampleSource, motion: ShaftMotion, lines: ShaftLines, settings: FrfSettings, n_sample: int) -> ShaftMotion:
-    """A given speed made exact: 1x of the outputs keeps its phase from the first half of the periods to the second.
+def _refined_between(
+    source: SampleSource, motion: ShaftMotion, lines: ShaftLines, settings: FrfSettings, n_sample: int
+) -> ShaftMotion:
+    """A given speed made exact: 1x of the outputs keeps its phase from the first half of the periods to the
+    second.
 
     With fewer than four periods, and where another speed is not clearly more likely, the given one is kept.
     """
@@ -323,18 +385,26 @@ def _refined_between(source: SampleSource, motion: ShaftMotion, lines: ShaftLine
 
 # Recordings without what is synchronous with their shaft, where the settings name it.
 
-# A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are not steady.
+# A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are
+# not steady.
 STEADY = 1.2
 
 
-def without_shaft(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[list[SampleSource], FrfSettings, tuple[Finding, ...]]:
-    """The recordings, each without its synchronous part where `remove` is given, and the settings without the lines that it falls on."""
+def without_shaft(
+    sources: Sequence[SampleSource], settings: FrfSettings
+) -> tuple[list[SampleSource], FrfSettings, tuple[Finding, ...]]:
+    """The recordings, each without its synchronous part where `remove` is given, and the settings without the
+    lines that it falls on.
+    """
     remove = settings.remove
     if remove is None:
         return list(sources), settings, ()
     resting = [at_rest(source, remove) for source in sources]
     findings = [
-        note("synchronous-removed", f"{source.name}: the tacho {remove.tacho} shows no revolution, nothing was taken out")
+        note(
+            "synchronous-removed",
+            f"{source.name}: the tacho {remove.tacho} shows no revolution, nothing was taken out",
+        )
         for source, rests in zip(sources, resting, strict=True)
         if rests
     ]
@@ -353,10 +423,14 @@ def without_shaft(sources: Sequence[SampleSource], settings: FrfSettings) -> tup
     return cleaned, dataclasses.replace(settings, exclude=(*settings.exclude, *bands)), tuple(findings)
 
 
-def lines_of_shaft(sources: Sequence[SampleSource], settings: FrfSettings, frequency: FloatArray) -> tuple[Finding, ...]:
-    """Warnings for measured lines, *frequency* (n_line,) [Hz], that lie on 1x or 2x of the shaft by a tacho that no setting names.
+def lines_of_shaft(
+    sources: Sequence[SampleSource], settings: FrfSettings, frequency: FloatArray
+) -> tuple[Finding, ...]:
+    """Warnings for measured lines, *frequency* (n_line,) [Hz], that lie on 1x or 2x of the shaft by a tacho
+    that no setting names.
 
-    The scatter between periods does not show a runout there. The tacho is taken to give a pulse per revolution.
+    The scatter between periods does not show a runout there. The tacho is taken to give a pulse per
+    revolution.
     """
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:
         return ()
@@ -365,7 +439,9 @@ def lines_of_shaft(sources: Sequence[SampleSource], settings: FrfSettings, frequ
         tacho = next((channel.name for channel in source.channels if channel.quantity == "tacho"), None)
         if tacho is None or at_rest(source, ShaftLines(tacho=tacho)):
             continue
-        low, high = smooth_motion(shaft_motion(source, ShaftLines(tacho=tacho)), source.sample_rate).speed_range
+        low, high = smooth_motion(
+            shaft_motion(source, ShaftLines(tacho=tacho)), source.sample_rate
+        ).speed_range
         if high > STEADY * low:
             continue
         width = source.sample_rate / source.n_sample
@@ -374,8 +450,12 @@ def lines_of_shaft(sources: Sequence[SampleSource], settings: FrfSettings, frequ
             if hit.size:
                 named = ", ".join(f"{line:g} Hz" for line in hit[:3])
                 what = (
-                    f"{source.name}: the excited line {named} lies on {order}x of the shaft's {np.mean([low, high]):.6g} Hz by {tacho}, so "
+                    f"{source.name}: the excited line {named} lies on {order}x of the shaft's "
+                    f"{np.mean([low, high]):.6g} Hz by {tacho}, so "
                 )
-                cure = f"its runout counts as response there; remove: {{tacho: {tacho}, harmonics: 2}} takes it out and drops the line"
+                cure = (
+                    f"its runout counts as response there; remove: {{tacho: {tacho}, harmonics: 2}} "
+                    "takes it out and drops the line"
+                )
                 findings.append(Finding("shaft-line", what + cure))
     return tuple(findings)

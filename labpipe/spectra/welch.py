@@ -1,11 +1,13 @@
 """Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
 
-Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments at a time.
+Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments
+at a time.
 
-Three ways of one job. Blocks that stay in the cache: LineProducts, whose small real matrices BLAS multiplies line by line, many segments
-at once. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one complex transform and lines stand
-last in memory, so that every operation runs over a long row; half the memory, and in place. Longer blocks of other channels: RowProducts,
-in which every channel is transformed in a row of its own, two segments at once, and brought together with the others behind the
+Three ways of one job. Blocks that stay in the cache: LineProducts, whose small real matrices BLAS multiplies
+line by line, many segments at once. Longer blocks of a few pairs of channels: PackedProducts, in which two
+real channels share one complex transform and lines stand last in memory, so that every operation runs over a
+long row; half the memory, and in place. Longer blocks of other channels: RowProducts, in which every channel
+is transformed in a row of its own, two segments at once, and brought together with the others behind the
 transform, for BLAS.
 """
 
@@ -26,31 +28,36 @@ from labpipe.spectra.windows import effective_averages, line_correlation
 # Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few
 # segments at a time.
 
-# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all channels together; the most
-# channels that are worth packing in pairs, and the samples per channel from which on packing pays.
+# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
+# channels together; the most channels that are worth packing in pairs, and the samples per channel from which
+# on packing pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
-# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in the cache and, for
-# very long blocks, in memory. Products of small matrices are fastest with about this many segments; of long rows with fewer, and of no more
-# than LONG_SAMPLES of a channel together.
+# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in
+# the cache and, for very long blocks, in memory. Products of small matrices are fastest with about this many
+# segments; of long rows with fewer, and of no more than LONG_SAMPLES of a channel together.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
 # Complex numbers of a product that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
-# The same for rows of all channels: their products are sums of many numbers, which are read and written once per PAIRS_AT_ONCE. Rows that
-# are transposed, and lines whose products are made, in the cache.
+# The same for rows of all channels: their products are sums of many numbers, which are read and written once
+# per PAIRS_AT_ONCE. Rows that are transposed, and lines whose products are made, in the cache.
 PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
 class SegmentProducts(ABC):
-    """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the transform.
+    """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the
+    transform.
 
-    FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ from zero.
-    Equation (spec-trend).
+    FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ
+    from zero. Equation (spec-trend).
     """
 
-    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int) -> None:
-        """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row, n_disturbed): FFT(w b_p) from there.
+    def __init__(
+        self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int
+    ) -> None:
+        """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row,
+        n_disturbed): FFT(w b_p) from there.
 
         *n_together*: segments transformed at once, where memory allows it.
         """
@@ -66,7 +73,9 @@ class SegmentProducts(ABC):
         return self._room - self._n_waiting
 
     def put(self, segments: FloatArray, coefficients: FloatArray) -> None:
-        """Put in at most *room* segments (n_segment, n, n_channel) with their trends (n_segment, n_row, n_channel) [channel unit]."""
+        """Put in at most *room* segments (n_segment, n, n_channel) with their trends (n_segment, n_row,
+        n_channel) [channel unit].
+        """
         place = slice(self._n_waiting, self._n_waiting + segments.shape[0])
         self._taper_into(place, segments)
         self._coefficients[place] = coefficients
@@ -87,15 +96,26 @@ class SegmentProducts(ABC):
 
     @abstractmethod
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        """Transform the first *n_segment* that are kept and add their products; coefficients (n_segment, n_row, n_channel)."""
+        """Transform the first *n_segment* that are kept and add their products.
+
+        Coefficients (n_segment, n_row, n_channel).
+        """
 
     @abstractmethod
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
 
 
-def segment_products(window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> SegmentProducts:
-    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment; the other arguments as for SegmentProducts."""
+def segment_products(
+    window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+) -> SegmentProducts:
+    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment.
+
+    The other arguments as for SegmentProducts.
+    """
     if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
         return PackedProducts(window, lines, n_channel, trend)
     if window.size * n_channel <= SAMPLES_OF_SHORT:
@@ -107,7 +127,13 @@ class LineProducts(SegmentProducts):
     """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, for blocks of few lines."""
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        super().__init__(window, lines, n_channel, trend, max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel)))
+        super().__init__(
+            window,
+            lines,
+            n_channel,
+            trend,
+            max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel)),
+        )
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
         self._tapered = np.empty((self._room, self._n, n_channel))
         self._sum = np.zeros((len(lines), 2 * n_channel, 2 * n_channel + 1))
@@ -116,7 +142,11 @@ class LineProducts(SegmentProducts):
         np.multiply(segments, self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        amplitude, first, n_line = fft.rfft(self._tapered[:n_segment], axis=1), self._lines[0], len(self._lines)
+        amplitude, first, n_line = (
+            fft.rfft(self._tapered[:n_segment], axis=1),
+            self._lines[0],
+            len(self._lines),
+        )
         disturbed = slice(first, first + self._trend.shape[1])
         for number, trend in enumerate(self._trend):
             amplitude[:, disturbed] -= trend[None, :, None] * coefficients[:, number, None, :]
@@ -125,24 +155,30 @@ class LineProducts(SegmentProducts):
         _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
         return _folded(self._sum[:, :, 1:], columns, scale)
 
 
 class PackedProducts(SegmentProducts):
     """Products of Z = FFT(z) of channels packed in pairs, z_k = x_2k + i x_2k+1, for blocks of many lines.
 
-    X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f) Z_m(f)*, Z_k(-f) Z_m(-f)*
-    and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
+    X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f)
+    Z_m(f)*, Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
     """
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        super().__init__(window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size)))
+        super().__init__(
+            window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
+        )
         n_pair, n_line = (n_channel + 1) // 2, len(lines)
         self._taper = window.astype(np.complex128)
         # An odd channel's partner stays zero.
         self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
-        # Products with the conjugates of the pairs up to the same one, of positive and of negative frequencies in rising order.
+        # Products with the conjugates of the pairs up to the same one, of positive and of negative
+        # frequencies in rising order.
         self._positive = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
         self._negative = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
         self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
@@ -179,14 +215,22 @@ class PackedProducts(SegmentProducts):
             self._tapered[:n_segment, -1].imag = 0.0
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
         n = self._n_channel
         matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
             for m in range(k + 1):
                 positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
                 left, right = self._crossed[k, m], self._crossed[m, k].conj()
-                even, cross, odd, turned = positive + negative, left + right, positive - negative, left - right
+                even, cross, odd, turned = (
+                    positive + negative,
+                    left + right,
+                    positive - negative,
+                    left - right,
+                )
                 matrix[2 * k, 2 * m] = (even + cross) * 0.25
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
@@ -195,12 +239,15 @@ class PackedProducts(SegmentProducts):
 
 
 class RowProducts(SegmentProducts):
-    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, of transforms of two segments each, z = x_1 + i x_2.
+    """Products of real matrices [re_0 im_0 re_1 im_1 ...] line by line, of transforms of two segments each, z
+    = x_1 + i x_2.
 
     X_1a(f) X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
     """
 
-    def __init__(self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray) -> None:
+    def __init__(
+        self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+    ) -> None:
         """*step* [samples] from a segment to the next; the other arguments as for SegmentProducts."""
         super().__init__(window, lines, n_channel, trend, 2 * PAIRS_AT_ONCE)
         n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
@@ -229,7 +276,10 @@ class RowProducts(SegmentProducts):
     def _transform(self, number: int) -> None:
         transformed = fft.fft(self._pair, axis=1, overwrite_x=True).T
         n, lines, kept = self._n, self._lines, self._amplitude[number, :, 1:]
-        positive, negative = transformed[lines[0] : lines[-1] + 1], transformed[n - lines[-1] : n - lines[0] + 1][::-1]
+        positive, negative = (
+            transformed[lines[0] : lines[-1] + 1],
+            transformed[n - lines[-1] : n - lines[0] + 1][::-1],
+        )
         for start in range(0, len(lines), CACHED_ROWS):
             chunk = slice(start, start + CACHED_ROWS)
             kept[0, chunk] = positive[chunk]
@@ -249,23 +299,31 @@ class RowProducts(SegmentProducts):
         _add_matrices(*_factors(flat, n_row, n_line), self._sum)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit; of all b, or of *columns*."""
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
+
+        Of all b, or of *columns*.
+        """
         return _folded(self._sum[:, :, 1:], columns, 0.5 * scale)
 
 
 def _factors(flat: FloatArray, n_row: int, n_line: int) -> tuple[FloatArray, FloatArray]:
-    """(n_line, n_row, n_segment) and (n_line, n_segment, n_row + 1) of *flat* (n_segment, (n_line + 1) n_row), the first line left out.
+    """(n_line, n_row, n_segment) and (n_line, n_segment, n_row + 1) of *flat* (n_segment, (n_line + 1)
+    n_row), the first line left out.
 
-    One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own transpose at half the speed of
-    two that differ.
+    One column more than needed, the last one of the line before: BLAS multiplies a small matrix with its own
+    transpose at half the speed of two that differ.
     """
     rows = flat[:, n_row : (n_line + 1) * n_row].reshape(flat.shape[0], n_line, n_row)
-    wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][:, :n_line]
+    wide = np.lib.stride_tricks.sliding_window_view(flat, n_row + 1, axis=1)[:, n_row - 1 :: n_row][
+        :, :n_line
+    ]
     return rows.transpose(1, 2, 0), wide.swapaxes(0, 1)
 
 
 def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
-    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as stay in the cache."""
+    """Add to *sums* (n_line, n_row, n_row + 1) the products of *rows* and *wide*, as many lines at a time as
+    stay in the cache.
+    """
     n_line, n_row = sums.shape[:2]
     n_chunk = max(1, CACHED_NUMBERS // (n_row * (n_row + 1)))
     product = np.empty((n_chunk, n_row, n_row + 1))
@@ -274,14 +332,20 @@ def _add_matrices(rows: FloatArray, wide: FloatArray, sums: FloatArray) -> None:
         sums[chunk] += np.matmul(rows[chunk], wide[chunk], out=product[: chunk.stop - start])
 
 
-def _add_products(left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray) -> None:
-    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*; left, right (n_pair, n_line)."""
+def _add_products(
+    left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
+) -> None:
+    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*.
+
+    Left, right (n_pair, n_line).
+    """
     for row, into in zip(left, sums, strict=True):
         into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
 
 
 def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their *columns*.
+    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their
+    *columns*.
 
     Lines stay last in memory.
     """
@@ -294,9 +358,11 @@ def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale:
 
 
 def _folded(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or its *columns*.
+    """*scale* sum X_a X_b* from sums of products of [re_0 im_0 ...] (n_line, 2 n, 2 n), as (n_line, n, n) or
+    its *columns*.
 
-    Re = re_a re_b + im_a im_b, Im = im_a re_b - re_a im_b, a few lines at a time, which stay in the cache; lines are last in memory.
+    Re = re_a re_b + im_a im_b, Im = im_a re_b - re_a im_b, a few lines at a time, which stay in the cache;
+    lines are last in memory.
     """
     n_line, n = sums.shape[0], sums.shape[1] // 2
     chosen = range(n) if columns is None else columns
@@ -325,10 +391,10 @@ def _folded(sums: FloatArray, columns: Sequence[int] | None, scale: float) -> Co
 class CrossSpectra:
     """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels.
 
-    frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz], or its columns of
-    some channels b;
-    n_block: blocks averaged; averages: effective number of independent blocks (window, overlap);
-    line_correlation: correlation of the FRF's noise between neighbouring lines, see windows.line_correlation.
+    frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a
+    unit_b / Hz], or its columns of some channels b; n_block: blocks averaged; averages: effective number of
+    independent blocks (window, overlap); line_correlation: correlation of the FRF's noise between
+    neighbouring lines, see windows.line_correlation.
     """
 
     frequency: FloatArray
@@ -339,12 +405,24 @@ class CrossSpectra:
 
 
 class WelchAverage:
-    """Running sum of the cross-spectral matrix, fed with blocks of any length; segments are transformed a few at a time."""
+    """Running sum of the cross-spectral matrix, fed with blocks of any length.
 
-    def __init__(self, window: FloatArray, step: int, n_channel: int, lines: slice = slice(1, None), detrend: str = "constant") -> None:
-        """*window* (n_sample,) [1], *step* samples from segment to segment; *lines* of the DFT, neighbours above 0 Hz.
+    Segments are transformed a few at a time.
+    """
 
-        *detrend*: trend subtracted from every segment before the window: its mean (constant), a straight line (linear), or none.
+    def __init__(
+        self,
+        window: FloatArray,
+        step: int,
+        n_channel: int,
+        lines: slice = slice(1, None),
+        detrend: str = "constant",
+    ) -> None:
+        """*window* (n_sample,) [1], *step* samples from segment to segment; *lines* of the DFT, neighbours
+        above 0 Hz.
+
+        *detrend*: trend subtracted from every segment before the window: its mean (constant), a straight line
+        (linear), or none.
         """
         self._step, self._window = step, window
         self._lines = range(window.size // 2 + 1)[lines]
@@ -362,18 +440,24 @@ class WelchAverage:
             return
         begin = 0
         if n_rest:
-            # Segments that begin before the block are cut from a joint copy; the block itself, long as a rule, is not copied.
+            # Segments that begin before the block are cut from a joint copy; the block itself, long as a
+            # rule, is not copied.
             seam = np.concatenate([*self._rest, block[: n - 1]])
             begin = self._add_segments(seam, -(-n_rest // self._step)) - n_rest
         consumed = begin + self._add_segments(block[begin:], block.shape[0]) if begin >= 0 else begin
         self._rest = [block[consumed:].copy()] if consumed >= 0 else [seam[n_rest + consumed :].copy()]
 
     def _add_segments(self, samples: FloatArray, most: int) -> int:
-        """Taper all complete segments of samples (n, n_channel), at most *most*; returns where the next one begins."""
+        """Taper all complete segments of samples (n, n_channel), at most *most*.
+
+        Returns where the next one begins.
+        """
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
-            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step][:n_segment].swapaxes(1, 2)
+            segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[:: self._step][
+                :n_segment
+            ].swapaxes(1, 2)
             trend = self._trend_of(samples, segments)
         first = 0
         while first < n_segment:
@@ -385,7 +469,8 @@ class WelchAverage:
     def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
         """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
 
-        A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks overlap.
+        A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks
+        overlap.
         """
         n, step = self._window.size, self._step
         if self._basis.shape[0] != 1 or n % step:
@@ -395,31 +480,47 @@ class WelchAverage:
         return np.lib.stride_tricks.sliding_window_view(sums, n // step, axis=0).sum(axis=3)
 
     def spectra(self, sample_rate: float, columns: Sequence[int] | None = None) -> CrossSpectra:
-        """The averaged matrix at the selected lines, of all channels b or of *columns*; DataError when no block was complete.
+        """The averaged matrix at the selected lines, of all channels b or of *columns*; DataError when no
+        block was complete.
 
         Equation (spec-welch).
         """
         self._products.flush()
         n_block = self._products.n_block
         if n_block == 0:
-            have, need = sum(piece.shape[0] for piece in self._rest) / sample_rate, self._window.size / sample_rate
-            raise DataError(f"the recording is {have:g} s long, too short for one block of {need:g} s", hint="shorten `block`")
+            have, need = (
+                sum(piece.shape[0] for piece in self._rest) / sample_rate,
+                self._window.size / sample_rate,
+            )
+            raise DataError(
+                f"the recording is {have:g} s long, too short for one block of {need:g} s",
+                hint="shorten `block`",
+            )
         matrix = self._products.matrix(columns, float(2 / (sample_rate * np.sum(self._window**2) * n_block)))
         frequency = np.array(self._lines) * (sample_rate / self._window.size)
         averages = effective_averages(self._window, self._step, n_block)
-        return CrossSpectra(frequency, matrix, n_block, averages, line_correlation(self._window, self._step, n_block))
+        return CrossSpectra(
+            frequency, matrix, n_block, averages, line_correlation(self._window, self._step, n_block)
+        )
 
 
 def trend_basis(detrend: str, n_sample: int) -> FloatArray:
-    """Orthonormal rows (n_row, n_sample) [1] that span the trend: none, constant, or linear; ConfigError for another name."""
+    """Orthonormal rows (n_row, n_sample) [1] that span the trend: none, constant, or linear.
+
+    ConfigError for another name.
+    """
     if detrend not in DETRENDS:
         raise ConfigError(f"unknown trend '{detrend}'", hint=f"known: {', '.join(DETRENDS)}")
-    rows = [np.ones(n_sample), np.arange(n_sample) - (n_sample - 1) / 2][: {"none": 0, "constant": 1, "linear": 2}[detrend]]
+    rows = [np.ones(n_sample), np.arange(n_sample) - (n_sample - 1) / 2][
+        : {"none": 0, "constant": 1, "linear": 2}[detrend]
+    ]
     return np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(rows), n_sample)
 
 
 def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude is sqrt(n_sample)."""
+    """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude
+    is sqrt(n_sample).
+    """
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
     return trend[:, : above[-1] + 1 if above.size else 0]

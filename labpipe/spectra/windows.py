@@ -1,9 +1,11 @@
 """Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage.
 
-Leakage of random data: what the finite blocks of Welch's method do to H1, from the spectrum of their window alone.
+Leakage of random data: what the finite blocks of Welch's method do to H1, from the spectrum of their window
+alone.
 
-A block is u w and y w, and the response to forces before it is missing while part of that to its own comes too late. For a force
-with a smooth spectrum E[S_yu] / E[S_uu] = sum |W(w - v)|^2 H(v) / sum |W|^2: the impulse response times the window's autocorrelation.
+A block is u w and y w, and the response to forces before it is missing while part of that to its own comes
+too late. For a force with a smooth spectrum E[S_yu] / E[S_uu] = sum |W(w - v)|^2 H(v) / sum |W|^2: the
+impulse response times the window's autocorrelation.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from labpipe.records.response import Blocks
 
 # Windows of random data: values, noise bandwidth, and the correlation of overlapping blocks.
 
-# Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than FURTHEST_LINE lines.
+# Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than
+# FURTHEST_LINE lines.
 SHARED = 1e-3
 FURTHEST_LINE = 20
 # The same for the exponential window, whose noise falls off slowly: as one over the distance.
@@ -30,13 +33,19 @@ WINDOW_SAMPLES = 1024
 
 
 def hann(n_sample: int) -> FloatArray:
-    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1]. Equation (spec-hann)."""
+    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1].
+
+    Equation (spec-hann).
+    """
     values: FloatArray = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
     return values
 
 
 def window_values(name: str, n_sample: int) -> FloatArray:
-    """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter. ConfigError for an unknown name."""
+    """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter.
+
+    ConfigError for an unknown name.
+    """
     if name == "hann":
         return hann(n_sample)
     # Only rare windows are worth the time of this import.
@@ -47,23 +56,29 @@ def window_values(name: str, n_sample: int) -> FloatArray:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
         values: FloatArray = signal.get_window(chosen, n_sample, fftbins=True)
     except (ValueError, TypeError):
-        raise ConfigError(f"unknown window '{name}'", hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'") from None
+        raise ConfigError(
+            f"unknown window '{name}'",
+            hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'",
+        ) from None
     return values
 
 
 def noise_bandwidth(window: FloatArray) -> float:
-    """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq. 11).
+    """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq.
+    11).
 
-    Times the line spacing it is in Hz; white noise passes as through a rectangular filter of this width: boxcar 1, Hann 1.5.
-    Equation (spec-enbw).
+    Times the line spacing it is in Hz; white noise passes as through a rectangular filter of this width:
+    boxcar 1, Hann 1.5. Equation (spec-enbw).
     """
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
 
 def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
-    """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 [1], correlation of the powers of blocks k steps apart, k = 1 ... (Welch 1967).
+    """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 [1], correlation of the powers of blocks k steps apart, k
+    = 1 ... (Welch 1967).
 
-    window (n_sample,), *step* in samples; the result has one value for every overlapping step. Equation (spec-overlap).
+    window (n_sample,), *step* in samples; the result has one value for every overlapping step. Equation
+    (spec-overlap).
     """
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
@@ -71,14 +86,19 @@ def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
 
 
 def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float, ...]:
-    """c_d of the noise of an FRF at lines d = 1, 2, ... apart, down to SHARED: Hann 0.45, 0.03; boxcar without overlap none.
+    """c_d of the noise of an FRF at lines d = 1, 2, ... apart, down to SHARED: Hann 0.45, 0.03; boxcar
+    without overlap none.
 
-    window (n_sample,) [1], *step* [samples]. Noise and force of blocks m and n at lines k and k + d both have the covariance
-    r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N), j = n - m, and H's noise is a sum of their products:
-    c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation (spec-line-correlation).
+    window (n_sample,) [1], *step* [samples]. Noise and force of blocks m and n at lines k and k + d both have
+    the covariance r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N), j = n - m, and H's noise is a sum
+    of their products: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation
+    (spec-line-correlation).
     """
     n = window.size
-    products = [window * np.concatenate([window[shift:], np.zeros(shift)]) for shift in range(0, min(n, n_block * step), step)]
+    products = [
+        window * np.concatenate([window[shift:], np.zeros(shift)])
+        for shift in range(0, min(n, n_block * step), step)
+    ]
     power = np.abs(np.fft.rfft(products, axis=1)[:, : FURTHEST_LINE + 1]) ** 2
     # Blocks before and after contribute equally.
     weight = (n_block - np.arange(len(products))) * np.where(np.arange(len(products)) == 0, 1, 2)
@@ -88,11 +108,12 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
 
 
 def amplitude_correlation(name: str) -> tuple[float, ...]:
-    """r_d = sum w^2 cos(2 pi d n / N) / sum w^2 of lines d = 1, 2, ... apart, down to SHARED: Hann -2/3, 1/6; boxcar none.
+    """r_d = sum w^2 cos(2 pi d n / N) / sum w^2 of lines d = 1, 2, ... apart, down to SHARED: Hann -2/3, 1/6;
+    boxcar none.
 
-    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit): noise / F of one line and the next.
-    The origin of the phase is the beginning of the block, as it is of an FRF. ConfigError for an unknown *name*.
-    Equation (spec-amplitude-correlation).
+    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit): noise / F
+    of one line and the next. The origin of the phase is the beginning of the block, as it is of an FRF.
+    ConfigError for an unknown *name*. Equation (spec-amplitude-correlation).
     """
     window = window_values(name, WINDOW_SAMPLES)
     power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
@@ -101,11 +122,12 @@ def amplitude_correlation(name: str) -> tuple[float, ...]:
 
 
 def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
-    """r_d = sum_t w^2 exp(-2 pi j d (t - origin) / N) / sum w^2 of lines d = 1, 2, ... apart, (n_distance,) [1], down to FAINT.
+    """r_d = sum_t w^2 exp(-2 pi j d (t - origin) / N) / sum w^2 of lines d = 1, 2, ... apart, (n_distance,)
+    [1], down to FAINT.
 
-    window (n_sample,) [1] of the block; *origin* [samples]: the hit. Stationary noise n of the record gives a line of the FRF the error
-    sum_t w n exp(-j w t) / F, and F has the phase exp(-j w origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T).
-    Equation (spec-exponential-correlation).
+    window (n_sample,) [1] of the block; *origin* [samples]: the hit. Stationary noise n of the record gives a
+    line of the FRF the error sum_t w n exp(-j w t) / F, and F has the phase exp(-j w origin). exp(-t / tau)
+    in a block T gives nearly 1 / (1 + j pi d tau / T). Equation (spec-exponential-correlation).
     """
     power = np.fft.fft(window**2)[: window.size // 2] / np.dot(window, window)
     above = np.flatnonzero(np.abs(power) > FAINT)
@@ -115,7 +137,8 @@ def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
 
 
 def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
-    """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), effective number of averages of K overlapping blocks (Welch 1967).
+    """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), effective number of averages of K overlapping blocks (Welch
+    1967).
 
     window (n_sample,) [1], *step* [samples]. Equation (spec-averages).
     """
@@ -127,7 +150,8 @@ def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
 # Leakage of random data: what the finite blocks of Welch's method do to H1, from the spectrum of their
 # window alone.
 
-# Samples of a window that show its shape, and points per line: an impulse response is followed over as many blocks.
+# Samples of a window that show its shape, and points per line: an impulse response is followed over as many
+# blocks.
 SHAPE_SAMPLES, POINTS = 512, 4
 # Share of the window's power outside of the lines that count, and their largest number to either side.
 OUTSIDE, MOST_LINES = 1e-6, 64
@@ -135,7 +159,8 @@ OUTSIDE, MOST_LINES = 1e-6, 64
 
 @dataclass(frozen=True)
 class LeakageKernel:
-    """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets* (n_point,) [1 / POINTS line].
+    """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets*
+    (n_point,) [1 / POINTS line].
 
     sum W^2 = 1.
     """
@@ -150,10 +175,15 @@ class LeakageKernel:
         return self.amplitude**2
 
     def shifts(self) -> list[tuple[float, ComplexArray]]:
-        """(weight [1], phases (n_point,) [1]) of the pairs of blocks that overlap: 1 - |t| / K, and exp(j v t step)."""
+        """(weight [1], phases (n_point,) [1]) of the pairs of blocks that overlap: 1 - |t| / K, and exp(j v t
+        step).
+        """
         step = 1 - self.blocks.overlap
         most = min(int(np.ceil(1 / step)) - 1, self.blocks.number - 1)
-        return [(1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS))) for t in range(-most, most + 1)]
+        return [
+            (1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS)))
+            for t in range(-most, most + 1)
+        ]
 
 
 def has_kernel(blocks: Blocks) -> bool:
@@ -163,7 +193,10 @@ def has_kernel(blocks: Blocks) -> bool:
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
-    """The spectrum of the blocks' window; ConfigError for an unknown window. Equation (frf-leakage-kernel)."""
+    """The spectrum of the blocks' window; ConfigError for an unknown window.
+
+    Equation (frf-leakage-kernel).
+    """
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
@@ -173,4 +206,6 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     share = np.cumsum(amplitude[nearest] ** 2) / np.dot(amplitude, amplitude)
     furthest = abs(offsets[nearest[np.argmax(share > 1 - OUTSIDE)]])
     inside = np.abs(offsets) <= furthest
-    return LeakageKernel(blocks, offsets[inside].astype(float), amplitude[inside] / np.linalg.norm(amplitude[inside]))
+    return LeakageKernel(
+        blocks, offsets[inside].astype(float), amplitude[inside] / np.linalg.norm(amplitude[inside])
+    )

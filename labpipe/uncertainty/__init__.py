@@ -1,1 +1,3 @@
-"""What tests say together: comparisons, matrices of conditions, Monte Carlo studies, control limits and trends."""
+"""What tests say together: comparisons, matrices of conditions, Monte Carlo studies, control limits and
+trends.
+"""

@@ -23,12 +23,21 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
     reach = quantile * std_error
     ratio = value / std_error if std_error > 0 else None
     return Parameter(
-        name, value, unit, std_error=std_error, t_ratio=ratio, ci95=(value - reach, value + reach), significant=abs(value) > reach
+        name,
+        value,
+        unit,
+        std_error=std_error,
+        t_ratio=ratio,
+        ci95=(value - reach, value + reach),
+        significant=abs(value) > reach,
     )
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
-    """exp(log) with the interval exp(log +- quantile log_error), wider upwards; its standard error to first order. Equation (comp-log)."""
+    """exp(log) with the interval exp(log +- quantile log_error), wider upwards.
+
+    Its standard error to first order. Equation (comp-log).
+    """
     value = math.exp(log)
     interval = (math.exp(log - quantile * log_error), math.exp(log + quantile * log_error))
     return Parameter(name, value, unit, std_error=value * log_error, ci95=interval)
@@ -39,7 +48,14 @@ def relative_change(name: str, log: float, log_error: float, quantile: float) ->
     factor = from_log(name, "1", log, log_error, quantile)
     assert factor.ci95 is not None
     low, high = factor.ci95
-    return Parameter(name, factor.value - 1, "1", std_error=factor.std_error, ci95=(low - 1, high - 1), significant=not low <= 1 <= high)
+    return Parameter(
+        name,
+        factor.value - 1,
+        "1",
+        std_error=factor.std_error,
+        ci95=(low - 1, high - 1),
+        significant=not low <= 1 <= high,
+    )
 
 
 def chance(name: str, p_value: float | None) -> Parameter:
@@ -47,7 +63,8 @@ def chance(name: str, p_value: float | None) -> Parameter:
     return Parameter(name, math.nan if p_value is None else p_value, "1", derived=True)
 
 
-# Amounts of a comparison with what systematic sources add to their uncertainty, and the budget of all of them.
+# Amounts of a comparison with what systematic sources add to their uncertainty, and the budget of all of
+# them.
 
 # Share of a combined uncertainty below which the change by a source is rounding: the source cancels.
 CANCELLED = 1e-9
@@ -60,10 +77,12 @@ def with_budget(
     dof: float | None = None,
     logarithmic: Collection[str] = (),
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The amounts with combined uncertainties, expanded intervals and shares, and their budget; as they are where every source cancels.
+    """The amounts with combined uncertainties, expanded intervals and shares, and their budget; as they are
+    where every source cancels.
 
-    changes (n_source, n_amount) [unit of the amount]: by one standard uncertainty of every source. dof: degrees of freedom behind the
-    random parts, None where these are known. Intervals of the *logarithmic* amounts are those of a factor.
+    changes (n_source, n_amount) [unit of the amount]: by one standard uncertainty of every source. dof:
+    degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
+    amounts are those of a factor.
     """
     random = np.array([np.nan if amount.full_error is None else amount.full_error for amount in amounts])
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
@@ -85,8 +104,8 @@ def _as_factor(amount: Parameter) -> Parameter:
     return replace(amount, ci95=(amount.value / reach, amount.value * reach))
 
 
-# Errors that tests have in common: the uncertainty of one sensor, one mass, which no repetition shows and which a
-# ratio may not carry.
+# Errors that tests have in common: the uncertainty of one sensor, one mass, which no repetition shows and
+# which a ratio may not carry.
 
 
 def random_error(fit: Fit, parameter: Parameter) -> float | None:
@@ -95,12 +114,17 @@ def random_error(fit: Fit, parameter: Parameter) -> float | None:
 
 
 def common_changes(fits: Sequence[Fit], change_of: Callable[[Fit, str], float]) -> FloatArray:
-    """Changes (n_source, n_fit) of one quantity of every fit [unit of the quantity] by one standard uncertainty of every source.
+    """Changes (n_source, n_fit) of one quantity of every fit [unit of the quantity] by one standard
+    uncertainty of every source.
 
     *change_of*: of a fit and a source. Sources of one name are one error; none gives (0, n_fit).
     """
-    sources = dict.fromkeys(source.source for fit in fits if fit.budget is not None for source in fit.budget.sources)
-    return np.array([[change_of(fit, source) for fit in fits] for source in sources]).reshape(len(sources), len(fits))
+    sources = dict.fromkeys(
+        source.source for fit in fits if fit.budget is not None for source in fit.budget.sources
+    )
+    return np.array([[change_of(fit, source) for fit in fits] for source in sources]).reshape(
+        len(sources), len(fits)
+    )
 
 
 def parameter_changes(fits: Sequence[Fit], name: str) -> FloatArray:
@@ -109,21 +133,31 @@ def parameter_changes(fits: Sequence[Fit], name: str) -> FloatArray:
 
 
 def change_in(fit: Fit, source: str, name: str) -> float:
-    """Change of a parameter [its unit] by one standard uncertainty of a source; zero where the fit has no such source or parameter."""
+    """Change of a parameter [its unit] by one standard uncertainty of a source.
+
+    Zero where the fit has no such source or parameter.
+    """
     if fit.budget is None or name not in fit.budget.names:
         return 0.0
     return fit.budget.change_by(source, name)
 
 
 def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
-    """Changes (n_source, n) [unit as given] from those of every value by source; zero where a value does not have a source."""
+    """Changes (n_source, n) [unit as given] from those of every value by source.
+
+    Zero where a value does not have a source.
+    """
     sources = dict.fromkeys(source for of_value in changes for source in of_value)
-    return np.array([[of_value.get(source, 0.0) for of_value in changes] for source in sources]).reshape(len(sources), len(changes))
+    return np.array([[of_value.get(source, 0.0) for of_value in changes] for source in sources]).reshape(
+        len(sources), len(changes)
+    )
 
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:
-    """Standard errors (n,) of independent values, or the covariance (n, n) where *changes* (n_source, n) are common to them.
+    """Standard errors (n,) of independent values, or the covariance (n, n) where *changes* (n_source, n) are
+    common to them.
 
-    V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common) and (comp-covariance).
+    V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common) and
+    (comp-covariance).
     """
     return errors if not np.any(changes) else np.diag(errors**2) + changes.T @ changes

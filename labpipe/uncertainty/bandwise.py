@@ -1,4 +1,6 @@
-"""Two tests band by band: bands with different coefficients, corrected for the number of bands (Holm 1979)."""
+"""Two tests band by band: bands with different coefficients, corrected for the number of bands (Holm
+1979).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ class TwoTests:
 
 
 def holm(p_values: FloatArray) -> FloatArray:
-    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid under any dependence.
+    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid
+    under any dependence.
 
     Equation (comp-holm).
     """
@@ -45,19 +48,27 @@ def holm(p_values: FloatArray) -> FloatArray:
 def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     """Comparison of all coefficients in the bands common to both tests, second group against first.
 
-    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to both tests and therefore
-    excluded. ConfigError for an unknown parameter, FitError without a common band. Equation (comp-bands).
+    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to
+    both tests and therefore excluded. ConfigError for an unknown parameter, FitError without a common band.
+    Equation (comp-bands).
     """
     names = _parameters(settings, tests)
-    pairs = [(a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz]
-    usable = [(a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error]
+    pairs = [
+        (a, b, name) for name in names for a in tests.fits[0] for b in tests.fits[1] if a.band_hz == b.band_hz
+    ]
+    usable = [
+        (a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error
+    ]
     if not usable:
-        raise FitError("the two tests have no band in common with standard errors", hint="fit both in the same bands")
+        raise FitError(
+            "the two tests have no band in common with standard errors", hint="fit both in the same bands"
+        )
     raw = [_tested(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
     first, second = tests.names
     bands = tuple(
-        _band(f"{second} against {first}", *pair, reach, float(p)) for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
+        _band(f"{second} against {first}", *pair, reach, float(p))
+        for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
     )
     differing = [band for band in bands if band.p_value is not None and band.p_value < settings.level]
     verdict = "different" if differing else "no difference"
@@ -87,7 +98,9 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     if settings.parameter == ANY:
         return [name for name in names if name in ("k", "c")]
     if settings.parameter not in names:
-        raise ConfigError(f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names))
+        raise ConfigError(
+            f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names)
+        )
     return [settings.parameter]
 
 
@@ -123,12 +136,22 @@ def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) ->
 
 
 def _statement(
-    tests: TwoTests, bands: Sequence[ComparedBand], differing: Sequence[ComparedBand], verdict: str, level: float, left_out: int
+    tests: TwoTests,
+    bands: Sequence[ComparedBand],
+    differing: Sequence[ComparedBand],
+    verdict: str,
+    level: float,
+    left_out: int,
 ) -> str:
     first, second = tests.names
-    result = f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
+    result = (
+        f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
+    )
     corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
-    listed = [f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})" for band in differing[:MOST_NAMED]]
+    listed = [
+        f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})"
+        for band in differing[:MOST_NAMED]
+    ]
     more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
     named = f" They are {', '.join(listed)}{more}." if listed else ""
     missing = f" {left_out} have no standard error and are left out." if left_out else ""
@@ -136,12 +159,18 @@ def _statement(
 
 
 def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]]) -> TwoTests:
-    """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with several."""
+    """The fits of the two groups; *groups*: (test, its group).
+
+    ConfigError for a group without a test or with several.
+    """
     chosen = []
     for name in settings.groups:
         members = [test for test, group in groups if group == name]
         if len(members) != 1:
             names = ", ".join(sorted({group for _, group in groups}))
-            raise ConfigError(f"{len(members)} tests have {settings.group}: {name}; one is compared with one", hint=f"known: {names}")
+            raise ConfigError(
+                f"{len(members)} tests have {settings.group}: {name}; one is compared with one",
+                hint=f"known: {names}",
+            )
         chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
     return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]))

@@ -1,4 +1,7 @@
-"""compare: fits and responses of several tests -> one Comparison per question; kinds by the table COMPARISONS."""
+"""compare: fits and responses of several tests -> one Comparison per question.
+
+Kinds by the table COMPARISONS.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,16 @@ UNCOUPLED = 0.7
 
 
 def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]) -> Comparison:
-    """Every pair of dofs in every test with its p-value; the verdict takes the smallest one times their number (Bonferroni).
+    """Every pair of dofs in every test with its p-value; the verdict takes the smallest one times their
+    number (Bonferroni).
 
-    The largest relative difference is that of coupled pairs. DataError without a response that can be tested. Equation (comp-reciprocity).
+    The largest relative difference is that of coupled pairs. DataError without a response that can be tested.
+    Equation (comp-reciprocity).
     """
     points = [
-        ComparedPoint(response.name, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value)
+        ComparedPoint(
+            response.name, pair.difference, group=f"{pair.first}-{pair.second}", p_value=pair.p_value
+        )
         for response in responses
         for pair in reciprocity(response)
     ]
@@ -46,7 +53,11 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
     coupled = [point.value for point in points if point.value < UNCOUPLED]
     largest = max(coupled) if coupled else float("nan")
     verdict = "not reciprocal" if p_value < settings.level else "reciprocal"
-    coupled_text = f"coupled pairs differ by at most {100 * largest:.2g} % rms" if coupled else "no pair is coupled above the noise"
+    coupled_text = (
+        f"coupled pairs differ by at most {100 * largest:.2g} % rms"
+        if coupled
+        else "no pair is coupled above the noise"
+    )
     count = f"{len(points)} pair(s) of dofs in {len(responses)} test(s), {len(coupled)} of them coupled"
     return Comparison(
         name=settings.name,
@@ -56,7 +67,8 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
         points=tuple(points),
         amounts=(chance("p_value", p_value), Parameter("difference", largest, "1", derived=True)),
         verdict=verdict,
-        statement=f"{count}; {coupled_text}: {verdict} (p = {p_value:.2g}, corrected for the number of pairs).",
+        statement=f"{count}; {coupled_text}: {verdict} (p = {p_value:.2g}, corrected for the number of "
+        "pairs).",
     )
 
 
@@ -67,9 +79,9 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
 class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
-    *spectra* of tests that have no response. *conditions* of tests without a response (free decays), by their names. *folder*: where the
-    files lie that settings name; *theory*: in place of that of the file, by the kind of comparison. *solved*: cache of theories matched to
-    a fit, since several comparisons use the same.
+    *spectra* of tests that have no response. *conditions* of tests without a response (free decays), by their
+    names. *folder*: where the files lie that settings name; *theory*: in place of that of the file, by the
+    kind of comparison. *solved*: cache of theories matched to a fit, since several comparisons use the same.
     """
 
     fits: tuple[Fit, ...]
@@ -85,7 +97,10 @@ class Evidence:
         """The fits that the settings name; ConfigError where there is none."""
         named = [fit for fit in self.fits if fit.name == settings.fit]
         if not named:
-            raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in self.fits}))
+            raise ConfigError(
+                f"no fit '{settings.fit}' to compare",
+                hint=nearest(settings.fit, {fit.name for fit in self.fits}),
+            )
         return named
 
     def campaign(self, settings: CompareSettings, parameter: str = "") -> Campaign:
@@ -105,9 +120,14 @@ class Evidence:
 
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
-    """The comparison of the settings; *theory*: in place of their bearing file. LabpipeError where the tests do not allow it."""
+    """The comparison of the settings; *theory*: in place of their bearing file.
+
+    LabpipeError where the tests do not allow it.
+    """
     evidence = replace(evidence, fits=tuple(fit.as_fitted for fit in evidence.fits))
-    return comparison_kind(settings.kind).compare(settings, evidence if theory is None else replace(evidence, theory=theory))
+    return comparison_kind(settings.kind).compare(
+        settings, evidence if theory is None else replace(evidence, theory=theory)
+    )
 
 
 def _bands(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -138,5 +158,9 @@ REPEATABILITY = ComparisonKind(
     keys=(*OF_TESTS, "parameter", "level"),
     needs=("fit", "group"),
 )
-RECIPROCITY = ComparisonKind(lambda settings, evidence: reciprocal(settings, evidence.responses), keys=("level",))
-BANDS = ComparisonKind(_bands, keys=("fit", "parameter", "group", "groups", "level"), needs=("fit", "group", "groups"))
+RECIPROCITY = ComparisonKind(
+    lambda settings, evidence: reciprocal(settings, evidence.responses), keys=("level",)
+)
+BANDS = ComparisonKind(
+    _bands, keys=("fit", "parameter", "group", "groups", "level"), needs=("fit", "group", "groups")
+)

@@ -1,4 +1,6 @@
-"""A matrix of tests: coefficients at every level of every condition, repeats averaged, and the path of the rest position."""
+"""A matrix of tests: coefficients at every level of every condition, repeats averaged, and the path of the
+rest position.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import QUANTITIES, UnitError, si_amount
-from labpipe.records.comparison import Beside, ConditionAxis, ConditionMatrix, EquilibriumPath, MatrixPoint, PathPoint, Repeated
+from labpipe.records.comparison import (
+    Beside,
+    ConditionAxis,
+    ConditionMatrix,
+    EquilibriumPath,
+    MatrixPoint,
+    PathPoint,
+    Repeated,
+)
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -29,18 +39,24 @@ from labpipe.uncertainty.weighted import weighted_mean
 def repeated(parameters: Sequence[Parameter]) -> Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
-    Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged where the repeats scatter
-    more than these say; u, the mean of what stands in the full errors beyond noise, is common to all repeats and does not shrink.
-    Where a repeat has no error, the plain mean with the standard error of the repeats' scatter, or none for one repeat.
-    Equation (comp-repeats).
+    Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged
+    where the repeats scatter more than these say; u, the mean of what stands in the full errors beyond noise,
+    is common to all repeats and does not shrink. Where a repeat has no error, the plain mean with the
+    standard error of the repeats' scatter, or none for one repeat. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     scatter = float(np.std(values, ddof=1)) if values.size > 1 else None
     if values.size == 1:
         return Repeated(parameters[0], 1)
-    errors = np.array([np.nan if parameter.std_error is None else parameter.std_error for parameter in parameters])
+    errors = np.array(
+        [np.nan if parameter.std_error is None else parameter.std_error for parameter in parameters]
+    )
     if not np.all(errors > 0):
-        return Repeated(_of_scatter(parameters[0], float(np.mean(values)), scatter or 0.0, values.size), values.size, scatter=scatter)
+        return Repeated(
+            _of_scatter(parameters[0], float(np.mean(values)), scatter or 0.0, values.size),
+            values.size,
+            scatter=scatter,
+        )
     mean = weighted_mean(values, errors)
     full = np.array([parameter.full_error or 0.0 for parameter in parameters])
     common = float(np.mean(np.sqrt(np.maximum(full**2 - errors**2, 0.0))))
@@ -55,8 +71,18 @@ def repeated(parameters: Sequence[Parameter]) -> Repeated:
 def _of_scatter(like: Parameter, value: float, scatter: float, number: int) -> Parameter:
     error = scatter / np.sqrt(number)
     if not error > 0:
-        return replace(like, value=value, std_error=None, std_error_inflated=None, ci95=None, t_ratio=None, significant=None)
-    return _parameter(like, value, float(error), float(error), float(student_quantile(0.975, number - 1) * error))
+        return replace(
+            like,
+            value=value,
+            std_error=None,
+            std_error_inflated=None,
+            ci95=None,
+            t_ratio=None,
+            significant=None,
+        )
+    return _parameter(
+        like, value, float(error), float(error), float(student_quantile(0.975, number - 1) * error)
+    )
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
@@ -80,12 +106,21 @@ AMPLITUDES = ("amplitude", "orbit")
 
 
 def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
-    """The largest amplitude whose coefficients do not differ from those at the smallest, as a sentence; empty where none is tested.
+    """The largest amplitude whose coefficients do not differ from those at the smallest, as a sentence; empty
+    where none is tested.
 
-    Each coefficient at each amplitude against that at the smallest, at equal other conditions: z = (v - v_0) / sqrt(s^2 + s_0^2) of the
-    errors by noise, Holm's correction over all of them, at *level* [1]. Equation (comp-validity).
+    Each coefficient at each amplitude against that at the smallest, at equal other conditions: z = (v - v_0)
+    / sqrt(s^2 + s_0^2) of the errors by noise, Holm's correction over all of them, at *level* [1]. Equation
+    (comp-validity).
     """
-    place = next((n for n, axis in enumerate(matrix.axes) if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)), None)
+    place = next(
+        (
+            n
+            for n, axis in enumerate(matrix.axes)
+            if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)
+        ),
+        None,
+    )
     if place is None or len(matrix.axes[place].levels) < 2:
         return ""
     pairs = list(_pairs(matrix, place))
@@ -101,21 +136,31 @@ def amplitude_statement(matrix: ConditionMatrix, level: float) -> str:
 
 
 def _pairs(matrix: ConditionMatrix, place: int) -> Sequence[tuple[int, str, float]]:
-    """(level of the amplitude, coefficient, p-value against the smallest amplitude) at equal other conditions."""
+    """(level of the amplitude, coefficient, p-value against the smallest amplitude) at equal other
+    conditions.
+    """
     groups: dict[tuple[int, ...], list[MatrixPoint]] = {}
     for point in matrix.points:
         groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
     return [
         (point.place[place], name, chance)
         for points in groups.values()
-        for point, name in itertools.product(sorted(points, key=lambda one: one.place[place])[1:], matrix.names)
+        for point, name in itertools.product(
+            sorted(points, key=lambda one: one.place[place])[1:], matrix.names
+        )
         if (chance := _chance(min(points, key=lambda one: one.place[place]), point, name)) is not None
     ]
 
 
 def _chance(first: MatrixPoint, other: MatrixPoint, name: str) -> float | None:
     a, b = first.value(name), other.value(name)
-    if a is None or b is None or a.parameter.derived or a.parameter.std_error is None or b.parameter.std_error is None:
+    if (
+        a is None
+        or b is None
+        or a.parameter.derived
+        or a.parameter.std_error is None
+        or b.parameter.std_error is None
+    ):
         return None
     size = float(np.hypot(a.parameter.std_error, b.parameter.std_error))
     return 2 * normal_tail(abs(b.parameter.value - a.parameter.value) / size) if size > 0 else None
@@ -127,8 +172,11 @@ def _chance(first: MatrixPoint, other: MatrixPoint, name: str) -> float | None:
 STIFFNESS = ("k_xx", "k_xy", "k_yx", "k_yy")
 
 
-def equilibrium_paths(settings: EquilibriumSettings, matrix: ConditionMatrix, fits: Sequence[Fit]) -> tuple[EquilibriumPath, ...]:
-    """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests of the matrix.
+def equilibrium_paths(
+    settings: EquilibriumSettings, matrix: ConditionMatrix, fits: Sequence[Fit]
+) -> tuple[EquilibriumPath, ...]:
+    """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
+    of the matrix.
 
     ConfigError where x or y is no displacement. Equation (comp-path).
     """
@@ -141,7 +189,11 @@ def equilibrium_paths(settings: EquilibriumSettings, matrix: ConditionMatrix, fi
         if len(points) > 1:
             ordered = sorted(points, key=lambda point: point.place[number])
             loads = np.array([matrix.axes[number].levels[point.place[number]] for point in ordered])
-            paths.append(EquilibriumPath(_at(matrix, number, others), _path(settings, loads, ordered, fits), settings.clearance))
+            paths.append(
+                EquilibriumPath(
+                    _at(matrix, number, others), _path(settings, loads, ordered, fits), settings.clearance
+                )
+            )
     return tuple(paths)
 
 
@@ -150,8 +202,13 @@ def _at(matrix: ConditionMatrix, number: int, others: tuple[int, ...]) -> str:
     return ", ".join(axis.text(axis.levels[n]) for axis, n in zip(axes, others, strict=True))
 
 
-def _path(settings: EquilibriumSettings, loads: FloatArray, points: Sequence[MatrixPoint], fits: Sequence[Fit]) -> tuple[PathPoint, ...]:
-    """Rest positions with the slope of the parabola through each point and its neighbours; at the ends, of the outer three."""
+def _path(
+    settings: EquilibriumSettings, loads: FloatArray, points: Sequence[MatrixPoint], fits: Sequence[Fit]
+) -> tuple[PathPoint, ...]:
+    """Rest positions with the slope of the parabola through each point and its neighbours.
+
+    At the ends, of the outer three.
+    """
     rest = [_rest(settings, point) for point in points]
     position = np.array([place for place, _ in rest])
     error = np.array([spread for _, spread in rest])
@@ -173,7 +230,9 @@ def _path(settings: EquilibriumSettings, loads: FloatArray, points: Sequence[Mat
                 statics_error=_pair(slope_error),
                 shaking=() if shaking is None else _pair(shaking[0]),
                 shaking_error=() if shaking is None else _pair(np.sqrt(np.diag(shaking[1]))),
-                p_value=None if shaking is None else _chance_of_slopes(slope - shaking[0], np.diag(slope_error**2) + shaking[1]),
+                p_value=None
+                if shaking is None
+                else _chance_of_slopes(slope - shaking[0], np.diag(slope_error**2) + shaking[1]),
             )
         )
     return tuple(path)
@@ -188,13 +247,20 @@ def _rest(settings: EquilibriumSettings, point: MatrixPoint) -> tuple[list[float
     beside = {entry.name: entry for entry in point.beside}
     for name in (settings.x, settings.y):
         if beside[name].unit != QUANTITIES["displacement"].si_unit:
-            raise ConfigError(f"the condition '{name}' is no displacement but in {beside[name].unit}", hint="{channel: d_x}, its mean")
+            raise ConfigError(
+                f"the condition '{name}' is no displacement but in {beside[name].unit}",
+                hint="{channel: d_x}, its mean",
+            )
     entries = [beside[settings.x], beside[settings.y]]
-    return [entry.value for entry in entries], [entry.scatter / np.sqrt(len(point.tests)) for entry in entries]
+    return [entry.value for entry in entries], [
+        entry.scatter / np.sqrt(len(point.tests)) for entry in entries
+    ]
 
 
 def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
-    """Weights (n_load,) [1/N] of the positions in the slope at load n: derivative of the parabola through three loads, or of a line."""
+    """Weights (n_load,) [1/N] of the positions in the slope at load n: derivative of the parabola through
+    three loads, or of a line.
+    """
     first = min(max(n - 1, 0), max(loads.size - 3, 0))
     members = np.arange(first, min(first + 3, loads.size))
     weights: FloatArray = np.zeros(loads.size)
@@ -207,7 +273,9 @@ def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Compliance:
-    """One fit's displacement per force *value* (2,) [m/N], its covariance (2, 2) by noise, and its change (2,) by every source."""
+    """One fit's displacement per force *value* (2,) [m/N], its covariance (2, 2) by noise, and its change
+    (2,) by every source.
+    """
 
     value: FloatArray
     covariance: FloatArray
@@ -215,9 +283,11 @@ class _Compliance:
 
 
 def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
-    """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its covariance (2, 2).
+    """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its
+    covariance (2, 2).
 
-    Noise is independent from repeat to repeat; an error that repeats have in common does not shrink in their mean.
+    Noise is independent from repeat to repeat; an error that repeats have in common does not shrink in their
+    mean.
     """
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:
@@ -231,13 +301,20 @@ def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatAr
 
 
 def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
-    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u; None where a coefficient or an error is missing."""
+    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u.
+
+    None where a coefficient or an error is missing.
+    """
     estimated = [parameter.name for parameter in fit.parameters if not parameter.derived]
     if not all(name in estimated for name in STIFFNESS):
         return None
     chosen = [fit.parameter(name) for name in STIFFNESS]
-    errors = np.array([np.nan if (error := random_error(fit, parameter)) is None else error for parameter in chosen])
-    stiffness = np.array([parameter.value for parameter in chosen]).reshape(2, 2) + settings.support * np.eye(2)
+    errors = np.array(
+        [np.nan if (error := random_error(fit, parameter)) is None else error for parameter in chosen]
+    )
+    stiffness = np.array([parameter.value for parameter in chosen]).reshape(2, 2) + settings.support * np.eye(
+        2
+    )
     if not np.all(np.isfinite(errors)) or abs(np.linalg.det(stiffness)) == 0:
         return None
     inverse = np.linalg.inv(stiffness)
@@ -246,12 +323,18 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     places = [estimated.index(name) for name in STIFFNESS]
     covariance = fit.correlation[np.ix_(places, places)] * np.outer(errors, errors)
     sources = () if fit.budget is None else fit.budget.sources
-    changes = {source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS]) for source in sources}
+    changes = {
+        source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS])
+        for source in sources
+    }
     return _Compliance(displacement, slopes @ covariance @ slopes.T, changes)
 
 
 def _chance_of_slopes(difference: FloatArray, covariance: FloatArray) -> float | None:
-    """Probability of so large a difference (2,) [m/N] by its covariance (2, 2); None where that is singular."""
+    """Probability of so large a difference (2,) [m/N] by its covariance (2, 2).
+
+    None where that is singular.
+    """
     if not np.linalg.det(covariance) > 0:
         return None
     return chi2_tail(float(difference @ np.linalg.solve(covariance, difference)), 2)
@@ -259,27 +342,43 @@ def _chance_of_slopes(difference: FloatArray, covariance: FloatArray) -> float |
 
 # A matrix of tests: the coefficients of one fit at every level of every condition, their repeats averaged.
 
-# From the conditions of a point and their SI units to the coefficients of a theory by name [SI]: those that it has there.
+# From the conditions of a point and their SI units to the coefficients of a theory by name [SI]: those that
+# it has there.
 PointTheory = Callable[[tuple[float, ...], tuple[str, ...]], Mapping[str, float]]
 
 
 def condition_matrix(
-    settings: MatrixSettings, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]], theory: PointTheory | None = None
+    settings: MatrixSettings,
+    fits: Sequence[Fit],
+    conditions: Mapping[str, Mapping[str, Any]],
+    theory: PointTheory | None = None,
 ) -> ConditionMatrix:
     """The matrix of the settings; *conditions* of every test by its name.
 
     ConfigError for an unknown fit, coefficient or condition, FitError where no test has a result.
     """
     chosen = _chosen(settings, fits)
-    amounts = {name: _amounts(name, chosen, conditions) for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))}
+    amounts = {
+        name: _amounts(name, chosen, conditions)
+        for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
+    }
     axes, places = _axes(settings, amounts)
     names = _names(settings, chosen)
     groups: dict[tuple[int, ...], list[int]] = {}
     for number, place in enumerate(places):
         groups.setdefault(place, []).append(number)
     cells = ((place, [chosen[n] for n in members], members) for place, members in sorted(groups.items()))
-    points = tuple(_point(settings, place, of_place, members, names, amounts) for place, of_place, members in cells)
-    matrix = ConditionMatrix(name=settings.name, fit=settings.fit, axes=axes, names=names, points=points, missing=_missing(axes, groups))
+    points = tuple(
+        _point(settings, place, of_place, members, names, amounts) for place, of_place, members in cells
+    )
+    matrix = ConditionMatrix(
+        name=settings.name,
+        fit=settings.fit,
+        axes=axes,
+        names=names,
+        points=points,
+        missing=_missing(axes, groups),
+    )
     if theory is not None:
         matrix = replace(matrix, points=tuple(_beside_theory(matrix, point, theory) for point in points))
     if settings.path is not None:
@@ -312,7 +411,10 @@ def _of_path(settings: MatrixSettings) -> tuple[str, ...]:
 
 
 def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> Amounts:
-    """A condition of every test in SI; ConfigError for a test that lacks it, or has it in another dimension."""
+    """A condition of every test in SI.
+
+    ConfigError for a test that lacks it, or has it in another dimension.
+    """
     pairs = []
     for fit in fits:
         of_test = conditions.get(fit.test, {})
@@ -322,14 +424,20 @@ def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[st
         try:
             pairs.append(si_amount(of_test[name]))
         except UnitError as error:
-            raise ConfigError(f"condition {name} of test '{fit.test}': {error.what}", hint=error.hint) from None
+            raise ConfigError(
+                f"condition {name} of test '{fit.test}': {error.what}", hint=error.hint
+            ) from None
     units = sorted({unit for _, unit in pairs})
     if len(units) > 1:
-        raise ConfigError(f"the condition '{name}' has the units {', '.join(units)}", hint="write it in one dimension")
+        raise ConfigError(
+            f"the condition '{name}' has the units {', '.join(units)}", hint="write it in one dimension"
+        )
     return Amounts(units[0], np.array([value for value, _ in pairs]))
 
 
-def _axes(settings: MatrixSettings, amounts: Mapping[str, Amounts]) -> tuple[tuple[ConditionAxis, ...], list[tuple[int, ...]]]:
+def _axes(
+    settings: MatrixSettings, amounts: Mapping[str, Amounts]
+) -> tuple[tuple[ConditionAxis, ...], list[tuple[int, ...]]]:
     """The axes with their levels, and the place of every test on them."""
     axes, numbers = [], []
     for name in settings.over:
@@ -341,11 +449,17 @@ def _axes(settings: MatrixSettings, amounts: Mapping[str, Amounts]) -> tuple[tup
 
 def _names(settings: MatrixSettings, fits: Sequence[Fit]) -> tuple[str, ...]:
     """The coefficients of the matrix: those named, or those that all tests have."""
-    common = [p.name for p in fits[0].parameters if all(any(q.name == p.name for q in fit.parameters) for fit in fits)]
+    common = [
+        p.name
+        for p in fits[0].parameters
+        if all(any(q.name == p.name for q in fit.parameters) for fit in fits)
+    ]
     for name in settings.parameters:
         if not any(parameter.name == name for fit in fits for parameter in fit.parameters):
             names = [parameter.name for parameter in fits[0].parameters]
-            raise ConfigError(f"fit '{settings.fit}' has no '{name}'", hint=nearest(name, names), field="parameters")
+            raise ConfigError(
+                f"fit '{settings.fit}' has no '{name}'", hint=nearest(name, names), field="parameters"
+            )
     return settings.parameters or tuple(common)
 
 
@@ -368,7 +482,9 @@ def _point(
     return MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
 
 
-def _missing(axes: Sequence[ConditionAxis], places: Mapping[tuple[int, ...], Any]) -> tuple[tuple[int, ...], ...]:
+def _missing(
+    axes: Sequence[ConditionAxis], places: Mapping[tuple[int, ...], Any]
+) -> tuple[tuple[int, ...], ...]:
     every = itertools.product(*(range(len(axis.levels)) for axis in axes))
     return tuple(place for place in every if place not in places)
 
@@ -382,7 +498,9 @@ def _beside_theory(matrix: ConditionMatrix, point: MatrixPoint, theory: PointThe
 def _judged(matrix: ConditionMatrix, settings: MatrixSettings) -> ConditionMatrix:
     """The matrix with its amounts, findings and statement."""
     values = [(point, value) for point in matrix.points for value in point.values]
-    tested = [(point, value) for point, value in values if value.p_value is not None and not value.parameter.derived]
+    tested = [
+        (point, value) for point, value in values if value.p_value is not None and not value.parameter.derived
+    ]
     corrected = holm(np.array([value.p_value for _, value in tested]))
     apart = [pair for pair, p in zip(tested, corrected, strict=True) if p < settings.level]
     holding = [value.holds_theory for _, value in values if value.holds_theory is not None]
@@ -411,7 +529,9 @@ def _largest_error(matrix: ConditionMatrix, name: str) -> Parameter:
     return Parameter(f"{name}.largest_error", max(errors, default=float("nan")), "1", derived=True)
 
 
-def _repeats_findings(matrix: ConditionMatrix, apart: Sequence[tuple[MatrixPoint, Repeated]]) -> tuple[Finding, ...]:
+def _repeats_findings(
+    matrix: ConditionMatrix, apart: Sequence[tuple[MatrixPoint, Repeated]]
+) -> tuple[Finding, ...]:
     """One warning of all points whose repeats scatter more than their errors."""
     if not apart:
         return ()
@@ -420,7 +540,8 @@ def _repeats_findings(matrix: ConditionMatrix, apart: Sequence[tuple[MatrixPoint
     worst = f"most at {matrix.text_of(point)}, where {value.parameter.name} scatters by {share:.2g} %"
     message = (
         f"repeats scatter more than their standard errors for {len(apart)} coefficients at "
-        f"{len({p.place for p, _ in apart})} of {len(matrix.points)} points, {worst}; the errors of the means are enlarged accordingly. "
+        f"{len({p.place for p, _ in apart})} of {len(matrix.points)} points, {worst}; the errors of the "
+        "means are enlarged accordingly. "
         "Something changes between repeats: temperature, remounting, the setting of the condition"
     )
     return (Finding("repeats-apart", message),)

@@ -21,7 +21,10 @@ from labpipe.uncertainty.settings import CompareSettings
 
 @dataclass(frozen=True)
 class Observation:
-    """A parameter of a test's fit; *condition* and *second* one in SI (NaN where the settings name none), *group* as written."""
+    """A parameter of a test's fit.
+
+    *condition* and *second* one in SI (NaN where the settings name none), *group* as written.
+    """
 
     fit: Fit
     parameter: Parameter
@@ -35,27 +38,45 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error of this test alone, without errors that tests have in common; FitError for a parameter without one."""
+        """The standard error of this test alone, without errors that tests have in common.
+
+        FitError for a parameter without one.
+        """
         error = random_error(self.fit, self.parameter)
         if error is None:
-            raise FitError(f"'{self.parameter.name}' of test {self.fit.test} has no standard error", hint="a comparison needs one")
+            raise FitError(
+                f"'{self.parameter.name}' of test {self.fit.test} has no standard error",
+                hint="a comparison needs one",
+            )
         return error
 
     @property
     def relative(self) -> float:
         """Standard error over value; FitError for a value that is not above zero."""
         if not self.value > 0:
-            raise FitError(f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}", hint="only positive values have a ratio")
+            raise FitError(
+                f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}",
+                hint="only positive values have a ratio",
+            )
         return self.std_error / self.value
 
     def point(self) -> ComparedPoint:
         condition, second = (None if np.isnan(amount) else amount for amount in (self.condition, self.second))
-        return ComparedPoint(self.fit.test, self.value, ci95=self.parameter.ci95, condition=condition, second=second, group=self.group)
+        return ComparedPoint(
+            self.fit.test,
+            self.value,
+            ci95=self.parameter.ci95,
+            condition=condition,
+            second=second,
+            group=self.group,
+        )
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """The observations of one comparison, in ascending order of the conditions, with the units of value and conditions."""
+    """The observations of one comparison, in ascending order of the conditions, with the units of value and
+    conditions.
+    """
 
     settings: CompareSettings
     observations: tuple[Observation, ...]
@@ -88,13 +109,20 @@ class Campaign:
 
     @property
     def relative(self) -> FloatArray:
-        """Relative standard error of every test alone, (n_test,) [1]; FitError for a value that is not above zero."""
+        """Relative standard error of every test alone, (n_test,) [1].
+
+        FitError for a value that is not above zero.
+        """
         return np.array([observation.relative for observation in self.observations])
 
     @property
     def common(self) -> FloatArray:
-        """Change of the value of every test by one standard uncertainty of every common source, (n_source, n_test) [unit]."""
-        return parameter_changes([observation.fit for observation in self.observations], self.observations[0].parameter.name)
+        """Change of the value of every test by one standard uncertainty of every common source, (n_source,
+        n_test) [unit].
+        """
+        return parameter_changes(
+            [observation.fit for observation in self.observations], self.observations[0].parameter.name
+        )
 
     @property
     def subject(self) -> str:
@@ -107,9 +135,13 @@ class Campaign:
 
 
 def campaign_of(
-    settings: CompareSettings, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]], parameter: str = ""
+    settings: CompareSettings,
+    fits: Sequence[Fit],
+    conditions: Mapping[str, Mapping[str, Any]],
+    parameter: str = "",
 ) -> Campaign:
-    """The observations of the settings, sorted by condition; *conditions* of every test by its name; *parameter*: in place of theirs.
+    """The observations of the settings, sorted by condition; *conditions* of every test by its name;
+    *parameter*: in place of theirs.
 
     ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
     """
@@ -121,15 +153,28 @@ def campaign_of(
         units.add(tuple(unit for _, unit in amounts))
         first, second = (*(value for value, _ in amounts), float("nan"), float("nan"))[:2]
         observations.append(
-            Observation(fit, _parameter(parameter or settings.parameter, fit), first, second, group_of(settings, fit.test, of_test))
+            Observation(
+                fit,
+                _parameter(parameter or settings.parameter, fit),
+                first,
+                second,
+                group_of(settings, fit.test, of_test),
+            )
         )
     if len(units) > 1:
         listed = ", ".join(sorted(" and ".join(pair) for pair in units))
-        raise ConfigError(f"the condition '{', '.join(settings.over)}' has the units {listed}", hint="write it in one dimension")
+        raise ConfigError(
+            f"the condition '{', '.join(settings.over)}' has the units {listed}",
+            hint="write it in one dimension",
+        )
     if len(observations) < 2:
-        raise FitError(f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed")
+        raise FitError(
+            f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed"
+        )
     if settings.over:
-        observations.sort(key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group))
+        observations.sort(
+            key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group)
+        )
     return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
 
 
@@ -137,14 +182,22 @@ def _chosen(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
     """The fit of every test; ConfigError where there is none, or several in a test."""
     named = [fit for fit in fits if fit.name == settings.fit]
     if not named:
-        raise ConfigError(f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in fits}))
+        raise ConfigError(
+            f"no fit '{settings.fit}' to compare", hint=nearest(settings.fit, {fit.name for fit in fits})
+        )
     chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
     if not chosen:
-        raise ConfigError(f"fit '{settings.fit}' has no term '{settings.term}'", hint=nearest(settings.term, {f.term for f in named}))
+        raise ConfigError(
+            f"fit '{settings.fit}' has no term '{settings.term}'",
+            hint=nearest(settings.term, {f.term for f in named}),
+        )
     tests = [fit.test for fit in chosen]
     twice = next((test for test in tests if tests.count(test) > 1), None)
     if twice is not None:
-        raise ConfigError(f"fit '{settings.fit}' has several results in test '{twice}'", hint="name one with `term`, or fit one band")
+        raise ConfigError(
+            f"fit '{settings.fit}' has several results in test '{twice}'",
+            hint="name one with `term`, or fit one band",
+        )
     return chosen
 
 
@@ -158,7 +211,9 @@ def _parameter(name: str, fit: Fit) -> Parameter:
 
 def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
     if name not in conditions:
-        raise ConfigError(f"test '{test}' has no condition '{name}'", hint="write it under the test's `conditions`")
+        raise ConfigError(
+            f"test '{test}' has no condition '{name}'", hint="write it under the test's `conditions`"
+        )
     return str(conditions[name])
 
 
@@ -169,7 +224,10 @@ def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]
 
 
 def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
-    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"); ConfigError for what is no amount."""
+    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N").
+
+    ConfigError for what is no amount.
+    """
     try:
         return si_amount(_condition(name, test, conditions))
     except UnitError as error:

@@ -1,4 +1,6 @@
-"""The parameters of comparisons and of matrices of tests, and the kinds of comparisons with what each of them takes."""
+"""The parameters of comparisons and of matrices of tests, and the kinds of comparisons with what each of them
+takes.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ from labpipe.registry import Registry
 def levels_of(values: FloatArray, tolerance: float) -> tuple[FloatArray, IntArray]:
     """Levels (n_level,) [as the values], the means of their members, and the level of every value, (n,).
 
-    In ascending order a value begins a new level where it exceeds the one before by more than *tolerance* [1] of the largest magnitude.
-    Equation (comp-levels).
+    In ascending order a value begins a new level where it exceeds the one before by more than *tolerance* [1]
+    of the largest magnitude. Equation (comp-levels).
     """
     order = np.argsort(values, kind="stable")
     step = np.diff(values[order], prepend=values[order[:1]])
@@ -40,19 +42,32 @@ class MatrixTheorySettings(Settings):
     """A theory beside the measured points: a bearing file, or a table of another program."""
 
     bearing: str = setting("file", "bearing file, relative to this file", file_kind="bearing", default="")
-    entries: tuple[str, ...] = setting("names", "entries of the bearing file that `over` sets, `none` where there is none", default=())
-    axes: tuple[str, ...] = setting("names", "dofs of the bearing that are x and y of the rig, e.g. [-z, y]", default=())
+    entries: tuple[str, ...] = setting(
+        "names", "entries of the bearing file that `over` sets, `none` where there is none", default=()
+    )
+    axes: tuple[str, ...] = setting(
+        "names", "dofs of the bearing that are x and y of the rig, e.g. [-z, y]", default=()
+    )
     table: str = setting(
-        "file", "CSV table with a column for every condition and coefficient, e.g. 'speed [rpm]', 'k_xx [N/m]'", default=""
+        "file",
+        "CSV table with a column for every condition and coefficient, e.g. 'speed [rpm]', 'k_xx [N/m]'",
+        default="",
     )
 
     def __post_init__(self) -> None:
         if bool(self.bearing) == bool(self.table):
-            raise ConfigError("one of 'bearing' and 'table' is needed", hint="bearing: FILE, or table: FILE.csv")
+            raise ConfigError(
+                "one of 'bearing' and 'table' is needed", hint="bearing: FILE, or table: FILE.csv"
+            )
         if self.table and (self.entries or self.axes):
-            raise ConfigError("'entries' and 'axes' belong to a bearing file", hint="name the columns of the table as the conditions")
+            raise ConfigError(
+                "'entries' and 'axes' belong to a bearing file",
+                hint="name the columns of the table as the conditions",
+            )
         if self.axes and len({axis.lstrip("-") for axis in self.axes}) != 2:
-            raise ConfigError("'axes' names two dofs, those that are x and y", hint="for example axes: [-z, y]")
+            raise ConfigError(
+                "'axes' names two dofs, those that are x and y", hint="for example axes: [-z, y]"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +77,18 @@ class EquilibriumSettings(Settings):
     load: str = setting("text", "condition that is the load, one of `over`")
     x: str = setting("text", "condition that is the mean displacement in x")
     y: str = setting("text", "condition that is the mean displacement in y")
-    direction: float = setting("value", "direction of the load on the shaft, from x towards y", unit="rad", default=0.0)
-    centre: tuple[float, ...] = setting("values", "centre of the bearing (x, y) as the probes show it", unit="m", default=(0.0, 0.0))
-    clearance: float | None = setting("value", "radial clearance, the circle that the shaft can move in", unit="m", default=None)
-    support: float = setting("value", "stiffness of what carries a share of the load beside the bearing", unit="N/m", default=0.0)
+    direction: float = setting(
+        "value", "direction of the load on the shaft, from x towards y", unit="rad", default=0.0
+    )
+    centre: tuple[float, ...] = setting(
+        "values", "centre of the bearing (x, y) as the probes show it", unit="m", default=(0.0, 0.0)
+    )
+    clearance: float | None = setting(
+        "value", "radial clearance, the circle that the shaft can move in", unit="m", default=None
+    )
+    support: float = setting(
+        "value", "stiffness of what carries a share of the load beside the bearing", unit="N/m", default=0.0
+    )
 
     def __post_init__(self) -> None:
         if len(self.centre) != 2:
@@ -80,14 +103,28 @@ class MatrixSettings(Settings):
 
     fit: str = setting("text", "fit whose coefficients fill the matrix")
     over: tuple[str, ...] = setting(
-        "names", "conditions: along the abscissa, the second as one line per level, more as one figure per level"
+        "names",
+        "conditions: along the abscissa, the second as one line per level, more as one figure per level",
     )
-    parameters: tuple[str, ...] = setting("names", "coefficients; default: all that every test has", default=())
-    beside: tuple[str, ...] = setting("names", "conditions shown beside, such as leakage or temperature", default=())
-    tolerance: float = setting("value", "values of a condition closer than this share of the largest are one level", unit="1", default=0.02)
+    parameters: tuple[str, ...] = setting(
+        "names", "coefficients; default: all that every test has", default=()
+    )
+    beside: tuple[str, ...] = setting(
+        "names", "conditions shown beside, such as leakage or temperature", default=()
+    )
+    tolerance: float = setting(
+        "value",
+        "values of a condition closer than this share of the largest are one level",
+        unit="1",
+        default=0.02,
+    )
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
-    theory: MatrixTheorySettings | None = setting("section", "theory beside the points", section=MatrixTheorySettings, default=None)
-    path: EquilibriumSettings | None = setting("section", "static equilibrium over the load", section=EquilibriumSettings, default=None)
+    theory: MatrixTheorySettings | None = setting(
+        "section", "theory beside the points", section=MatrixTheorySettings, default=None
+    )
+    path: EquilibriumSettings | None = setting(
+        "section", "static equilibrium over the load", section=EquilibriumSettings, default=None
+    )
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -98,27 +135,34 @@ class MatrixSettings(Settings):
             if twice is not None:
                 raise ConfigError(f"'{what}' names '{twice}' twice", field=what)
         if self.path is not None and self.path.load not in self.over:
-            raise ConfigError(f"the load '{self.path.load}' of the path is none of 'over'", hint=f"over: {', '.join(self.over)}")
+            raise ConfigError(
+                f"the load '{self.path.load}' of the path is none of 'over'",
+                hint=f"over: {', '.join(self.over)}",
+            )
         if not 0 <= self.tolerance < 1:
             raise ConfigError("'tolerance' must be at least 0 and below 100 %")
         if not 0 < self.level < 1:
             raise ConfigError("'level' must lie between 0 and 100 %")
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
             hint = "for example over: [speed, load] with entries: [speed, load]"
-            raise ConfigError(f"'theory.entries' names one entry for each of {len(self.over)} conditions", hint=hint)
+            raise ConfigError(
+                f"'theory.entries' names one entry for each of {len(self.over)} conditions", hint=hint
+            )
 
 
-# The kinds of comparisons: what each of them computes, which keys of a comparison it takes, and what is true of it.
+# The kinds of comparisons: what each of them computes, which keys of a comparison it takes, and what is true
+# of it.
 
 
 @dataclass(frozen=True)
 class ComparisonKind:
     """What a comparison of the kind computes from its settings and the evidence, and what is true of it.
 
-    keys: those of a comparison, besides `kind`, that change what is computed; all others are refused; needs: those of them that must be
-    given. conditions: over how many it goes at most. loop: its theory is a control loop, whose bearing file is unchanged unless a
-    condition sets an entry, and whose unknowns may be estimated. section: key of the kind's own settings in a comparison, their
-    dataclass *settings*, all of them with defaults.
+    keys: those of a comparison, besides `kind`, that change what is computed; all others are refused; needs:
+    those of them that must be given. conditions: over how many it goes at most. loop: its theory is a control
+    loop, whose bearing file is unchanged unless a condition sets an entry, and whose unknowns may be
+    estimated. section: key of the kind's own settings in a comparison, their dataclass *settings*, all of
+    them with defaults.
     """
 
     compare: Callable[[CompareSettings, Any], Comparison]
@@ -130,7 +174,8 @@ class ComparisonKind:
     settings: type | None = None
 
 
-# ComparisonKinds, or, of plug-ins, functions from settings and evidence to a Comparison, which may use every key.
+# ComparisonKinds, or, of plug-ins, functions from settings and evidence to a Comparison, which may use every
+# key.
 COMPARISONS = Registry(
     "comparison",
     {
@@ -150,10 +195,18 @@ LAWS = ("line", "power")
 class TheorySettings(Settings):
     """The bearing file of the theory, and how the rig measures the bearing."""
 
-    bearing: str = setting("file", "bearing file with the shaft on it, relative to this file", file_kind="bearing")
-    entry: tuple[str, ...] = setting("names", "entry of the bearing file that the condition sets; of two conditions two", default=(LOAD,))
-    shaft: Uncertain | None = setting("uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None)
-    arm: float | None = setting("value", "tilts are measured as displacements at this distance", unit="m", default=None)
+    bearing: str = setting(
+        "file", "bearing file with the shaft on it, relative to this file", file_kind="bearing"
+    )
+    entry: tuple[str, ...] = setting(
+        "names", "entry of the bearing file that the condition sets; of two conditions two", default=(LOAD,)
+    )
+    shaft: Uncertain | None = setting(
+        "uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None
+    )
+    arm: float | None = setting(
+        "value", "tilts are measured as displacements at this distance", unit="m", default=None
+    )
 
     def __post_init__(self) -> None:
         if self.shaft is not None and not self.shaft.value > 0:
@@ -164,21 +217,33 @@ class TheorySettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class CompareSettings(Settings):
-    """One entry under ``compare:``; *name* is its key there, *kind_settings*: of the section that its kind has."""
+    """One entry under ``compare:``; *name* is its key there, *kind_settings*: of the section that its kind
+    has.
+    """
 
     kind: str = setting("choice", "kind of comparison", choices=tuple(COMPARISONS))
     fit: str = setting("text", "fit whose parameter is compared", default="")
     term: str = setting("text", "diagonal term of a fit of peaks", default="")
     parameter: str = setting("text", "parameter that is compared", default="k")
-    over: tuple[str, ...] = setting("names", "condition over which tests are ordered or paired, or two of them", default=())
-    tolerance: float = setting("value", "values closer than this share of the largest are one", unit="1", default=1e-6)
+    over: tuple[str, ...] = setting(
+        "names", "condition over which tests are ordered or paired, or two of them", default=()
+    )
+    tolerance: float = setting(
+        "value", "values closer than this share of the largest are one", unit="1", default=1e-6
+    )
     group: str = setting("text", "condition that makes the groups; default: each test is one", default="")
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
     law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
-    setting_error: float = setting("value", "relative standard error of setting the condition", unit="1", default=0.0)
-    theory: TheorySettings | None = setting("section", "theory to compare with", section=TheorySettings, default=None)
+    setting_error: float = setting(
+        "value", "relative standard error of setting the condition", unit="1", default=0.0
+    )
+    theory: TheorySettings | None = setting(
+        "section", "theory to compare with", section=TheorySettings, default=None
+    )
     estimate: tuple[str, ...] = setting("names", "unknowns of the bearing file, fitted", default=())
-    before: str = setting("text", "response ahead of the sum at which the excitation is added", default="before")
+    before: str = setting(
+        "text", "response ahead of the sum at which the excitation is added", default="before"
+    )
     after: str = setting("text", "response behind that sum", default="after")
     level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
     name: str = ""
@@ -192,13 +257,19 @@ class CompareSettings(Settings):
         if self.setting_error < 0:
             raise ConfigError("'setting_error' must not be negative")
         if self.estimate and self.theory is None:
-            raise ConfigError("'estimate' has no loop whose unknowns can be fitted", hint="theory: {bearing: FILE}")
+            raise ConfigError(
+                "'estimate' has no loop whose unknowns can be fitted", hint="theory: {bearing: FILE}"
+            )
         if len(set(self.estimate)) < len(self.estimate):
-            raise ConfigError("'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate)))
+            raise ConfigError(
+                "'estimate' names an unknown twice", hint=", ".join(dict.fromkeys(self.estimate))
+            )
         self._check_theory()
 
     def _check_keys(self) -> None:
-        """ConfigError for keys that would change nothing, for those that are missing, and for settings of another kind."""
+        """ConfigError for keys that would change nothing, for those that are missing, and for settings of
+        another kind.
+        """
         kind = comparison_kind(self.kind)
         for key in self.written:
             if key not in ("kind", *kind.keys):
@@ -208,7 +279,9 @@ class CompareSettings(Settings):
             if not getattr(self, needed):
                 raise ConfigError(f"'{needed}' is missing", hint=f"a comparison of kind {self.kind} needs it")
         if "groups" in kind.needs and len(self.groups) != 2:
-            raise ConfigError(f"two groups are compared, not {len(self.groups)}", hint="for example groups: [up, down]")
+            raise ConfigError(
+                f"two groups are compared, not {len(self.groups)}", hint="for example groups: [up, down]"
+            )
         if kind.settings is not None and self.kind_settings is None:
             object.__setattr__(self, "kind_settings", kind.settings())
         if not isinstance(self.kind_settings, kind.settings or type(None)):
@@ -237,13 +310,19 @@ class CompareSettings(Settings):
             raise ConfigError("'tolerance' must be at least 0 and below 100 %")
 
     def _check_theory(self) -> None:
-        """ConfigError for a theory without the entries that the conditions set, or with an estimate of one of them."""
+        """ConfigError for a theory without the entries that the conditions set, or with an estimate of one of
+        them.
+        """
         if self.theory is None:
             return
         loop = comparison_kind(self.kind).loop
-        useless = next((name for name in ("shaft", "arm") if loop and getattr(self.theory, name) is not None), None)
+        useless = next(
+            (name for name in ("shaft", "arm") if loop and getattr(self.theory, name) is not None), None
+        )
         if useless is not None:
-            raise ConfigError(f"'theory.{useless}' is not for the kind {self.kind}", hint="leave it out", field="theory")
+            raise ConfigError(
+                f"'theory.{useless}' is not for the kind {self.kind}", hint="leave it out", field="theory"
+            )
         if not self.over:
             if not loop:
                 raise ConfigError("'over' is missing", hint="the condition at which the theory is evaluated")
@@ -254,15 +333,27 @@ class CompareSettings(Settings):
         if len(self.theory.entry) != len(self.over):
             what = f"'theory.entry' names {len(self.theory.entry)} entries for {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entry: [speed, loads.z]")
-        estimated = next((entry for entry in self.theory.entry if entry.rpartition(".")[2] in self.estimate), None)
+        estimated = next(
+            (entry for entry in self.theory.entry if entry.rpartition(".")[2] in self.estimate), None
+        )
         if estimated is not None:
-            raise ConfigError(f"'{estimated}' is set by '{self.condition}', so it is not estimated", hint="leave one of them out")
+            raise ConfigError(
+                f"'{estimated}' is set by '{self.condition}', so it is not estimated",
+                hint="leave one of them out",
+            )
 
 
 def comparison_kind(name: str) -> ComparisonKind:
-    """The kind of comparison of that name; a plug-in's function counts as one that takes every key, over one condition."""
+    """The kind of comparison of that name.
+
+    A plug-in's function counts as one that takes every key, over one condition.
+    """
     entry = COMPARISONS.load(name)
-    return entry if isinstance(entry, ComparisonKind) else ComparisonKind(entry, tuple(settings_of(CompareSettings)))
+    return (
+        entry
+        if isinstance(entry, ComparisonKind)
+        else ComparisonKind(entry, tuple(settings_of(CompareSettings)))
+    )
 
 
 def takers(key: str) -> tuple[str, ...]:

@@ -1,4 +1,6 @@
-"""study: all fits of a pipeline on a virtual rig, over noise levels and numbers of lines, with errors and coverage."""
+"""study: all fits of a pipeline on a virtual rig, over noise levels and numbers of lines, with errors and
+coverage.
+"""
 
 from __future__ import annotations
 
@@ -42,25 +44,43 @@ FEWEST_REPEATS = 10
 class StudySettings(Settings):
     """Virtual rig, noise levels and repeats of a study; *virtual_rig*: contents of `rig`."""
 
-    rig: str = setting("file", "virtual rig file, relative to the pipeline file", file_kind="virtual-rig", into="virtual_rig")
-    noise: tuple[float, ...] = setting(
-        "values", "noise levels: of a rig given by its FRF the share of the largest |H|, of others relative to the rig's noise", unit="1"
+    rig: str = setting(
+        "file", "virtual rig file, relative to the pipeline file", file_kind="virtual-rig", into="virtual_rig"
     )
-    runs: tuple[str, ...] = setting("names", "runs of the virtual rig that together give one FRF matrix", default=())
-    lines: tuple[float, ...] = setting("values", "numbers of lines (rigs given by their FRF); default: the rig's", unit="1", default=())
+    noise: tuple[float, ...] = setting(
+        "values",
+        "noise levels: of a rig given by its FRF the share of the largest |H|, of others relative "
+        "to the rig's noise",
+        unit="1",
+    )
+    runs: tuple[str, ...] = setting(
+        "names", "runs of the virtual rig that together give one FRF matrix", default=()
+    )
+    lines: tuple[float, ...] = setting(
+        "values", "numbers of lines (rigs given by their FRF); default: the rig's", unit="1", default=()
+    )
     repeats: int = setting("integer", "repeats of each case", default=200)
     seed: int = setting("integer", "seed of the noise", default=1)
-    success: tuple[float, ...] = setting("values", "relative deviations that count as success", unit="1", default=(0.1,))
+    success: tuple[float, ...] = setting(
+        "values", "relative deviations that count as success", unit="1", default=(0.1,)
+    )
     share: float = setting("value", "success rate asked for", unit="1", default=0.95)
     printed: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series", "mean errors printed elsewhere, by fit, one for each noise level, to stand beside", unit="1", default=()
+        "series",
+        "mean errors printed elsewhere, by fit, one for each noise level, to stand beside",
+        unit="1",
+        default=(),
     )
-    thresholds: bool = setting("flag", "search the noise level where the success rate falls under the share", default=False)
+    thresholds: bool = setting(
+        "flag", "search the noise level where the success rate falls under the share", default=False
+    )
     virtual_rig: VirtualRig | None = None
 
     def __post_init__(self) -> None:
         if self.repeats < FEWEST_REPEATS:
-            raise ConfigError(f"'repeats' must be at least {FEWEST_REPEATS}", hint="500 give the coverage to 1 %")
+            raise ConfigError(
+                f"'repeats' must be at least {FEWEST_REPEATS}", hint="500 give the coverage to 1 %"
+            )
         if not self.noise or min(self.noise) <= 0:
             raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
         if any(count != round(count) or count < 2 for count in self.lines):
@@ -76,7 +96,9 @@ class StudySettings(Settings):
 
 @dataclass(frozen=True)
 class Source:
-    """Responses of a virtual *rig* from its *runs*, with the same true parameters; *frf*: how recordings are measured."""
+    """Responses of a virtual *rig* from its *runs*, with the same true parameters; *frf*: how recordings are
+    measured.
+    """
 
     rig: VirtualRig
     runs: tuple[str, ...]
@@ -108,9 +130,14 @@ class Source:
 
 
 def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: FitSettings) -> RigTruth:
-    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth; empty where the fit's parameters differ from the rig's."""
+    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth.
+
+    Empty where the fit's parameters differ from the rig's.
+    """
     rows, columns = select_ports(exact, settings.input, settings.output)
-    setup = Setup(tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings)
+    setup = Setup(
+        tuple(exact.outputs[row] for row in rows), tuple(exact.inputs[column] for column in columns), settings
+    )
     model = constrained(settings.kind.model(setup), settings)
     if any(name not in truth for name in model.names):
         return {}
@@ -125,11 +152,18 @@ def _lines(frequency: FloatArray, settings: FitSettings) -> BoolArray:
     return np.ones(frequency.shape, bool) if settings.band is None else lines_in(frequency, settings.band)
 
 
-def source_of(rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None) -> Source:
-    """The source of a virtual rig at a noise level; ConfigError for lines or runs that the rig does not have."""
+def source_of(
+    rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None
+) -> Source:
+    """The source of a virtual rig at a noise level.
+
+    ConfigError for lines or runs that the rig does not have.
+    """
     kind = kind_of(rig)
     if kind.response is None and kind.recordings is None:
-        raise ConfigError(f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses")
+        raise ConfigError(
+            f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses"
+        )
     if lines is not None and kind.with_lines is None:
         raise ConfigError("'lines': the lines of this rig follow from its excitation", hint="leave it out")
     available = kind.runs(rig)
@@ -168,7 +202,9 @@ class Workers:
         self._pool = pool
         self._count = count
 
-    def outcomes(self, source: Source, fits: Sequence[FitSettings], repeats: int, seed: tuple[int, ...]) -> list[list[Outcome]]:
+    def outcomes(
+        self, source: Source, fits: Sequence[FitSettings], repeats: int, seed: tuple[int, ...]
+    ) -> list[list[Outcome]]:
         """(fit, repeat) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
         numbers = list(range(repeats))
         if self._pool is None or repeats < WORTH_SHARING:
@@ -176,7 +212,9 @@ class Workers:
         else:
             shares = [numbers[start :: self._count] for start in range(self._count)]
             futures = [self._pool.submit(_repeated, source, fits, share, seed) for share in shares]
-            numbered = sorted((pair for future in futures for pair in future.result()), key=lambda pair: pair[0])
+            numbered = sorted(
+                (pair for future in futures for pair in future.result()), key=lambda pair: pair[0]
+            )
         return [[outcomes[number] for _, outcomes in numbered] for number in range(len(fits))]
 
 
@@ -188,7 +226,9 @@ def workers(jobs: int) -> Iterator[Workers]:
         yield Workers(None, 1)
         return
     # Fresh interpreters: forking a process that has threads is not safe.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(
+        count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+    ) as pool:
         yield Workers(pool, count)
 
 
@@ -251,7 +291,8 @@ def summarised(
 
 
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
-    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true| of all together.
+    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true|
+    of all together.
 
     Equation (comp-success).
     """
@@ -267,7 +308,8 @@ def _succeeded(outcome: Outcome, settings: FitSettings, truth: Truth, limit: flo
 
 
 def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings: FitSettings) -> float:
-    """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its places.
+    """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its
+    places.
 
     Equation (comp-squared-error).
     """
@@ -279,7 +321,9 @@ def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings
 def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
     if not settings.symmetric:
         return np.ones(len(names))
-    return np.array([1.0 if len(parts := name.split("_")) != 3 or parts[1] == parts[2] else 2.0 for name in names])
+    return np.array(
+        [1.0 if len(parts := name.split("_")) != 3 or parts[1] == parts[2] else 2.0 for name in names]
+    )
 
 
 def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
@@ -288,7 +332,9 @@ def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
 
 
 def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float | None) -> StudiedParameter:
-    estimates = [parameter for outcome in results for parameter in outcome.parameters if parameter.name == name]
+    estimates = [
+        parameter for outcome in results for parameter in outcome.parameters if parameter.name == name
+    ]
     values = np.array([parameter.value for parameter in estimates])
     stated = [parameter.std_error for parameter in estimates if parameter.std_error is not None]
     intervals = [parameter.ci95 for parameter in estimates if parameter.ci95 is not None]
@@ -315,22 +361,47 @@ SEARCH_RATIO = 1.05
 SEARCH_REPEATS = 200
 
 
-def run_study(rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, tell: Tell, jobs: int = 1) -> Study:
+def run_study(
+    rig: Any,
+    settings: StudySettings,
+    fits: Sequence[FitSettings],
+    frf: FrfSettings | None,
+    tell: Tell,
+    jobs: int = 1,
+) -> Study:
     """Every fit at every noise level and number of lines; *rig* is a virtual rig's settings.
 
-    The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the same draws.
-    *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if __name__ == "__main__"`.
-    ConfigError for lines or runs that the rig does not have.
+    The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the
+    same draws. *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if
+    __name__ == "__main__"`. ConfigError for lines or runs that the rig does not have.
     """
     plain = [replace(fit, compare=False, sliding=None) for fit in fits]
     with workers(jobs) as crew:
-        cases = [case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases]
-        thresholds = [_threshold(rig, settings, fit, limit, frf, crew, tell) for fit, limit in _searches(settings, plain)]
-    return Study(rig.name, settings.seed, settings.success, settings.share, tuple(cases), tuple(thresholds), settings.printed)
+        cases = [
+            case for level_cases in _cases(rig, settings, plain, frf, crew, tell) for case in level_cases
+        ]
+        thresholds = [
+            _threshold(rig, settings, fit, limit, frf, crew, tell)
+            for fit, limit in _searches(settings, plain)
+        ]
+    return Study(
+        rig.name,
+        settings.seed,
+        settings.success,
+        settings.share,
+        tuple(cases),
+        tuple(thresholds),
+        settings.printed,
+    )
 
 
 def _cases(
-    rig: Any, settings: StudySettings, fits: Sequence[FitSettings], frf: FrfSettings | None, crew: Workers, tell: Tell
+    rig: Any,
+    settings: StudySettings,
+    fits: Sequence[FitSettings],
+    frf: FrfSettings | None,
+    crew: Workers,
+    tell: Tell,
 ) -> Iterator[list[StudyCase]]:
     counts: list[int | None] = [int(count) for count in settings.lines] or [None]
     for noise, count in product(settings.noise, counts):
@@ -338,7 +409,9 @@ def _cases(
         tell(f"study     noise {100 * noise:g} %, {source.n_line} lines, {settings.repeats} repeats")
         outcomes = crew.outcomes(source, fits, settings.repeats, (settings.seed,))
         yield [
-            summarised(fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line)
+            summarised(
+                fit_outcomes, fit, source.truth, source.bounds(fit), settings.success, noise, source.n_line
+            )
             for fit, fit_outcomes in zip(fits, outcomes, strict=True)
         ]
 
@@ -348,9 +421,18 @@ def _searches(settings: StudySettings, fits: Sequence[FitSettings]) -> list[tupl
 
 
 def _threshold(
-    rig: Any, settings: StudySettings, fit: FitSettings, limit: float, frf: FrfSettings | None, crew: Workers, tell: Tell
+    rig: Any,
+    settings: StudySettings,
+    fit: FitSettings,
+    limit: float,
+    frf: FrfSettings | None,
+    crew: Workers,
+    tell: Tell,
 ) -> StudyThreshold:
-    """Bisection over the logarithm of the noise; the same draws at every level keep the success rate from jittering."""
+    """Bisection over the logarithm of the noise.
+
+    The same draws at every level keep the success rate from jittering.
+    """
     count = int(settings.lines[0]) if settings.lines else None
     repeats = min(settings.repeats, SEARCH_REPEATS)
 

@@ -1,4 +1,6 @@
-"""Weighted means and lines of few values, scatter within and between settings, control limits and outliers."""
+"""Weighted means and lines of few values, scatter within and between settings, control limits and
+outliers.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,12 @@ SCATTER_LEVEL = 0.05
 
 @dataclass(frozen=True)
 class WeightedFit:
-    """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit], covariance (n_parameter, n_parameter).
+    """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit],
+    covariance (n_parameter, n_parameter).
 
-    chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL), *covariance* is enlarged by the square
-    of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t instead of the normal distribution. Equation (comp-birge).
+    chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL),
+    *covariance* is enlarged by the square of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t
+    instead of the normal distribution. Equation (comp-birge).
     """
 
     values: FloatArray
@@ -64,23 +68,30 @@ class WeightedFit:
 def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
     """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
 
-    *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not determined.
-    Equation (comp-weighted).
+    *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not
+    determined. Equation (comp-weighted).
     """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
     if not np.all((errors if errors.ndim == 1 else np.diag(errors)) > 0):
-        raise FitError("a value has no standard error, so tests cannot be weighted", hint="a response without noise gives none")
+        raise FitError(
+            "a value has no standard error, so tests cannot be weighted",
+            hint="a response without noise gives none",
+        )
     design, whitened = _whitened(columns, errors), _whitened(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
-        raise FitError("the tests do not differ in the condition", hint="a trend needs at least two different values")
+        raise FitError(
+            "the tests do not differ in the condition", hint="a trend needs at least two different values"
+        )
     covariance = np.linalg.inv(design.T @ design)
     solved = covariance @ design.T @ whitened
     chi2 = float(np.sum((whitened - design @ solved) ** 2))
     dof = values.size - columns.shape[1]
     p_value = chi2_tail(chi2, dof) if dof else None
     inflated = p_value is not None and p_value < SCATTER_LEVEL
-    return WeightedFit(solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated)
+    return WeightedFit(
+        solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated
+    )
 
 
 def _whitened(columns: FloatArray, errors: FloatArray) -> FloatArray:
@@ -103,10 +114,12 @@ TAIL = 0.025
 
 @dataclass(frozen=True, kw_only=True)
 class Components:
-    """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 % intervals.
+    """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 %
+    intervals.
 
-    *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or larger scatter of settings
-    without an effect of the setting (F test). mean_error: of the settings' scatter alone, with *settings* - 1 degrees of freedom.
+    *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or
+    larger scatter of settings without an effect of the setting (F test). mean_error: of the settings' scatter
+    alone, with *settings* - 1 degrees of freedom.
     """
 
     mean: float
@@ -123,18 +136,23 @@ class Components:
 def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     """Variance components of values (n,) [any unit] in groups (n,), by the analysis of variance.
 
-    within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2 by chi-square, of
-    between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at both ends, exact to first order for equal n_i.
-    Searle, Casella and McCulloch, Variance Components (1992), sec. 3.5-3.6. FitError for fewer than two settings or no repeats.
-    Equation (comp-components).
+    within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2
+    by chi-square, of between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at
+    both ends, exact to first order for equal n_i. Searle, Casella and McCulloch, Variance Components (1992),
+    sec. 3.5-3.6. FitError for fewer than two settings or no repeats. Equation (comp-components).
     """
     names = np.unique(groups)
     counts = np.array([np.sum(groups == name) for name in names])
     a, n = names.size, values.size
     if a < 2 or n <= a:
-        raise FitError(f"{n} test(s) in {a} setting(s) show no scatter within and between", hint="repeat tests in two settings or more")
+        raise FitError(
+            f"{n} test(s) in {a} setting(s) show no scatter within and between",
+            hint="repeat tests in two settings or more",
+        )
     means = np.array([np.mean(values[groups == name]) for name in names])
-    within_sum = float(sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True)))
+    within_sum = float(
+        sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True))
+    )
     between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
     within, between = within_sum / (n - a), between_sum / (a - 1)
     if not within > 0:
@@ -142,9 +160,15 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     n_0 = (n - np.sum(counts**2) / n) / (a - 1)
     f = between / within
     # SSB (1 - F_q / F), which has no F to divide by where the means are alike.
-    ends = [(between_sum - (a - 1) * within * f_quantile(q, a - 1, n - a)) / (n_0 * chi2_quantile(q, a - 1)) for q in (1 - TAIL, TAIL)]
+    ends = [
+        (between_sum - (a - 1) * within * f_quantile(q, a - 1, n - a)) / (n_0 * chi2_quantile(q, a - 1))
+        for q in (1 - TAIL, TAIL)
+    ]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
-    spread = (float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))), float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))))
+    spread = (
+        float(np.sqrt(within_sum / chi2_quantile(1 - TAIL, n - a))),
+        float(np.sqrt(within_sum / chi2_quantile(TAIL, n - a))),
+    )
     part = float(np.sqrt(max((between - within) / n_0, 0.0)))
     error = float(np.sqrt(between / n))
     return Components(
@@ -161,9 +185,11 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
 
 
 def _mean(campaign: Campaign, scatter: Components) -> Parameter:
-    """The mean of all tests [unit of the values]: scatter of the settings, and errors that no repetition shows.
+    """The mean of all tests [unit of the values]: scatter of the settings, and errors that no repetition
+    shows.
 
-    u^2 = MSB / n + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / (MSB / n)^2 degrees of freedom (JCGM 100:2008, G.4.1).
+    u^2 = MSB / n + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / (MSB / n)^2 degrees of
+    freedom (JCGM 100:2008, G.4.1).
     """
     common = float(np.sum(np.mean(campaign.common, axis=1) ** 2))
     error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
@@ -177,7 +203,8 @@ def _tail(f: float, a: int, n: int) -> float:
 
 
 def repeatability(campaign: Campaign) -> Comparison:
-    """Variance components of the parameter, and a test of the scatter within settings against the fits' standard errors.
+    """Variance components of the parameter, and a test of the scatter within settings against the fits'
+    standard errors.
 
     Equation (comp-repeatability).
     """
@@ -192,9 +219,14 @@ def repeatability(campaign: Campaign) -> Comparison:
     unit = campaign.unit
     percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
     result = (
-        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings {percent[1]:.3g} % (p = {scatter.p_value:.2g})"
+        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings "
+        f"{percent[1]:.3g} % (p = {scatter.p_value:.2g})"
     )
-    explained = "agrees with the fits' standard errors" if noise_p >= settings.level else "exceeds the fits' standard errors"
+    explained = (
+        "agrees with the fits' standard errors"
+        if noise_p >= settings.level
+        else "exceeds the fits' standard errors"
+    )
     return Comparison(
         name=settings.name,
         kind="repeatability",
@@ -204,7 +236,9 @@ def repeatability(campaign: Campaign) -> Comparison:
         amounts=(
             mean,
             Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
-            Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
+            Parameter(
+                "between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0
+            ),
             Parameter("noise", noise, unit, derived=True),
             chance("p_value", scatter.p_value),
             chance("noise_p", noise_p),
@@ -227,7 +261,9 @@ SETTLED = 12
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*: indices of values beyond."""
+    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*:
+    indices of values beyond.
+    """
 
     centre: float
     sigma: float
@@ -241,10 +277,11 @@ class ControlLimits:
 
 
 def control_limits(values: FloatArray) -> ControlLimits:
-    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does not widen them.
+    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does
+    not widen them.
 
-    sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality Control, sec. 6.4.
-    FitError for fewer than three values. Equation (comp-control).
+    sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality
+    Control, sec. 6.4. FitError for fewer than three values. Equation (comp-control).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
@@ -256,21 +293,27 @@ def control_limits(values: FloatArray) -> ControlLimits:
 
 
 def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
-    """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values]; parameters (level, slope).
+    """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values];
+    parameters (level, slope).
 
-    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three values. Equation (comp-straight).
+    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three
+    values. Equation (comp-straight).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
-    return weighted_fit(np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors)
+    return weighted_fit(
+        np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors
+    )
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values (n,) by the standard errors.
+    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values
+    (n,) by the standard errors.
 
-    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are enlarged (Birge). Two values give
-    one test with one result for both. *errors* (n,), or the covariance (n, n) of values with errors in common, which cancel here as far
-    as they are alike. FitError for fewer than two. Equation (comp-outlier).
+    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are
+    enlarged (Birge). Two values give one test with one result for both. *errors* (n,), or the covariance (n,
+    n) of values with errors in common, which cancel here as far as they are alike. FitError for fewer than
+    two. Equation (comp-outlier).
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")

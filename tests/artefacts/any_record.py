@@ -17,13 +17,19 @@ from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
 
-NUMBERS = st.floats(-1e12, 1e12, allow_nan=False) | st.sampled_from([0.0, -0.0, 1e-300, 5e-324, 1.7e308, 0.1, 1 / 3])
-TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6) | st.sampled_from(["y", "45 deg", "µm", 'Prüfstand "A"\n', "k_xx"])
+NUMBERS = st.floats(-1e12, 1e12, allow_nan=False) | st.sampled_from(
+    [0.0, -0.0, 1e-300, 5e-324, 1.7e308, 0.1, 1 / 3]
+)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6) | st.sampled_from(
+    ["y", "45 deg", "µm", 'Prüfstand "A"\n', "k_xx"]
+)
 LONGEST = 2
 
 
 def any_of(hint: Any) -> st.SearchStrategy[Any]:
-    """Values of a declared type: numbers, texts, flags, tuples, dataclasses, or none where none is allowed."""
+    """Values of a declared type: numbers, texts, flags, tuples, dataclasses, or none where none is
+    allowed.
+    """
     if get_origin(hint) is types.UnionType:
         return st.one_of(*(st.none() if one is types.NoneType else any_of(one) for one in get_args(hint)))
     if get_origin(hint) is tuple:
@@ -39,7 +45,9 @@ def any_of(hint: Any) -> st.SearchStrategy[Any]:
         return st.builds(Finding, TEXTS, TEXTS, st.sampled_from([NOTE, WARNING]))
     if dataclasses.is_dataclass(hint):
         hints = get_type_hints(hint)
-        return st.builds(hint, **{field.name: any_of(hints[field.name]) for field in dataclasses.fields(hint)})
+        return st.builds(
+            hint, **{field.name: any_of(hints[field.name]) for field in dataclasses.fields(hint)}
+        )
     if get_origin(hint) is np.ndarray:
         return array_of(hint)
     return {float: NUMBERS, int: st.integers(0, 10**9), str: TEXTS, bool: st.booleans()}[hint]
@@ -49,7 +57,9 @@ def array_of(hint: Any) -> st.SearchStrategy[Any]:
     """Two numbers in a row of the kind that an array type declares."""
     if hint == ComplexArray:
         return complex_arrays(2)
-    return st.lists(st.integers(0, 99), min_size=2, max_size=2).map(np.array) if hint == IntArray else arrays(2)
+    return (
+        st.lists(st.integers(0, 99), min_size=2, max_size=2).map(np.array) if hint == IntArray else arrays(2)
+    )
 
 
 @st.composite
@@ -90,11 +100,22 @@ def names() -> st.SearchStrategy[tuple[str, ...]]:
 def fits(draw: st.DrawFn) -> Fit:
     """A fit with everything that it may carry."""
     hints = get_type_hints(Fit)
-    plain = {f.name: draw(any_of(hints[f.name])) for f in dataclasses.fields(Fit) if f.name not in ("curve", "correlation", "details")}
+    plain = {
+        f.name: draw(any_of(hints[f.name]))
+        for f in dataclasses.fields(Fit)
+        if f.name not in ("curve", "correlation", "details")
+    }
     n = draw(st.integers(1, 2))
     outline = draw(arrays(3, 2))
-    region = draw(st.none() | st.builds(Region, st.tuples(TEXTS, TEXTS), st.just(outline), st.floats(0.5, 0.99)))
-    return Fit(**plain, correlation=draw(arrays(n, n)), curve=draw(st.none() | curves()), details=() if region is None else (region,))
+    region = draw(
+        st.none() | st.builds(Region, st.tuples(TEXTS, TEXTS), st.just(outline), st.floats(0.5, 0.99))
+    )
+    return Fit(
+        **plain,
+        correlation=draw(arrays(n, n)),
+        curve=draw(st.none() | curves()),
+        details=() if region is None else (region,),
+    )
 
 
 @st.composite
@@ -103,7 +124,9 @@ def responses(draw: st.DrawFn) -> FrequencyResponse:
     n, outputs, inputs = draw(st.integers(1, 3)), draw(names()), draw(names())
     shape = (n, len(outputs), len(inputs))
     variance = draw(st.none() | arrays(*shape).map(np.abs))
-    optional = {name: draw(st.none() | arrays(*shape)) for name in ("coherence", "partial_coherence", "distortion")}
+    optional = {
+        name: draw(st.none() | arrays(*shape)) for name in ("coherence", "partial_coherence", "distortion")
+    }
     snr_channels = draw(names())
     return FrequencyResponse(
         frequency=np.arange(1.0, n + 1) * draw(st.floats(1e-3, 1e3)),
@@ -127,7 +150,11 @@ def responses(draw: st.DrawFn) -> FrequencyResponse:
 def same(one: Any, other: Any) -> bool:
     """Whether two records hold the same, arrays and not-a-number included."""
     if isinstance(one, np.ndarray):
-        return isinstance(other, np.ndarray) and one.shape == other.shape and np.array_equal(one, other, equal_nan=True)
+        return (
+            isinstance(other, np.ndarray)
+            and one.shape == other.shape
+            and np.array_equal(one, other, equal_nan=True)
+        )
     if dataclasses.is_dataclass(one):
         pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in dataclasses.fields(one))
         return type(one) is type(other) and all(same(mine, theirs) for mine, theirs in pairs)

@@ -1,4 +1,6 @@
-"""Numbers to and from pyarrow by their buffers: the same as its own conversions, which would import pandas."""
+"""Numbers to and from pyarrow by their buffers: the same as its own conversions, which would import
+pandas.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def test_every_second_number_of_an_array_is_taken_as_it_stands() -> None:
 def test_slices_chunks_and_nothing() -> None:
     column = pa.array([0.0, 1.0, np.nan, 3.0])
     np.testing.assert_array_equal(numpy_array(column.slice(1, 2)), [1.0, np.nan])
-    np.testing.assert_array_equal(numpy_array(pa.chunked_array([column.slice(3), column[:2]])), [3.0, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        numpy_array(pa.chunked_array([column.slice(3), column[:2]])), [3.0, 0.0, 1.0]
+    )
     assert numpy_array(pa.array([], pa.float64())).shape == (0,)
 
 
@@ -39,7 +43,8 @@ def test_what_is_no_plain_number_is_converted_by_pyarrow() -> None:
 
 def test_pandas_is_not_imported() -> None:
     script = (
-        "import sys, numpy as np, pyarrow as pa; from labpipe.artefacts.parquet import arrow_array, numpy_array; "
+        "import sys, numpy as np, pyarrow as pa; from labpipe.artefacts.parquet import arrow_array, "
+        "numpy_array; "
         "numpy_array(pa.chunked_array([arrow_array(np.arange(3.0))])); sys.exit('pandas' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -55,7 +55,13 @@ def assert_same(one: FrequencyResponse, other: FrequencyResponse) -> None:
 def test_response_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
     whole = response(rng)
     bare = dataclasses.replace(
-        whole, covariance=None, coherence=None, multiple_coherence=None, snr=None, snr_channels=(), covariance_dof=float("inf")
+        whole,
+        covariance=None,
+        coherence=None,
+        multiple_coherence=None,
+        snr=None,
+        snr_channels=(),
+        covariance_dof=float("inf"),
     )
     for one in (whole, bare):
         write_response(tmp_path / "a.frf.parquet", one, HEADER)
@@ -75,7 +81,10 @@ def test_frf_table_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("# form: receptence\nfrequency_hz,x/f:re,x/f:im\n1,2,3\n", "unknown form 'receptence'; did you mean 'receptance'"),
+        (
+            "# form: receptence\nfrequency_hz,x/f:re,x/f:im\n1,2,3\n",
+            "unknown form 'receptence'; did you mean 'receptance'",
+        ),
         ("frequency_hz,x/f:re\n1,2\n2,3\n", "no column 'x/f:im'"),
         ("frequency_hz,x\n1,2\n2,3\n", "no columns 'output/input:re'"),
         ("frequency_hz,x/f:re,x/f:im\n2,2,3\n1,2,3\n", "do not increase"),
@@ -89,14 +98,30 @@ def test_frf_tables_that_are_none(tmp_path: Path, text: str, message: str) -> No
 
 
 def test_recording_round_trip_in_blocks(tmp_path: Path, rng: np.random.Generator) -> None:
-    channels = (Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0, 1e-4))
+    channels = (
+        Channel("f", "force", "input", "x", 0.0),
+        Channel("x", "displacement", "output", "x", 0.0, 1e-4),
+    )
     samples = rng.normal(size=(1000, 2))
     with RecordingWriter(tmp_path / "a.recording.parquet", channels) as writer:
         for start in range(0, 1000, 300):
             writer.write(samples[start : start + 300])
-        writer.finish(Header("recording", {}, inputs=(), findings=(Finding("gap", "g"),), contents=recording_contents(channels, 50.0, "a")))
+        writer.finish(
+            Header(
+                "recording",
+                {},
+                inputs=(),
+                findings=(Finding("gap", "g"),),
+                contents=recording_contents(channels, 50.0, "a"),
+            )
+        )
     stored = open_recording(tmp_path / "a.recording.parquet")
-    assert (stored.channels, stored.sample_rate, stored.n_sample, stored.findings) == (channels, 50.0, 1000, (Finding("gap", "g"),))
+    assert (stored.channels, stored.sample_rate, stored.n_sample, stored.findings) == (
+        channels,
+        50.0,
+        1000,
+        (Finding("gap", "g"),),
+    )
     np.testing.assert_array_equal(np.concatenate(list(stored.blocks(64))), samples)
     np.testing.assert_array_equal(stored.in_memory().samples, samples)
     with pytest.raises(DataError, match="is a recording file, a frf file is needed"):
@@ -105,7 +130,13 @@ def test_recording_round_trip_in_blocks(tmp_path: Path, rng: np.random.Generator
 
 def test_identification_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
     curve = FittedCurve(
-        np.arange(3.0), np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), variance=None, outputs=("x",), inputs=("f",), form="receptance"
+        np.arange(3.0),
+        np.ones((3, 1, 1)) * 1j,
+        np.ones((3, 1, 1)),
+        variance=None,
+        outputs=("x",),
+        inputs=("f",),
+        form="receptance",
     )
     parameters = (
         Parameter("k", 1.0, "N/m", std_error=0.1, t_ratio=10.0, ci95=(0.8, 1.2), significant=True, vif=1.1),
@@ -148,7 +179,15 @@ def test_identification_round_trip(tmp_path: Path, rng: np.random.Generator) -> 
 
 def test_the_model_between_the_lines_travels_and_older_files_have_none(tmp_path: Path) -> None:
     lines, between = np.arange(3.0), np.linspace(0.0, 2.0, 5)
-    plain = FittedCurve(lines, np.ones((3, 1, 1)) * 1j, np.ones((3, 1, 1)), variance=None, outputs=("x",), inputs=("f",), form="receptance")
+    plain = FittedCurve(
+        lines,
+        np.ones((3, 1, 1)) * 1j,
+        np.ones((3, 1, 1)),
+        variance=None,
+        outputs=("x",),
+        inputs=("f",),
+        form="receptance",
+    )
     dense = replace(plain, dense_frequency=between, dense=(between + 1j)[:, None, None])
     goodness = Goodness(0.9, 0.8)
     for name, curve in (("plain", plain), ("dense", dense)):

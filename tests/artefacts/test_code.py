@@ -14,7 +14,10 @@ def test_another_version_of_a_plug_in_is_another_code(monkeypatch: pytest.Monkey
     digests = []
     for version in ("1.0", "1.0", "1.1"):
         entry = SimpleNamespace(value="plug.models:beam", dist=SimpleNamespace(name="plug", version=version))
-        entries = SimpleNamespace(groups={"labpipe.model", "other"}, select=lambda group, entry=entry: [entry] if group[0] == "l" else [])
+        entries = SimpleNamespace(
+            groups={"labpipe.model", "other"},
+            select=lambda group, entry=entry: [entry] if group[0] == "l" else [],
+        )
         monkeypatch.setattr(code, "entry_points", lambda entries=entries: entries)
         digests.append(code.code_digest.__wrapped__())
     assert digests[0] == digests[1] != digests[2]

@@ -1,4 +1,6 @@
-"""The commit of a checkout, read from its files as git lays them out (gitrepository-layout, documented by git)."""
+"""The commit of a checkout, read from its files as git lays them out (gitrepository-layout, documented by
+git).
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ def test_a_branch_is_followed_to_its_commit(git: Path) -> None:
 
 def test_packed_branches_are_found_by_their_whole_name(git: Path) -> None:
     (git / "HEAD").write_text("ref: refs/heads/main\n")
-    (git / "packed-refs").write_text(f"# pack-refs with: peeled\n{SECOND} refs/heads/not-main\n{FIRST} refs/heads/main\n^{SECOND}\n")
+    (git / "packed-refs").write_text(
+        f"# pack-refs with: peeled\n{SECOND} refs/heads/not-main\n{FIRST} refs/heads/main\n^{SECOND}\n"
+    )
     assert of_checkout(git) == FIRST
 
 

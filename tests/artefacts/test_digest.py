@@ -1,4 +1,6 @@
-"""The digest of an artefact: no change of one byte reaches a number, and no other reader is troubled by it."""
+"""The digest of an artefact: no change of one byte reaches a number, and no other reader is troubled by
+it.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
         measure_tests(load_pipeline(folder / "spectra.yaml"), output, Manner())
     (folder / "out/decays").mkdir()
     decay = FreeDecay("soft", 0.1, np.random.default_rng(1).normal(size=(50, 1)))
-    decays = FreeDecays(100.0, (Port("y", "displacement", "y"),), ("m",), (decay,), name="soft", findings=(), conditions={})
+    decays = FreeDecays(
+        100.0, (Port("y", "displacement", "y"),), ("m",), (decay,), name="soft", findings=(), conditions={}
+    )
     write_decays(folder / "out/decays/soft.decay.parquet", decays, Header("decay", {}, inputs=()))
     return folder / "out"
 
@@ -112,7 +116,9 @@ def test_the_digest_of_a_result_is_that_of_its_other_lines(artefacts: Path) -> N
     content = (artefacts / "identification.json").read_bytes()
     others = b"".join(line for line in content.splitlines(keepends=True) if not line.startswith(b'"digest"'))
     assert (
-        json.loads(content)["digest"] == hashlib.sha256(others).hexdigest() == read_identification(artefacts / "identification.json").digest
+        json.loads(content)["digest"]
+        == hashlib.sha256(others).hexdigest()
+        == read_identification(artefacts / "identification.json").digest
     )
 
 
@@ -120,11 +126,17 @@ def test_the_digest_of_a_parquet_file_is_that_of_the_file_with_zeros_for_it(arte
     path = artefacts / "soft.frf.parquet"
     stated = pq.ParquetFile(path).metadata.metadata[DIGEST_KEY]
     assert path.read_bytes().count(stated) == 1
-    assert hashlib.sha256(path.read_bytes().replace(stated, b"0" * 64)).hexdigest() == stated.decode() == parquet_digest(path)
+    assert (
+        hashlib.sha256(path.read_bytes().replace(stated, b"0" * 64)).hexdigest()
+        == stated.decode()
+        == parquet_digest(path)
+    )
 
 
 @pytest.mark.parametrize("written", [{}, {"indent": 1}, {"ensure_ascii": False, "separators": (",", ":")}])
-def test_a_result_that_another_program_wrote_again_is_the_same_result(artefacts: Path, tmp_path: Path, written: dict[str, Any]) -> None:
+def test_a_result_that_another_program_wrote_again_is_the_same_result(
+    artefacts: Path, tmp_path: Path, written: dict[str, Any]
+) -> None:
     entries = json.loads((artefacts / "identification.json").read_text("utf-8"))
     path = tmp_path / "identification.json"
     path.write_text(json.dumps(entries, **written), "utf-8")
@@ -141,10 +153,14 @@ def test_another_digest_is_refused(artefacts: Path, tmp_path: Path, stated: obje
 
 
 @pytest.mark.parametrize("name", ['"digect": "', '"`igest": "-1'])
-def test_a_digest_whose_name_is_damaged_is_no_file_without_one(artefacts: Path, tmp_path: Path, name: str) -> None:
+def test_a_digest_whose_name_is_damaged_is_no_file_without_one(
+    artefacts: Path, tmp_path: Path, name: str
+) -> None:
     """Another damage beside it once gave other numbers."""
     content = (artefacts / "identification.json").read_text("utf-8")
-    (tmp_path / "identification.json").write_text(content.replace('"digest": "', name).replace("0.79", "0.78"), "utf-8")
+    (tmp_path / "identification.json").write_text(
+        content.replace('"digest": "', name).replace("0.79", "0.78"), "utf-8"
+    )
     with pytest.raises(DamagedError, match="content does not match its digest"):
         read_identification(tmp_path / "identification.json")
 

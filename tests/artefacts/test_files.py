@@ -1,4 +1,6 @@
-"""Recordings, responses and fits on disk: round trips by generated examples, freshness, and what is refused."""
+"""Recordings, responses and fits on disk: round trips by generated examples, freshness, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ HEADER = Header("frf", {"period": 1.0}, inputs=(SourceRef("a.csv", "00"),))
 
 CHANNELS = (
     Channel("f", "force", "input", "45 deg", math.pi / 4),
-    Channel("y [um]", "displacement", "output", "y", math.pi / 2, 2e-5, ((10.0, 1.0, 0.0), (100.0, 0.9, -0.1))),
+    Channel(
+        "y [um]", "displacement", "output", "y", math.pi / 2, 2e-5, ((10.0, 1.0, 0.0), (100.0, 0.9, -0.1))
+    ),
     Channel("t", "temperature", "reference", "t"),
 )
 
@@ -49,7 +53,11 @@ def written(folder: Path, samples: np.ndarray, block: int, *findings: Finding) -
             writer.write(samples[start : start + block])
         writer.finish(
             Header(
-                "recording", {"name": "rig"}, inputs=HEADER.inputs, findings=findings, contents=recording_contents(CHANNELS, 200.0, "run 7")
+                "recording",
+                {"name": "rig"},
+                inputs=HEADER.inputs,
+                findings=findings,
+                contents=recording_contents(CHANNELS, 200.0, "run 7"),
             )
         )
     return path
@@ -57,7 +65,9 @@ def written(folder: Path, samples: np.ndarray, block: int, *findings: Finding) -
 
 @settings(max_examples=30, suppress_health_check=CHECKS)
 @given(st.integers(1, 50), st.integers(1, 60), st.integers(1, 60))
-def test_a_recording_is_the_same_however_it_was_cut(tmp_path: Path, n_sample: int, written_block: int, read_block: int) -> None:
+def test_a_recording_is_the_same_however_it_was_cut(
+    tmp_path: Path, n_sample: int, written_block: int, read_block: int
+) -> None:
     samples = np.random.default_rng(n_sample).normal(size=(n_sample, 3))
     stored = open_recording(written(tmp_path, samples, written_block))
     parts = list(stored.blocks(read_block))
@@ -69,9 +79,18 @@ def test_a_recording_is_the_same_however_it_was_cut(tmp_path: Path, n_sample: in
 def test_a_recording_keeps_its_channels_rate_name_and_findings(tmp_path: Path) -> None:
     findings = (Finding("gap", "12 samples at 3 s"), note("masked", "50 Hz"))
     stored = open_recording(written(tmp_path, np.zeros((4, 3)), 4, *findings))
-    assert (stored.channels, stored.sample_rate, stored.name, stored.findings) == (CHANNELS, 200.0, "run 7", findings)
+    assert (stored.channels, stored.sample_rate, stored.name, stored.findings) == (
+        CHANNELS,
+        200.0,
+        "run 7",
+        findings,
+    )
     whole = stored.in_memory()
-    assert isinstance(whole, Recording) and (whole.channels, whole.name, whole.findings) == (CHANNELS, "run 7", findings)
+    assert isinstance(whole, Recording) and (whole.channels, whole.name, whole.findings) == (
+        CHANNELS,
+        "run 7",
+        findings,
+    )
 
 
 def test_the_unit_stands_beside_each_channel_for_other_programs(tmp_path: Path) -> None:
@@ -122,9 +141,13 @@ def correlated(draw: st.DrawFn) -> FrequencyResponse:
 
 @settings(max_examples=20, suppress_health_check=CHECKS)
 @given(correlated(), st.permutations(["x", "y", "bearing2.y", "45 deg"]))
-def test_a_response_keeps_everything_it_has(tmp_path: Path, response: FrequencyResponse, labels: list[str]) -> None:
+def test_a_response_keeps_everything_it_has(
+    tmp_path: Path, response: FrequencyResponse, labels: list[str]
+) -> None:
     outputs = tuple(replace(port, label=label) for port, label in zip(response.outputs, labels, strict=False))
-    inputs = tuple(replace(port, label=f"f{label}") for port, label in zip(response.inputs, labels, strict=False))
+    inputs = tuple(
+        replace(port, label=f"f{label}") for port, label in zip(response.inputs, labels, strict=False)
+    )
     channels = tuple(f"ch{n}" for n in range(len(response.snr_channels)))
     whole = replace(response, outputs=outputs, inputs=inputs, snr_channels=channels)
     write_response(tmp_path / "a.frf.parquet", whole, HEADER)
@@ -133,7 +156,9 @@ def test_a_response_keeps_everything_it_has(tmp_path: Path, response: FrequencyR
 
 def plain_response() -> FrequencyResponse:
     matrix = np.arange(1.0, 4.0)[:, None, None] * (1 + 2j)
-    return FrequencyResponse(np.array([1.0, 2.0, 3.0]), matrix, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="427N")
+    return FrequencyResponse(
+        np.array([1.0, 2.0, 3.0]), matrix, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="427N"
+    )
 
 
 def test_real_and_imaginary_parts_are_columns_that_any_program_reads(tmp_path: Path) -> None:
@@ -152,7 +177,9 @@ def test_a_response_of_the_first_files_has_real_correlations_and_no_gains(tmp_pa
     del header["contents"]["line_gains"], header["contents"]["blocks"]
     pq.write_table(table.replace_schema_metadata({HEADER_KEY: json.dumps(header)}), path)
     response = read_response(path)
-    assert response.line_correlation == (0.45, 0.03) and response.line_gains is None and response.blocks is None
+    assert (
+        response.line_correlation == (0.45, 0.03) and response.line_gains is None and response.blocks is None
+    )
 
 
 def test_the_same_response_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -171,7 +198,10 @@ def test_a_response_is_no_recording_and_the_other_way_round(tmp_path: Path) -> N
 
 
 def test_a_table_that_was_edited_is_checked_like_any_record(tmp_path: Path) -> None:
-    """Rows in another order: the digest no longer matches; without it, frequencies that do not increase are refused."""
+    """Rows in another order: the digest no longer matches.
+
+    Without it, frequencies that do not increase are refused.
+    """
     path = tmp_path / "a.frf.parquet"
     write_response(path, plain_response(), HEADER)
     table = pq.read_table(path)
@@ -187,7 +217,10 @@ def test_a_table_that_was_edited_is_checked_like_any_record(tmp_path: Path) -> N
 # fits of one test
 
 
-SETTINGS = (FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="direct"), FitSettings("sdof", name="free"))
+SETTINGS = (
+    FitSettings("sdof", mass=0.79, band=(60.0, 70.0), name="direct"),
+    FitSettings("sdof", name="free"),
+)
 RESPONSES = (SourceRef("a.frf.parquet", "00"),)
 FIT = Fit(
     "direct",
@@ -210,7 +243,10 @@ FIT = Fit(
 def test_fits_of_a_test_come_back(tmp_path: Path, made: list[Fit]) -> None:
     write_fits(tmp_path / "a.json", made, SETTINGS, RESPONSES)
     again = read_fits(tmp_path / "a.json")
-    ordered = [replace(fit, findings=tuple(sorted(fit.findings, key=lambda finding: finding.level, reverse=True))) for fit in made]
+    ordered = [
+        replace(fit, findings=tuple(sorted(fit.findings, key=lambda finding: finding.level, reverse=True)))
+        for fit in made
+    ]
     assert len(again) == len(made) and all(map(same, again, ordered))
 
 
@@ -242,7 +278,9 @@ def test_fits_of_other_settings_are_stale(path: Path, changed: tuple[FitSettings
     assert not has_fresh_fits(path, changed, RESPONSES)
 
 
-@pytest.mark.parametrize("changed", [(), (SourceRef("a.frf.parquet", "01"),), (SourceRef("b.frf.parquet", "00"),), 2 * RESPONSES])
+@pytest.mark.parametrize(
+    "changed", [(), (SourceRef("a.frf.parquet", "01"),), (SourceRef("b.frf.parquet", "00"),), 2 * RESPONSES]
+)
 def test_fits_of_another_response_are_stale(path: Path, changed: tuple[SourceRef, ...]) -> None:
     assert not has_fresh_fits(path, SETTINGS, changed)
 
@@ -294,7 +332,10 @@ def test_a_missing_file_is_stale(tmp_path: Path) -> None:
         (b"{}", "is not of schema labpipe/identification/2"),
         (b'{"schema": "labpipe/identification/4"}', "is not of schema labpipe/identification/2"),
         (b'{"schema": "labpipe/identification/1"}', "was written by labpipe ?, or edited"),
-        (b'{"schema": "labpipe/identification/1", "labpipe": "9.9", "fits": [{}]}', "was written by labpipe 9.9, or edited"),
+        (
+            b'{"schema": "labpipe/identification/1", "labpipe": "9.9", "fits": [{}]}',
+            "was written by labpipe 9.9, or edited",
+        ),
     ],
 )
 def test_what_is_no_result_is_said_in_plain_words(tmp_path: Path, content: bytes, said: str) -> None:
@@ -313,14 +354,18 @@ def test_a_result_that_is_not_there_says_what_makes_one(tmp_path: Path) -> None:
 
 
 def test_quantised_channels_keep_a_dictionary_and_others_are_split_into_byte_planes(tmp_path: Path) -> None:
-    """16-bit numbers take half the room by a dictionary, noise of full precision a fifth of the time without one."""
+    """16-bit numbers take half the room by a dictionary, noise of full precision a fifth of the time without
+    one.
+    """
     rng = np.random.default_rng(1)
     samples = np.column_stack([np.round(rng.normal(size=40_000) * 4000) * 1e-9, rng.normal(size=40_000)])
     path = tmp_path / "a.recording.parquet"
     with RecordingWriter(path, CHANNELS[:2]) as writer:
         for start in range(0, 40_000, 10_000):
             writer.write(samples[start : start + 10_000])
-        writer.finish(Header("recording", {}, inputs=(), contents=recording_contents(CHANNELS[:2], 1000.0, "a")))
+        writer.finish(
+            Header("recording", {}, inputs=(), contents=recording_contents(CHANNELS[:2], 1000.0, "a"))
+        )
     group = pq.ParquetFile(path).metadata.row_group(0)
     encodings = [set(group.column(number).encodings) for number in range(2)]
     assert "RLE_DICTIONARY" in encodings[0] and "BYTE_STREAM_SPLIT" not in encodings[0]

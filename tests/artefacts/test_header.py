@@ -20,7 +20,9 @@ from labpipe.artefacts.parquet import HEADER_KEY, batches, has_header, open_parq
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 
-HEADER = Header("frf", {"period": 1.0, "band": [1.0, 250.0]}, inputs=(SourceRef("a.csv", "00"), SourceRef("b.csv", "11")))
+HEADER = Header(
+    "frf", {"period": 1.0, "band": [1.0, 250.0]}, inputs=(SourceRef("a.csv", "00"), SourceRef("b.csv", "11"))
+)
 PATH = Path("x.frf.parquet")
 
 
@@ -59,7 +61,9 @@ def test_what_came_out_is_no_part_of_the_work(change: dict) -> None:
 
 def test_tuples_and_lists_are_the_same_parameters() -> None:
     """A header that is asked for has tuples, one from a file has lists."""
-    assert Header("frf", {"band": (1.0, 250.0)}, inputs=()).same_work(Header("frf", {"band": [1.0, 250.0]}, inputs=()))
+    assert Header("frf", {"band": (1.0, 250.0)}, inputs=()).same_work(
+        Header("frf", {"band": [1.0, 250.0]}, inputs=())
+    )
 
 
 PARAMETERS = st.recursive(
@@ -77,7 +81,13 @@ REFS = st.lists(st.builds(SourceRef, st.text(max_size=5), st.text(max_size=5)), 
 @settings(max_examples=60)
 @given(st.dictionaries(st.text(max_size=4), PARAMETERS, max_size=3), REFS)
 def test_a_header_read_back_is_the_same_work(parameters: dict, inputs: tuple[SourceRef, ...]) -> None:
-    header = Header("frf", parameters, inputs=inputs, findings=(Finding("gap", "3 s"), note("masked", "50 Hz")), contents={"name": "a"})
+    header = Header(
+        "frf",
+        parameters,
+        inputs=inputs,
+        findings=(Finding("gap", "3 s"), note("masked", "50 Hz")),
+        contents={"name": "a"},
+    )
     again = header_from_json(header.to_json(), PATH, "frf")
     assert again == header and again.same_work(header)
 
@@ -85,7 +95,16 @@ def test_a_header_read_back_is_the_same_work(parameters: dict, inputs: tuple[Sou
 def test_a_header_names_the_version_that_made_it_and_no_time() -> None:
     entries = json.loads(HEADER.to_json())
     assert entries["labpipe"] == labpipe.__version__
-    assert set(entries) == {"kind", "parameters", "inputs", "findings", "contents", "schema", "labpipe", "code"}
+    assert set(entries) == {
+        "kind",
+        "parameters",
+        "inputs",
+        "findings",
+        "contents",
+        "schema",
+        "labpipe",
+        "code",
+    }
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])
@@ -107,7 +126,9 @@ def test_another_kind_is_named() -> None:
 def test_another_schema_is_refused_with_a_cure() -> None:
     with pytest.raises(DataError) as caught:
         header_from_json(replace(HEADER, schema=99).to_json(), PATH, "frf")
-    assert str(caught.value) == f"x.frf.parquet: has schema 99, this version reads {SCHEMA}; make it again with this version"
+    assert str(caught.value) == (
+        f"x.frf.parquet: has schema 99, this version reads {SCHEMA}; make it again with this version"
+    )
 
 
 # checksums
@@ -123,7 +144,10 @@ def test_a_checksum_is_that_of_the_content(tmp_path: Path, content: bytes) -> No
 def test_a_known_checksum(tmp_path: Path) -> None:
     """FIPS 180-4, one-block message: SHA-256 of "abc"."""
     (tmp_path / "abc").write_bytes(b"abc")
-    assert source_ref(tmp_path / "abc", tmp_path).sha256 == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert (
+        source_ref(tmp_path / "abc", tmp_path).sha256
+        == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    )
 
 
 def test_a_file_longer_than_one_piece(tmp_path: Path) -> None:
@@ -150,12 +174,16 @@ def stored(tmp_path: Path) -> Path:
     """Twelve rows in three groups, with our header."""
     path = tmp_path / "a.frf.parquet"
     table = pa.table({"f": np.arange(12.0), "x": np.arange(12.0) ** 2})
-    pq.write_table(table.replace_schema_metadata({HEADER_KEY: HEADER.to_json().encode()}), path, row_group_size=5)
+    pq.write_table(
+        table.replace_schema_metadata({HEADER_KEY: HEADER.to_json().encode()}), path, row_group_size=5
+    )
     return path
 
 
 def test_the_header_is_read_from_the_file(stored: Path) -> None:
-    assert has_header(stored) and read_header(stored, "frf") == replace(HEADER, parameters={"period": 1.0, "band": [1.0, 250.0]})
+    assert has_header(stored) and read_header(stored, "frf") == replace(
+        HEADER, parameters={"period": 1.0, "band": [1.0, 250.0]}
+    )
 
 
 def test_a_file_without_header_is_none_of_ours(tmp_path: Path) -> None:
@@ -170,7 +198,9 @@ def test_a_file_without_header_is_none_of_ours(tmp_path: Path) -> None:
 def test_batches_are_all_rows_in_their_order(stored: Path, n_row: int) -> None:
     parts = list(batches(stored, ["x"], n_row))
     assert all(1 <= part.num_rows <= n_row and part.schema.names == ["x"] for part in parts)
-    np.testing.assert_array_equal(np.concatenate([part.column("x").to_numpy() for part in parts]), np.arange(12.0) ** 2)
+    np.testing.assert_array_equal(
+        np.concatenate([part.column("x").to_numpy() for part in parts]), np.arange(12.0) ** 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -187,7 +217,11 @@ def test_what_is_no_parquet_file_is_said_in_one_line(tmp_path: Path, make, said:
     make(tmp_path / "a.parquet")
     with pytest.raises(DataError) as caught:
         open_parquet(tmp_path / "a.parquet")
-    assert said in str(caught.value) and str(caught.value).startswith(str(tmp_path)) and "\n" not in str(caught.value)
+    assert (
+        said in str(caught.value)
+        and str(caught.value).startswith(str(tmp_path))
+        and "\n" not in str(caught.value)
+    )
 
 
 def test_a_file_that_was_cut_off_is_said(stored: Path) -> None:

@@ -1,4 +1,6 @@
-"""JSON as labpipe writes it: valid for everyone, the same bytes for the same entries, null for what is no number."""
+"""JSON as labpipe writes it: valid for everyone, the same bytes for the same entries, null for what is no
+number.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,16 @@ from hypothesis import strategies as st
 from labpipe.artefacts.json_file import json_value, write_json
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
-PLAIN = st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False) | TEXTS
-ENTRIES = st.recursive(PLAIN, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=3), max_leaves=8)
+PLAIN = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | TEXTS
+)
+ENTRIES = st.recursive(
+    PLAIN, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=3), max_leaves=8
+)
 
 
 def refuse(constant: str) -> Any:
@@ -47,7 +57,11 @@ def test_the_same_entries_give_the_same_bytes(tmp_path: Path, entries: dict[str,
 def test_what_is_no_number_is_null(tmp_path: Path, number: float) -> None:
     entries = {"alone": number, "listed": [1.0, number], "deep": {"x": [{"y": (number, 2.0)}]}}
     write_json(tmp_path / "a.json", entries)
-    assert read(tmp_path / "a.json") == {"alone": None, "listed": [1.0, None], "deep": {"x": [{"y": [None, 2.0]}]}}
+    assert read(tmp_path / "a.json") == {
+        "alone": None,
+        "listed": [1.0, None],
+        "deep": {"x": [{"y": [None, 2.0]}]},
+    }
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -79,7 +93,10 @@ def test_letters_of_other_languages_stay_readable(tmp_path: Path) -> None:
 
 
 def test_entries_that_versions_before_wrote_are_read_under_their_new_names() -> None:
-    text = '{"channels": [{"label": "doubt", "doubts": [{"effect": "gain", "doubt": {"source": "x", "std_error": 0.01}}]}]}'
+    text = (
+        '{"channels": [{"label": "doubt", "doubts": [{"effect": "gain", "doubt": {"source": "x", '
+        '"std_error": 0.01}}]}]}'
+    )
     uncertainty = {"effect": "gain", "uncertainty": {"source": "x", "std_error": 0.01}}
     assert json_value(text) == {"channels": [{"label": "doubt", "uncertainties": [uncertainty]}]}
     assert json_value('{"other": [1]}') == {"other": [1]}

@@ -15,7 +15,12 @@ PATH = Path("a.frf.parquet")
 
 @pytest.mark.parametrize("fault", [KeyError("frequency"), ValueError("negative"), TypeError("None")])
 def test_what_the_artefact_lacks_is_damage(fault: Exception) -> None:
-    with pytest.raises(DamagedError, match=f"^{PATH}: is not as labpipe writes it \\({type(fault).__name__}: "), as_written(PATH):
+    with (
+        pytest.raises(
+            DamagedError, match=f"^{PATH}: is not as labpipe writes it \\({type(fault).__name__}: "
+        ),
+        as_written(PATH),
+    ):
         raise fault
 
 

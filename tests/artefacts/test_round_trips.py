@@ -40,7 +40,9 @@ def through_file(folder: Path, identification: Identification) -> Identification
 
 def by_level(record: Any) -> Any:
     """The record with its warnings before its notes, the order in which files keep them."""
-    return dataclasses.replace(record, findings=tuple(sorted(record.findings, key=lambda finding: finding.level != WARNING)))
+    return dataclasses.replace(
+        record, findings=tuple(sorted(record.findings, key=lambda finding: finding.level != WARNING))
+    )
 
 
 # one record type after the other
@@ -64,7 +66,9 @@ def test_a_response(tmp_path: Path, response: FrequencyResponse) -> None:
 @SLOW
 @given(any_of(Comparison))
 def test_a_comparison(tmp_path: Path, comparison: Comparison) -> None:
-    (again,) = through_file(tmp_path, Identification((), sections={"compare": (comparison,)})).sections["compare"]
+    (again,) = through_file(tmp_path, Identification((), sections={"compare": (comparison,)})).sections[
+        "compare"
+    ]
     assert same(again, comparison)
 
 
@@ -78,13 +82,17 @@ def test_a_study(tmp_path: Path, study: Study) -> None:
 @QUICK
 @given(any_of(UnbalanceRuns))
 def test_a_response_to_unbalance(tmp_path: Path, runs: UnbalanceRuns) -> None:
-    assert same(through_file(tmp_path, Identification((), sections={"unbalance": runs})).sections["unbalance"], runs)
+    assert same(
+        through_file(tmp_path, Identification((), sections={"unbalance": runs})).sections["unbalance"], runs
+    )
 
 
 @SLOW
 @given(any_of(RunUpResult))
 def test_run_ups(tmp_path: Path, result: RunUpResult) -> None:
-    assert same(through_file(tmp_path, Identification((), sections={"run_ups": result})).sections["run_ups"], result)
+    assert same(
+        through_file(tmp_path, Identification((), sections={"run_ups": result})).sections["run_ups"], result
+    )
 
 
 @QUICK
@@ -111,15 +119,29 @@ def test_outcomes_of_rules(tmp_path: Path, outcomes: tuple[RuleOutcome, ...]) ->
     assert again.accepted == all(outcome.passed for outcome in outcomes)
 
 
-SETTINGS = st.dictionaries(st.text(max_size=4), st.none() | st.booleans() | st.floats(-1e9, 1e9) | st.text(max_size=5), max_size=3)
-SOURCES = st.lists(st.fixed_dictionaries({"path": st.text(max_size=5), "sha256": st.text(max_size=5)}), max_size=3).map(tuple)
+SETTINGS = st.dictionaries(
+    st.text(max_size=4), st.none() | st.booleans() | st.floats(-1e9, 1e9) | st.text(max_size=5), max_size=3
+)
+SOURCES = st.lists(
+    st.fixed_dictionaries({"path": st.text(max_size=5), "sha256": st.text(max_size=5)}), max_size=3
+).map(tuple)
 
 
 @QUICK
 @given(st.text(max_size=8), st.text(max_size=8), SOURCES, SETTINGS, SETTINGS)
-def test_what_it_was_made_from(tmp_path: Path, title: str, pipeline: str, sources: Any, work: dict, rig: dict) -> None:
-    again = through_file(tmp_path, Identification((), title, pipeline=pipeline, sources=sources, settings=work, rig=rig))
-    assert (again.title, again.pipeline, again.sources, again.settings, again.rig) == (title, pipeline, sources, work, rig)
+def test_what_it_was_made_from(
+    tmp_path: Path, title: str, pipeline: str, sources: Any, work: dict, rig: dict
+) -> None:
+    again = through_file(
+        tmp_path, Identification((), title, pipeline=pipeline, sources=sources, settings=work, rig=rig)
+    )
+    assert (again.title, again.pipeline, again.sources, again.settings, again.rig) == (
+        title,
+        pipeline,
+        sources,
+        work,
+        rig,
+    )
 
 
 # numbers that JSON has not
@@ -140,14 +162,23 @@ def test_a_condition_number_without_limit_is_null_in_the_file(tmp_path: Path) ->
         correlation=np.eye(1),
     )
     assert through_file(tmp_path, Identification((fit,))).fits[0].condition_number == math.inf
-    assert json.loads((tmp_path / "identification.json").read_text("utf-8"))["fits"][0]["condition_number"] is None
+    assert (
+        json.loads((tmp_path / "identification.json").read_text("utf-8"))["fits"][0]["condition_number"]
+        is None
+    )
 
 
 def test_a_known_covariance_has_no_end_of_degrees_of_freedom(tmp_path: Path) -> None:
     port = (Port("x", "x", "x"),)
     response = FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, covariance_dof=math.inf)
-    assert through_file(tmp_path, Identification((), responses=(response,))).responses[0].covariance_dof == math.inf
-    assert json.loads((tmp_path / "identification.json").read_text("utf-8"))["responses"][0]["covariance_dof"] is None
+    assert (
+        through_file(tmp_path, Identification((), responses=(response,))).responses[0].covariance_dof
+        == math.inf
+    )
+    assert (
+        json.loads((tmp_path / "identification.json").read_text("utf-8"))["responses"][0]["covariance_dof"]
+        is None
+    )
 
 
 CASE = StudyCase(
@@ -185,13 +216,19 @@ def test_an_amount_that_could_not_be_given_is_no_number(tmp_path: Path) -> None:
         verdict="not determined",
         statement="nothing can be said",
     )
-    (again,) = through_file(tmp_path, Identification((), sections={"compare": (comparison,)})).sections["compare"]
+    (again,) = through_file(tmp_path, Identification((), sections={"compare": (comparison,)})).sections[
+        "compare"
+    ]
     assert same(again, comparison)
 
 
 def test_a_run_up_method_without_numbers(tmp_path: Path) -> None:
-    result = RunUpResult("rotor", "disc", "journal", runs=(), methods=(RunUpMethod("a", "A", "failed", predictions=()),))
-    assert same(through_file(tmp_path, Identification((), sections={"run_ups": result})).sections["run_ups"], result)
+    result = RunUpResult(
+        "rotor", "disc", "journal", runs=(), methods=(RunUpMethod("a", "A", "failed", predictions=()),)
+    )
+    assert same(
+        through_file(tmp_path, Identification((), sections={"run_ups": result})).sections["run_ups"], result
+    )
 
 
 # what the file looks like
@@ -220,7 +257,16 @@ def test_warnings_and_notes_stand_apart(tmp_path: Path) -> None:
 
 def test_the_agreed_names_of_a_fit_are_in_the_file(tmp_path: Path) -> None:
     """Names that outside checks read: INTERFACE of the file."""
-    parameter = Parameter("k", 45200.0, "N/m", std_error=31.0, t_ratio=1458.0, ci95=(45137.0, 45263.0), significant=True, vif=1.2)
+    parameter = Parameter(
+        "k",
+        45200.0,
+        "N/m",
+        std_error=31.0,
+        t_ratio=1458.0,
+        ci95=(45137.0, 45263.0),
+        significant=True,
+        vif=1.2,
+    )
     candidates = (Candidate("this model", 2, 3.0, 4, 7.0, 0.5),)
     fit = Fit(
         "a",
@@ -238,7 +284,10 @@ def test_the_agreed_names_of_a_fit_are_in_the_file(tmp_path: Path) -> None:
     )
     through_file(tmp_path, Identification((fit,), "T", pipeline="p.yaml"))
     whole = json.loads((tmp_path / "identification.json").read_text("utf-8"))
-    assert whole["schema"] == "labpipe/identification/2" and (whole["title"], whole["pipeline"]) == ("T", "p.yaml")
+    assert whole["schema"] == "labpipe/identification/2" and (whole["title"], whole["pipeline"]) == (
+        "T",
+        "p.yaml",
+    )
     (entry,) = whole["fits"]
     assert entry["band_hz"] == [65.0, 80.0] and entry["centre_hz"] == 72.5 and entry["correlation"] == [[1.0]]
     assert entry["parameters"][0]["ci95"] == [45137.0, 45263.0] and entry["gof"]["chi2_p"] is None
@@ -266,7 +315,17 @@ def test_a_file_from_before_newer_entries_is_read(tmp_path: Path) -> None:
 # the same record however it was made
 
 
-POINT = ComparedPoint("427N", 1.1, ci95=(1.0, 1.2), condition=427.0, group="up", theory=1.0, ratio=1.1, ratio_ci95=(1.0, 1.2), p_value=0.5)
+POINT = ComparedPoint(
+    "427N",
+    1.1,
+    ci95=(1.0, 1.2),
+    condition=427.0,
+    group="up",
+    theory=1.0,
+    ratio=1.1,
+    ratio_ci95=(1.0, 1.2),
+    p_value=0.5,
+)
 BAND = ComparedBand(
     "427N",
     "k",
@@ -285,7 +344,13 @@ OVERLAY = Overlay("427N", "receptance", (1.0,), (2.0,), (3.0,), (4.0,))
 
 
 def test_a_comparison_with_all_its_parts(tmp_path: Path) -> None:
-    parts = {"line": ((1.0, 2.0),), "overlays": (OVERLAY,), "bands": (BAND,), "curves": (CURVE,), "correlations": (("a", "b", 0.3),)}
+    parts = {
+        "line": ((1.0, 2.0),),
+        "overlays": (OVERLAY,),
+        "bands": (BAND,),
+        "curves": (CURVE,),
+        "correlations": (("a", "b", 0.3),),
+    }
     whole = Comparison(
         name="r",
         kind="ratio",

@@ -18,16 +18,28 @@ class Torn(Exception):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
 
 
-NAMES = st.lists(st.sampled_from(["a.txt", "b.txt", "sub/a.txt", "sub/deep/c.txt", "d"]), min_size=1, max_size=5, unique=True)
+NAMES = st.lists(
+    st.sampled_from(["a.txt", "b.txt", "sub/a.txt", "sub/deep/c.txt", "d"]),
+    min_size=1,
+    max_size=5,
+    unique=True,
+)
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(old=NAMES, new=NAMES, place=st.integers(0, 5))
-def test_either_all_new_files_or_the_old_ones(tmp_path_factory: pytest.TempPathFactory, old: list[str], new: list[str], place: int) -> None:
-    """Torn before any of the writes, the folder is as it was; not torn, every new file has taken its place and the others stay."""
+def test_either_all_new_files_or_the_old_ones(
+    tmp_path_factory: pytest.TempPathFactory, old: list[str], new: list[str], place: int
+) -> None:
+    """Torn before any of the writes, the folder is as it was.
+
+    Not torn, every new file has taken its place and the others stay.
+    """
     target = tmp_path_factory.mktemp("whole")
     for name in old:
         (target / name).parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +116,10 @@ def test_nothing_is_left_behind_whatever_ends_the_work(tmp_path: Path, kind: typ
 
 def test_a_file_in_the_place_of_the_folder_is_refused_and_kept(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("precious")
-    with pytest.raises(DataError, match=r"out: is a file, a folder is needed"), output_folder(tmp_path / "out"):
+    with (
+        pytest.raises(DataError, match=r"out: is a file, a folder is needed"),
+        output_folder(tmp_path / "out"),
+    ):
         pass
     assert (tmp_path / "out").read_text() == "precious"
 
@@ -163,7 +178,10 @@ def test_the_null_device_stays_a_device() -> None:
 def test_one_at_a_time_holds_a_lock(tmp_path: Path) -> None:
     """A second one is refused as long as the first works, within one process as between two."""
     with only_one(tmp_path / "lock"):
-        with pytest.raises(DataError, match="another process works on this folder"), only_one(tmp_path / "lock"):
+        with (
+            pytest.raises(DataError, match="another process works on this folder"),
+            only_one(tmp_path / "lock"),
+        ):
             pass
         with only_one(tmp_path / "another"):
             pass

@@ -1,4 +1,6 @@
-"""The bearing stage: the table of kinds, reading with bare units, JSON and CSV of coefficients of any kind."""
+"""The bearing stage: the table of kinds, reading with bare units, JSON and CSV of coefficients of any
+kind.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from labpipe.project.sweep import parse_sweep
 from labpipe.records.finding import Finding
 from labpipe.records.settings import settings_of
 
-FILE = "kind: ball-bearing\nelements: 9\nstiffness_constant: {}\ngroove_distance: 0.5953 mm\npitch_radius: 30 mm\nloads: {{z: 100 N}}\n"
+FILE = (
+    "kind: ball-bearing\nelements: 9\nstiffness_constant: {}\ngroove_distance: 0.5953 mm\npitch_radius: "
+    "30 mm\nloads: {{z: 100 N}}\n"
+)
 JOURNAL = BearingCoefficients(
     dofs=("y", "z"),
     stiffness=np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6,
@@ -52,7 +57,11 @@ def test_constants_with_and_without_their_unit(path: Path, constant: str) -> Non
 
 def test_overrides_are_read_as_the_file_is(path: Path) -> None:
     file = open_bearing(path, ["stiffness_constant=2e10", "loads.y=-3 kN"])
-    assert file.settings().stiffness_constant == 2e10 and file.settings().loads.y == -3000 and file.settings().loads.z == 100
+    assert (
+        file.settings().stiffness_constant == 2e10
+        and file.settings().loads.y == -3000
+        and file.settings().loads.z == 100
+    )
 
 
 def test_a_quoted_number_is_no_bare_number(path: Path) -> None:
@@ -75,23 +84,40 @@ def test_json_of_any_kind_of_bearing() -> None:
     """A journal's two dofs: asymmetric stiffness as it is, equilibrium by name, no passage, no shaft."""
     file = BearingFile(Path("j.yaml"), "journal-bearing", BEARINGS.load("ball-bearing"), None)  # type: ignore[arg-type]
     entry = json.loads(bearing_json(bearing_entry(file, "J", Evaluated(JOURNAL))))
-    assert entry["kind"] == "journal-bearing" and entry["dofs"] == ["y", "z"] and entry["schema"] == "labpipe/bearing/1"
+    assert (
+        entry["kind"] == "journal-bearing"
+        and entry["dofs"] == ["y", "z"]
+        and entry["schema"] == "labpipe/bearing/1"
+    )
     assert entry["stiffness"] == [[2e6, 7e6], [-8e6, 1e6]] and entry["damping"][0] == [9e3, -2e3]
     assert entry["equilibrium"] == {"eccentricity_ratio": 0.4, "attitude_angle": 0.5}
-    assert entry["warnings"][1] == {"code": "two", "message": "second"} and not {"passage", "shaft"} & entry.keys()
+    assert (
+        entry["warnings"][1] == {"code": "two", "message": "second"}
+        and not {"passage", "shaft"} & entry.keys()
+    )
 
 
 def test_columns_of_any_kind_of_bearing(tmp_path: Path) -> None:
     sweep = parse_sweep("loads.z=1:2:1", open_bearing_settings())
     columns = sweep_columns(sweep, [Evaluated(JOURNAL)] * 2)
-    assert list(columns)[:6] == ["loads.z [N]", "k_y_y [N/m]", "k_y_z [N/m]", "k_z_y [N/m]", "k_z_z [N/m]", "c_y_y [N.s/m]"]
+    assert list(columns)[:6] == [
+        "loads.z [N]",
+        "k_y_y [N/m]",
+        "k_y_z [N/m]",
+        "k_z_y [N/m]",
+        "k_z_z [N/m]",
+        "c_y_y [N.s/m]",
+    ]
     assert list(columns)[-3:] == ["eccentricity_ratio [1]", "attitude_angle [rad]", "warnings"]
     np.testing.assert_array_equal(columns["k_z_y [N/m]"], [-8e6, -8e6])
     with output_folder(tmp_path / "out") as folder:
         names = write_sweep("J", sweep, [Evaluated(JOURNAL)] * 2, folder)
     lines = (tmp_path / "out/sweep.csv").read_text().splitlines()
     assert names == ["sweep.csv", "sweep-stiffness.svg", "sweep-damping.svg"]
-    assert lines[1] == "1,2000000,7000000,-8000000,1000000,9000,-2000,-2000,8000,0.4,0.5,one two" and len(lines) == 3
+    assert (
+        lines[1] == "1,2000000,7000000,-8000000,1000000,9000,-2000,-2000,8000,0.4,0.5,one two"
+        and len(lines) == 3
+    )
 
 
 def open_bearing_settings() -> type:

@@ -1,9 +1,11 @@
 """What a fleet of recordings costs: the figures of docs/pages/how-to/fleet.md.
 
-python -m tests.benchmarks.fleet [--recordings 2000] [--results 20000] [--cluster 1000 4000 16000] [--folder DIR]
+python -m tests.benchmarks.fleet [--recordings 2000] [--results 20000] [--cluster 1000 4000 16000] [--folder
+DIR]
 
-Recordings have 16,000 rows of two channels and one fit of one mass on a spring. Times are of the processor, of all processes together;
-those by the clock say something on a machine that does nothing else, whose load is printed first. With 0 a part is left out.
+Recordings have 16,000 rows of two channels and one fit of one mass on a spring. Times are of the processor,
+of all processes together; those by the clock say something on a machine that does nothing else, whose load is
+printed first. With 0 a part is left out.
 """
 
 from __future__ import annotations
@@ -63,11 +65,15 @@ WHERE parameter = 'k' AND "amount.load" >= 6000"""
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--recordings", type=int, default=2000)
     parser.add_argument("--results", type=int, default=20_000)
     parser.add_argument("--cluster", type=int, nargs="*", default=[1000, 4000, 16_000])
-    parser.add_argument("--folder", type=Path, help="keeps the files; by default a folder that goes at the end")
+    parser.add_argument(
+        "--folder", type=Path, help="keeps the files; by default a folder that goes at the end"
+    )
     asked = parser.parse_args()
     print(f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
     with tempfile.TemporaryDirectory() as name:
@@ -88,7 +94,9 @@ def table(rows: Iterator[tuple[str, str]]) -> None:
         print(f"| {what} | {found} |", flush=True)
 
 
-def prepared(folder: Path, count: int, rate: int = RATE, period: int = PERIOD, periods: int = PERIODS) -> Path:
+def prepared(
+    folder: Path, count: int, rate: int = RATE, period: int = PERIOD, periods: int = PERIODS
+) -> Path:
     """Recordings of rigs whose stiffness goes up and down by a tenth, seeds pinned, and their pipeline."""
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     (folder / "rig.yaml").write_text(RIG.format(rate=rate))
@@ -103,8 +111,10 @@ def prepared(folder: Path, count: int, rate: int = RATE, period: int = PERIOD, p
         force[lines] = np.exp(2j * np.pi * rng.random(omega.size)) * period / 2 * 5
         disp[lines] = force[lines] / (stiffness - MASS * omega**2 + 1j * DAMPING * omega)
         volts = {
-            "force": np.tile(np.fft.irfft(force), periods) / 100 + 5e-4 * rng.standard_normal(period * periods),
-            "disp": np.tile(np.fft.irfft(disp), periods) * 8000 + 2e-3 * rng.standard_normal(period * periods),
+            "force": np.tile(np.fft.irfft(force), periods) / 100
+            + 5e-4 * rng.standard_normal(period * periods),
+            "disp": np.tile(np.fft.irfft(disp), periods) * 8000
+            + 2e-3 * rng.standard_normal(period * periods),
         }
         columns = {name: values.astype(np.float32) for name, values in volts.items()}
         pq.write_table(pa.table(columns), folder / f"runs/{number % 7 + 1}kN-{number:06d}.parquet")
@@ -112,7 +122,9 @@ def prepared(folder: Path, count: int, rate: int = RATE, period: int = PERIOD, p
 
 
 def counted(*arguments: object) -> dict[str, float]:
-    """What a command takes: seconds by the clock and of the processor, own and of all, its peak of memory [MB]."""
+    """What a command takes: seconds by the clock and of the processor, own and of all, its peak of memory
+    [MB].
+    """
     with tempfile.TemporaryDirectory() as name:
         usage = Path(name) / "usage"
         command = [sys.executable, "-c", COUNTED, str(usage), *map(str, arguments)]
@@ -128,26 +140,46 @@ def recordings(folder: Path, count: int) -> Iterator[tuple[str, str]]:
     few = prepared(folder / "few", count // 10)
     many = prepared(folder / "many", count)
     bare = bare_cpu(few) / (count // 10)
-    yield f"bare loop: read, transform, fit; {count // 10} recordings", f"{1e3 * bare:.1f} ms CPU per recording"
+    yield (
+        f"bare loop: read, transform, fit; {count // 10} recordings",
+        (f"{1e3 * bare:.1f} ms CPU per recording"),
+    )
     less, more = (counted("run", home / "pipeline.yaml", "-o", home / "one", "-q") for home in (few, many))
     each = (more["cpu"] - less["cpu"]) / (count - count // 10)
-    yield f"`labpipe run`, {count} recordings", f"{1e3 * each:.1f} ms CPU per recording, {1e3 * (each - bare):.1f} ms beyond the bare loop"
+    yield (
+        f"`labpipe run`, {count} recordings",
+        (f"{1e3 * each:.1f} ms CPU per recording, {1e3 * (each - bare):.1f} ms beyond the bare loop"),
+    )
     yield "processor time of the whole command", f"{more['cpu']:.1f} s, {more['wall']:.1f} s by the clock"
     yield f"peak memory with {count // 10} and {count} recordings", peaks(less, more)
-    two_few, two = (counted("run", home / "pipeline.yaml", "-o", home / "two", "-q", "-j", "2") for home in (few, many))
-    yield "`-j 2`", f"{two['cpu']:.1f} s CPU, {two['wall']:.1f} s by the clock, {more['wall'] / two['wall']:.2f} times as fast as `-j 1`"
+    two_few, two = (
+        counted("run", home / "pipeline.yaml", "-o", home / "two", "-q", "-j", "2") for home in (few, many)
+    )
+    yield (
+        "`-j 2`",
+        (
+            f"{two['cpu']:.1f} s CPU, {two['wall']:.1f} s by the clock, "
+            f"{more['wall'] / two['wall']:.2f} times as fast as `-j 1`"
+        ),
+    )
     yield f"peak memory of the parent with {count // 10} and {count} recordings, `-j 2`", peaks(two_few, two)
     warm = counted("run", many / "pipeline.yaml", "-o", many / "one", "-q")
     yield "the same command again, nothing new", f"{warm['cpu']:.1f} s CPU"
     report = counted("report", many / "one", "-o", folder / "report.html", "-q")
-    yield "summary report", f"{report['cpu']:.1f} s CPU, {(folder / 'report.html').stat().st_size / 1e6:.2f} MB"
+    yield (
+        "summary report",
+        (f"{report['cpu']:.1f} s CPU, {(folder / 'report.html').stat().st_size / 1e6:.2f} MB"),
+    )
     for name, pattern in (
         ("raw recording", "runs/*"),
         ("response", "one/*.frf.parquet"),
         ("fits", "one/fits/*"),
         ("rows of the dataset", "one/dataset/*/*/*"),
     ):
-        yield f"disk, {name}", f"{sum(path.stat().st_size for path in many.glob(pattern)) / count / 1e3:.1f} kB per recording"
+        yield (
+            f"disk, {name}",
+            f"{sum(path.stat().st_size for path in many.glob(pattern)) / count / 1e3:.1f} kB per recording",
+        )
 
 
 def peaks(less: dict[str, float], more: dict[str, float]) -> str:
@@ -156,7 +188,9 @@ def peaks(less: dict[str, float], more: dict[str, float]) -> str:
 
 
 def bare_cpu(folder: Path) -> float:
-    """Processor time of reading, transforming and fitting in this process, with nothing written and nothing checked but by the numbers."""
+    """Processor time of reading, transforming and fitting in this process, with nothing written and nothing
+    checked but by the numbers.
+    """
     from labpipe.project.pipeline_file import load_pipeline
     from labpipe.project.work import fits_of
     from labpipe.records.recording import Recording
@@ -173,7 +207,11 @@ def bare_cpu(folder: Path) -> float:
         began = began or (time.process_time() if path is not paths[0] else 0.0)
         read = pq.read_table(path)
         samples = np.column_stack([read[channel.column].to_numpy() for channel in rig.channels]) * scale
-        response = measure([Recording(rig.all_channels, samples, float(rig.sample_rate or 0), path.stem)], settings, name=path.stem)
+        response = measure(
+            [Recording(rig.all_channels, samples, float(rig.sample_rate or 0), path.stem)],
+            settings,
+            name=path.stem,
+        )
         assert len(fits_of([response], pipeline.fits[0], pipeline.path)) == 1
     return time.process_time() - began
 
@@ -191,19 +229,30 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
     home = prepared(folder, 1)
     pipeline = load_pipeline(home / "pipeline.yaml")
     where = {"pipeline_path": pipeline.path, "target": home / "first", "scratch": home}
-    done = work(Job(pipeline.tests[0], ("first",), frf=pipeline.frf, fits=pipeline.fits, rules=pipeline.rules, **where))
+    done = work(
+        Job(
+            pipeline.tests[0], ("first",), frf=pipeline.frf, fits=pipeline.fits, rules=pipeline.rules, **where
+        )
+    )
     assert done.result is not None
     first = done.result
     out = home / "out"
     with output_folder(out) as output:
         made = []
         for number in range(count):
-            own = {"test": f"{number % 7 + 1}kN-{number:06d}", "conditions": {"load": f"{number % 7 + 1}kN", "serial": f"{number:06d}"}}
-            rows = tuple(replace(row, **own, value=(row.value or 0) * (1 + 1e-6 * number)) for row in first.rows)  # type: ignore[arg-type]
+            own = {
+                "test": f"{number % 7 + 1}kN-{number:06d}",
+                "conditions": {"load": f"{number % 7 + 1}kN", "serial": f"{number:06d}"},
+            }
+            rows = tuple(
+                replace(row, **own, value=(row.value or 0) * (1 + 1e-6 * number)) for row in first.rows
+            )  # type: ignore[arg-type]
             made.append(replace(first, rows=rows))
         for start in range(0, count, PART_TESTS):
             write_parts(made[start : start + PART_TESTS], output)
-        write_identification(output.write_path(NAME), summed_up(pipeline, summed(summary_of(result) for result in made)))
+        write_identification(
+            output.write_path(NAME), summed_up(pipeline, summed(summary_of(result) for result in made))
+        )
     size = sum(path.stat().st_size for path in out.rglob("*.parquet"))
     yield f"dataset of {count} results", f"{size / 1e6:.1f} MB in {len(list(out.rglob('*.parquet')))} parts"
     for what in (["--where", "load = 3 kN"], ["--where", "load >= 6 kN"]):
@@ -215,7 +264,10 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
         )
     report = counted("report", out, "-o", home / "report.html", "-q")
     size = (home / "report.html").stat().st_size
-    yield f"summary report of {count} results", f"{report['cpu']:.1f} s CPU, {size / 1e6:.2f} MB, peak memory {report['peak']:.0f} MB"
+    yield (
+        f"summary report of {count} results",
+        (f"{report['cpu']:.1f} s CPU, {size / 1e6:.2f} MB, peak memory {report['peak']:.0f} MB"),
+    )
     yield "`labpipe --version`", f"{min(version_seconds() for _ in range(3)):.2f} s by the clock"
     yield from same_by_duckdb(out)
 
@@ -223,7 +275,9 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
 def version_seconds() -> float:
     """The clock's time of a command that does nothing."""
     began = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "labpipe.cli.main", "--version"], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-m", "labpipe.cli.main", "--version"], check=True, stdout=subprocess.DEVNULL
+    )
     return time.perf_counter() - began
 
 
@@ -240,28 +294,45 @@ def same_by_duckdb(out: Path) -> Iterator[tuple[str, str]]:
     other = dict(duckdb.sql(QUERY.format(folder=out)).fetchall())
     cpu = time.process_time() - began
     same = mine.keys() == other.keys() and all(abs(mine[name] / other[name] - 1) < 1e-12 for name in mine)
-    yield "DuckDB on the same parts", f"{cpu:.2f} s CPU; {len(other)} values, {'the same' if same else 'OTHERS'}"
+    yield (
+        "DuckDB on the same parts",
+        (f"{cpu:.2f} s CPU; {len(other)} values, {'the same' if same else 'OTHERS'}"),
+    )
 
 
 def cluster(folder: Path, counts: Sequence[int]) -> Iterator[tuple[str, str]]:
-    """Tiny tests on a Dask cluster of this machine: what each costs as they become more, and what the scheduler needs."""
+    """Tiny tests on a Dask cluster of this machine: what each costs as they become more, and what the
+    scheduler needs.
+    """
     import psutil
 
     cost: dict[int, float] = {}
     for count in counts:
         home = prepared(folder / str(count), count, TINY_RATE, TINY_PERIOD, 3)
         with dask_cluster(home, os.cpu_count() or 1) as started:
-            took = counted("run", home / "pipeline.yaml", "-o", home / "out", "-q", "--cluster", started.address)
-            scheduler, *workers = [psutil.Process(process.pid) for process in (started.scheduler, *started.keepers)]
+            took = counted(
+                "run", home / "pipeline.yaml", "-o", home / "out", "-q", "--cluster", started.address
+            )
+            scheduler, *workers = [
+                psutil.Process(process.pid) for process in (started.scheduler, *started.keepers)
+            ]
             peak = memory_peak(scheduler.pid)
-            in_workers = sum(sum(one.cpu_times()[:2]) for worker in workers for one in (worker, *worker.children(recursive=True)))
+            in_workers = sum(
+                sum(one.cpu_times()[:2])
+                for worker in workers
+                for one in (worker, *worker.children(recursive=True))
+            )
             in_scheduler = sum(scheduler.cpu_times()[:2])
         cost[count] = took["cpu"] + in_workers + in_scheduler
         shares = (
-            f"workers {1e3 * in_workers / count:.1f}, scheduler {1e3 * in_scheduler / count:.2f}, client {1e3 * took['cpu'] / count:.1f}"
+            f"workers {1e3 * in_workers / count:.1f}, scheduler {1e3 * in_scheduler / count:.2f}, client "
+            f"{1e3 * took['cpu'] / count:.1f}"
         )
         yield f"{count} tiny tests, CPU per test [ms]", shares
-        yield f"{count} tiny tests, per second and core", f"{count / cost[count]:.1f} of processor time, {took['wall']:.0f} s by the clock"
+        yield (
+            f"{count} tiny tests, per second and core",
+            (f"{count / cost[count]:.1f} of processor time, {took['wall']:.0f} s by the clock"),
+        )
         yield f"{count} tiny tests, peak memory", f"scheduler {peak:.0f} MB, client {took['peak']:.0f} MB"
     if len(cost) > 1:
         slope, level = np.polyfit(np.log(list(cost)), np.log(list(cost.values())), 1)

@@ -1,12 +1,14 @@
-"""A logger's file to its FRF by the command, against bare reading and bare FFTs of the same file: CPU, clock and memory as ratios.
+"""A logger's file to its FRF by the command, against bare reading and bare FFTs of the same file: CPU, clock
+and memory as ratios.
 
 python -m tests.benchmarks.raw_files [--rows N | --size MB] [--block N] [--repeats N] [KIND ...]
 
-Files of two forces and two displacements (white noise) are made on the spot, in the folder for temporary files (TMPDIR): Parquet of
-single precision, TDMS of double precision in segments of 100,000 rows, CSV with five decimals. Both sides are processes of their own; the
-import of the libraries, which both need, is measured too and subtracted from both. The bare side reads piece by piece, or the whole file
-where it is small, whichever is faster: a gigabyte read at once costs more than twice as much by the memory that it takes. Least of all
-repeats, in turns. Prints a table in Markdown.
+Files of two forces and two displacements (white noise) are made on the spot, in the folder for temporary
+files (TMPDIR): Parquet of single precision, TDMS of double precision in segments of 100,000 rows, CSV with
+five decimals. Both sides are processes of their own; the import of the libraries, which both need, is
+measured too and subtracted from both. The bare side reads piece by piece, or the whole file where it is
+small, whichever is faster: a gigabyte read at once costs more than twice as much by the memory that it takes.
+Least of all repeats, in turns. Prints a table in Markdown.
 """
 
 from __future__ import annotations
@@ -68,10 +70,16 @@ class Cost:
 
 
 def write_raw(folder: Path, kind: str, n_row: int, n_block: int) -> None:
-    """A raw file of *n_row* rows in *folder*, with a rig and a pipeline for it; in pieces, so that it may be larger than the memory."""
+    """A raw file of *n_row* rows in *folder*, with a rig and a pipeline for it.
+
+    In pieces, so that it may be larger than the memory.
+    """
     write = {"parquet": _write_parquet, "csv": _write_csv, "tdms": _write_tdms}[kind]
     write(folder / f"raw.{kind}", _pieces(n_row))
-    entries = (f"  {n}: {{quantity: {'force' if n[0] == 'f' else 'displacement'}, dof: {'xy'[n[-1] == 'z']}}}\n" for n in NAMES)
+    entries = (
+        f"  {n}: {{quantity: {'force' if n[0] == 'f' else 'displacement'}, dof: {'xy'[n[-1] == 'z']}}}\n"
+        for n in NAMES
+    )
     (folder / "rig.yaml").write_text(f"name: R\nsample_rate: {RATE:g} Hz\nchannels:\n{''.join(entries)}")
     (folder / f"{kind}.yaml").write_text(
         f"rig: rig.yaml\nrecordings: raw.{kind}\nfrf: {{excitation: random, block: {n_block / RATE!r} s}}\n"
@@ -87,7 +95,9 @@ def _pieces(n_row: int) -> Iterator[np.ndarray]:
 
 def _write_parquet(path: Path, pieces: Iterator[np.ndarray]) -> None:
     schema = pa.schema([(name, pa.float32()) for name in NAMES])
-    with pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False, use_byte_stream_split=True) as writer:
+    with pq.ParquetWriter(
+        path, schema, compression="zstd", use_dictionary=False, use_byte_stream_split=True
+    ) as writer:
         for piece in pieces:
             writer.write_table(pa.table({name: piece[:, n] for n, name in enumerate(NAMES)}))
 
@@ -95,7 +105,9 @@ def _write_parquet(path: Path, pieces: Iterator[np.ndarray]) -> None:
 def _write_csv(path: Path, pieces: Iterator[np.ndarray]) -> None:
     with pc.CSVWriter(path, pa.schema([(name, pa.float64()) for name in NAMES])) as writer:
         for piece in pieces:
-            writer.write_table(pa.table({name: np.round(piece[:, n].astype(float), 5) for n, name in enumerate(NAMES)}))
+            writer.write_table(
+                pa.table({name: np.round(piece[:, n].astype(float), 5) for n, name in enumerate(NAMES)})
+            )
 
 
 def _write_tdms(path: Path, pieces: Iterator[np.ndarray]) -> None:
@@ -104,7 +116,9 @@ def _write_tdms(path: Path, pieces: Iterator[np.ndarray]) -> None:
             for start in range(0, piece.shape[0], SEGMENT):
                 part = piece[start : start + SEGMENT].astype(float)
                 facts = {"wf_increment": 1 / RATE, "wf_samples": part.shape[0]}
-                writer.write_segment([ChannelObject("g", name, part[:, n], properties=facts) for n, name in enumerate(NAMES)])
+                writer.write_segment(
+                    [ChannelObject("g", name, part[:, n], properties=facts) for n, name in enumerate(NAMES)]
+                )
 
 
 def rows_of(kind: str, megabytes: float) -> int:
@@ -141,7 +155,11 @@ def bare(path: str, n_block: int, way: str) -> None:
     """A raw file read, and the FFT of every block of every channel; nothing else. *way*: WHOLE or PIECES."""
     rest = np.empty((len(NAMES), 0))
     for piece in (read_whole if way == WHOLE else read_in_pieces)(Path(path)):
-        columns = np.concatenate([rest, np.stack(piece).astype(float)], axis=1) if rest.size else np.stack(piece).astype(float)
+        columns = (
+            np.concatenate([rest, np.stack(piece).astype(float)], axis=1)
+            if rest.size
+            else np.stack(piece).astype(float)
+        )
         start = 0
         while start + n_block <= columns.shape[1]:
             fft.rfft(columns[:, start : start + n_block], axis=1)
@@ -150,27 +168,51 @@ def bare(path: str, n_block: int, way: str) -> None:
 
 
 def least_costs(folder: Path, commands: list[list[str]], repeats: int) -> list[Cost]:
-    """The least cost of each of the commands, run in turns in *folder*; of an installed labpipe, which is compiled only once."""
-    environment = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | {"PYTHONPATH": str(ROOT)}
+    """The least cost of each of the commands, run in turns in *folder*.
+
+    Of an installed labpipe, which is compiled only once.
+    """
+    environment = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | {
+        "PYTHONPATH": str(ROOT)
+    }
     found: list[list[Cost]] = [[] for _ in commands]
     for _ in range(repeats):
         for number, command in enumerate(commands):
-            ended = subprocess.run([sys.executable, "-c", COUNTED, *command], cwd=folder, env=environment, capture_output=True, check=True)
+            ended = subprocess.run(
+                [sys.executable, "-c", COUNTED, *command],
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                check=True,
+            )
             found[number].append(Cost(*json.loads(ended.stdout)))
-    return [Cost(*(min(getattr(cost, name) for cost in costs) for name in ("cpu", "clock", "memory"))) for costs in found]
+    return [
+        Cost(*(min(getattr(cost, name) for cost in costs) for name in ("cpu", "clock", "memory")))
+        for costs in found
+    ]
 
 
 def measured(kind: str, n_row: int, n_block: int, repeats: int) -> tuple[int, Cost, Cost]:
-    """(bytes of the raw file, cost of bare reading and FFTs, cost of the command), both without the import of the libraries."""
+    """(bytes of the raw file, cost of bare reading and FFTs, cost of the command), both without the import of
+    the libraries.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_raw(folder, kind, n_row, n_block)
         path = folder / f"raw.{kind}"
         size = path.stat().st_size
         ways = [PIECES, WHOLE] if size <= SMALL else [PIECES]
-        bares = [f"from tests.benchmarks.raw_files import bare; bare({str(path)!r}, {n_block}, {way!r})" for way in ways]
-        command = f"from labpipe.cli.main import run_command; import sys, tempfile; sys.exit(run_command({_arguments(kind)}))"
-        imports, *floors, own = least_costs(folder, [[sys.executable, "-c", text] for text in (LIBRARIES, *bares, command)], repeats)
+        bares = [
+            f"from tests.benchmarks.raw_files import bare; bare({str(path)!r}, {n_block}, {way!r})"
+            for way in ways
+        ]
+        command = (
+            "from labpipe.cli.main import run_command; import sys, tempfile; "
+            f"sys.exit(run_command({_arguments(kind)}))"
+        )
+        imports, *floors, own = least_costs(
+            folder, [[sys.executable, "-c", text] for text in (LIBRARIES, *bares, command)], repeats
+        )
         floor = Cost(*(min(getattr(floor, name) for floor in floors) for name in ("cpu", "clock", "memory")))
         return size, floor.less(imports), own.less(imports)
 
@@ -179,8 +221,8 @@ def row_of(kind: str, n_row: int, n_block: int, repeats: int) -> str:
     """The row of the table of a kind of file."""
     size, floor, own = measured(kind, n_row, n_block, repeats)
     return (
-        f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.2f} s | {own.cpu / floor.cpu:.2f} | {floor.clock:.2f} s | "
-        f"{own.clock / floor.clock:.2f} | {own.memory:.0f} MB |"
+        f"| {kind} | {size / 1e6:.0f} MB | {floor.cpu:.2f} s | {own.cpu / floor.cpu:.2f} | {floor.clock:.2f} "
+        f"s | {own.clock / floor.clock:.2f} | {own.memory:.0f} MB |"
     )
 
 
@@ -189,7 +231,9 @@ def _arguments(kind: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], default=[])
     parser.add_argument("--rows", type=int, default=16_000_000)
     parser.add_argument("--size", type=float, help="of the files [MB], in place of rows")
@@ -198,7 +242,15 @@ def main() -> None:
     options = parser.parse_args()
     print(TABLE)
     for kind in options.kinds or KINDS:
-        print(row_of(kind, rows_of(kind, options.size) if options.size else options.rows, options.block, options.repeats), flush=True)
+        print(
+            row_of(
+                kind,
+                rows_of(kind, options.size) if options.size else options.rows,
+                options.block,
+                options.repeats,
+            ),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -1,12 +1,14 @@
-"""Writes docs/pages/speed.md: what labpipe costs beside the least that the same work could cost, measured on this machine.
+"""Writes docs/pages/speed.md: what labpipe costs beside the least that the same work could cost, measured on
+this machine.
 
 python -m tests.benchmarks.speed_page [--rows N] [--repeats N]
 
-Raw files of a gigabyte are made one after the other in the folder for temporary files (TMPDIR), which needs 3 GB.
+Raw files of a gigabyte are made one after the other in the folder for temporary files (TMPDIR), which needs 3
+GB.
 
-Ratios of CPU times, the least of repetitions in turns, so that they hold on other machines about as well. To be run on a machine that does
-nothing else, with OMP_NUM_THREADS=1: threads of BLAS that wait for work take time of the processor as well. OPENBLAS_CORETYPE and
-OPENBLAS_L2_SIZE must not be set.
+Ratios of CPU times, the least of repetitions in turns, so that they hold on other machines about as well. To
+be run on a machine that does nothing else, with OMP_NUM_THREADS=1: threads of BLAS that wait for work take
+time of the processor as well. OPENBLAS_CORETYPE and OPENBLAS_L2_SIZE must not be set.
 """
 
 from __future__ import annotations
@@ -59,13 +61,18 @@ same machine in the same run, BLAS with one thread. Smaller benchmarks with limi
 
 
 def frf_rows() -> Iterator[str]:
-    """One row per block length and number of channels: FRF with covariance and coherence over scipy's bare real FFTs."""
+    """One row per block length and number of channels: FRF with covariance and coherence over scipy's bare
+    real FFTs.
+    """
     for block, n_output, n_input, n_sample in RECORDS:
         samples = np.random.default_rng(1).normal(size=(n_sample, n_output + n_input))
         columns = np.ascontiguousarray(samples.T)
         forces = tuple(Channel(f"f{n}", "force", "input", f"d{n}", 0.0) for n in range(n_input))
         responses = tuple(Channel(f"y{n}", "displacement", "output", f"d{n}", 0.0) for n in range(n_output))
-        recording, settings = Recording((*forces, *responses), samples, RATE, "run"), FrfSettings("random", block=block / RATE)
+        recording, settings = (
+            Recording((*forces, *responses), samples, RATE, "run"),
+            FrfSettings("random", block=block / RATE),
+        )
 
         def bare(columns: np.ndarray = columns, block: int = block) -> None:
             for start in range(0, columns.shape[1] - block + 1, block // 2):
@@ -75,7 +82,10 @@ def frf_rows() -> Iterator[str]:
         layout = find_layout([recording])
 
         def averaged(
-            recording: Recording = recording, settings: FrfSettings = settings, layout: Layout = layout, block: int = block
+            recording: Recording = recording,
+            settings: FrfSettings = settings,
+            layout: Layout = layout,
+            block: int = block,
         ) -> None:
             average = WelchAverage(window_values("hann", block), block // 2, recording.samples.shape[1])
             average.add(recording.samples)
@@ -88,23 +98,38 @@ def frf_rows() -> Iterator[str]:
 
 
 def likelihood_rows() -> Iterator[str]:
-    """One row per number of dofs and lines: maximum likelihood of all stiffness and damping coefficients under given masses."""
+    """One row per number of dofs and lines: maximum likelihood of all stiffness and damping coefficients
+    under given masses.
+    """
     first = 0.0
     for n_dof, n_line in CHAINS:
         response = chain(n_dof, n_line)
         settings = FitSettings("mdof", symmetric=False, estimator="ml", mass=tuple(1.0 + np.arange(n_dof)))
-        spent = cpu_time(lambda response=response, settings=settings: identify(response, settings), 1 if n_line > 10_000 else 2)
+        spent = cpu_time(
+            lambda response=response, settings=settings: identify(response, settings),
+            1 if n_line > 10_000 else 2,
+        )
         first = first or spent
         shared = chain(n_dof, n_line, is_shared=True)
-        beside = cpu_time(lambda shared=shared, settings=settings: identify(shared, settings), 1 if n_line > 10_000 else 2)
-        yield f"| {n_dof} | {n_line} | {2 * n_dof**2} | {spent:.2f} s | {spent / first:.1f} | {beside / spent:.1f} |"
+        beside = cpu_time(
+            lambda shared=shared, settings=settings: identify(shared, settings), 1 if n_line > 10_000 else 2
+        )
+        yield (
+            f"| {n_dof} | {n_line} | {2 * n_dof**2} | {spent:.2f} s | {spent / first:.1f} | "
+            f"{beside / spent:.1f} |"
+        )
 
 
 def command_rows() -> Iterator[str]:
-    """Start-up, help, a first and a repeated run of the pedestal, and a wear test, over what Python itself or the libraries take."""
+    """Start-up, help, a first and a repeated run of the pedestal, and a wear test, over what Python itself or
+    the libraries take.
+    """
     labpipe = [sys.executable, "-m", "labpipe"]
     with tempfile.TemporaryDirectory() as name:
-        cold = f"from labpipe.cli.main import run_command; import tempfile; run_command({_run('pedestal', 'tempfile.mkdtemp()')})"
+        cold = (
+            "from labpipe.cli.main import run_command; import tempfile; "
+            f"run_command({_run('pedestal', 'tempfile.mkdtemp()')})"
+        )
         wear = cold.replace("pedestal", "wear-1")
         warm = [*labpipe, "run", "pipelines/pedestal.yaml", "-o", f"{name}/out", "-q"]
         least_costs(ROOT, [warm], 1)
@@ -114,7 +139,10 @@ def command_rows() -> Iterator[str]:
         (worn,) = least_costs(ROOT, [[sys.executable, "-c", wear]], 2)
     yield f"| `labpipe --help` | {helped.cpu:.2f} s | {helped.cpu / empty.cpu:.1f} times an empty Python |"
     five = "times importing numpy, scipy, pandas, pyarrow and matplotlib"
-    yield f"| `labpipe run` of the pedestal, nothing there yet | {first.cpu:.2f} s | {first.cpu / libraries.cpu:.2f} {five} |"
+    yield (
+        f"| `labpipe run` of the pedestal, nothing there yet | {first.cpu:.2f} s | "
+        f"{first.cpu / libraries.cpu:.2f} {five} |"
+    )
     yield f"| the same again, nothing changed | {again.cpu:.2f} s | {again.cpu / libraries.cpu:.2f} {five} |"
     yield f"| `labpipe run` of wear-1 | {worn.cpu:.1f} s | |"
 
@@ -136,16 +164,20 @@ def page(n_row: int, repeats: int) -> str:
     parts = [
         HEAD,
         f"Python {platform.python_version()}, numpy {np.__version__}, {platform.machine()}.\n",
-        "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing else: first H1 with covariance "
-        "(in its two factors: it is made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
-        "also checks the record and looks for a loop, drift and aliasing.\n",
-        "| responses x forces | block | samples | bare FFTs | FRF / bare | measure / bare |\n|---|---|---|---|---|---|",
+        "\n## FRF of records in memory\n\nOver `scipy.fft.rfft` of every block of every channel and nothing "
+        "else: first H1 with covariance (in its two factors: it is made whole when it is first read), "
+        "ordinary, multiple and partial coherence; then `measure`, which also checks the record and looks "
+        "for a loop, drift and aliasing.\n",
+        "| responses x forces | block | samples | bare FFTs | FRF / bare | measure / bare "
+        "|\n|---|---|---|---|---|---|",
         *frf_rows(),
-        f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows, then files of {LARGE:g} MB; beside it bare "
-        "reading and bare FFTs, piece by piece or at once, whichever is faster. The import of the libraries is subtracted on both sides.\n",
+        f"\n## A raw file to its FRF by the command\n\nTwo forces, two responses, {n_row} rows, then files "
+        f"of {LARGE:g} MB; beside it bare reading and bare FFTs, piece by piece or at once, whichever is "
+        "faster. The import of the libraries is subtracted on both sides.\n",
         TABLE,
         *file_rows(n_row, repeats),
-        "\n## Maximum likelihood over many dofs and lines\n\nAll stiffness and damping coefficients of masses in a chain, with the test of "
+        "\n## Maximum likelihood over many dofs and lines\n\nAll stiffness and damping coefficients of "
+        "masses in a chain, with the test of "
         "the given masses; last, FRFs that share noise as those of H1 do, over independent ones.\n",
         "| dofs | lines | parameters | CPU | over the first | shared noise |\n|---|---|---|---|---|---|",
         *likelihood_rows(),
@@ -156,7 +188,9 @@ def page(n_row: int, repeats: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rows", type=int, default=4_000_000, help="of the smaller raw files")
     parser.add_argument("--repeats", type=int, default=2, help="of the commands on raw files")
     if os.environ.get("OMP_NUM_THREADS") != "1":

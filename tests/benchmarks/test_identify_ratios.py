@@ -1,4 +1,6 @@
-"""Speed of the identification as ratios within one run: against a literal twin, and over the number of lines."""
+"""Speed of the identification as ratios within one run: against a literal twin, and over the number of
+lines.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,15 @@ def measured(n_line: int) -> Measured:
     h = np.linalg.inv(STIFFNESS + 1j * omega[:, None, None] * DAMPING - omega[:, None, None] ** 2 * MASS)
     rng = np.random.default_rng(1)
     noise = 0.02 * np.max(np.abs(h)) * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape))
-    return Measured(omega=omega, matrix=h + noise, covariance=None, noise_dof=np.inf, noise_lines=1.0, outputs=DOFS, inputs=FORCES)
+    return Measured(
+        omega=omega,
+        matrix=h + noise,
+        covariance=None,
+        noise_dof=np.inf,
+        noise_lines=1.0,
+        outputs=DOFS,
+        inputs=FORCES,
+    )
 
 
 def cpu_time(work: Callable[[], object], repeats: int) -> float:
@@ -70,17 +80,24 @@ def test_cost_is_linear_in_the_lines(record_property) -> None:  # type: ignore[n
 
 
 def four_dofs() -> FrequencyResponse:
-    """Four masses in a chain with skew stiffness and non-proportional damping, 300 lines, every FRF with noise of known variance."""
+    """Four masses in a chain with skew stiffness and non-proportional damping, 300 lines, every FRF with
+    noise of known variance.
+    """
     rng = np.random.default_rng(1)
     springs, mass = 1e5 * np.array([1.1, 0.8, 1.3, 0.9]), np.diag([1.1, 0.9, 1.3, 1.0])
-    stiffness = np.diag(springs + np.append(springs[1:], 0.0)) - np.diag(springs[1:], 1) - np.diag(springs[1:], -1)
+    stiffness = (
+        np.diag(springs + np.append(springs[1:], 0.0)) - np.diag(springs[1:], 1) - np.diag(springs[1:], -1)
+    )
     skew = 3e3 * rng.normal(size=(4, 4))
     damping = 2e-4 * stiffness + np.diag([3.0, 9.0, 5.0, 11.0])
     frequency = np.linspace(15.0, 110.0, 300)
     w = 2 * np.pi * frequency[:, None, None]
     h = np.linalg.inv(stiffness + skew - skew.T + 1j * w * damping - w**2 * mass)
     dofs = [f"x{number}" for number in range(1, 5)]
-    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
+    outputs, inputs = (
+        tuple(Port(dof, dof, dof) for dof in dofs),
+        tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs),
+    )
     return with_noise(frequency, h, outputs, inputs, 0.01 * float(np.median(np.abs(h))), rng)
 
 
@@ -101,7 +118,8 @@ def test_comparison_of_models_over_the_fit(record_property, monkeypatch: pytest.
 def chain(n_dof: int, n_line: int, is_shared: bool = False) -> FrequencyResponse:
     """Masses 1, 2, ... kg in a chain of springs with damping, all FRFs with noise of known size.
 
-    *is_shared*: FRFs of neighbours share noise, by their responses and by their forces, as those of H1 from random data.
+    *is_shared*: FRFs of neighbours share noise, by their responses and by their forces, as those of H1 from
+    random data.
     """
     stiffness = 2 * np.eye(n_dof) - np.eye(n_dof, k=1) - np.eye(n_dof, k=-1)
     w = np.linspace(0.05, 2.41, n_line)[:, None, None]
@@ -116,12 +134,17 @@ def chain(n_dof: int, n_line: int, is_shared: bool = False) -> FrequencyResponse
         factors = np.broadcast_to(spread @ spread.T + 0j, h.shape)
         covariance = FactoredCovariance(factors * std**2, factors)
     dofs = [f"x{number}" for number in range(n_dof)]
-    outputs, inputs = tuple(Port(dof, dof, dof) for dof in dofs), tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs)
+    outputs, inputs = (
+        tuple(Port(dof, dof, dof) for dof in dofs),
+        tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in dofs),
+    )
     return FrequencyResponse(w[:, 0, 0] / (2 * np.pi), h + noise, outputs, inputs, covariance=covariance)
 
 
 def test_likelihood_over_dofs_and_lines(record_property) -> None:  # type: ignore[no-untyped-def]
-    """All coefficients of chains with known noise: 6 dofs over 3 (72 parameters over 18), and ten times the lines; goals 8 and 11."""
+    """All coefficients of chains with known noise: 6 dofs over 3 (72 parameters over 18), and ten times the
+    lines; goals 8 and 11.
+    """
 
     def spent(n_dof: int, n_line: int, repeats: int) -> float:
         response = chain(n_dof, n_line)
@@ -138,7 +161,9 @@ def test_likelihood_of_frfs_that_share_noise_over_independent_ones(record_proper
     """6 dofs, the covariance of H1: 17 times as long while its whole matrices weighted the lines."""
     settings = FitSettings("mdof", symmetric=False, estimator="ml", mass=tuple(1.0 + np.arange(6)))
     responses = [chain(6, 1000, is_shared) for is_shared in (False, True)]
-    alone, shared = (cpu_time(lambda response=response: identify(response, settings), 3) for response in responses)
+    alone, shared = (
+        cpu_time(lambda response=response: identify(response, settings), 3) for response in responses
+    )
     record_property("ml_shared_over_independent_noise", round(shared / alone, 1))
     assert shared < 5 * alone
 
@@ -146,8 +171,20 @@ def test_likelihood_of_frfs_that_share_noise_over_independent_ones(record_proper
 def test_a_linearisation_over_its_derivatives(record_property) -> None:  # type: ignore[no-untyped-def]
     """What the products line by line spare at 6 dofs: the derivatives, their whitening and their triangle."""
     response = chain(6, 1000)
-    data = measured_part(response, list(range(6)), list(range(6)), np.ones(1000, bool), form_view(response.form, FitSettings("mdof")))
-    model = mdof(Setup(response.outputs, response.inputs, FitSettings("mdof", mass=tuple(1.0 + np.arange(6)), symmetric=False)))
+    data = measured_part(
+        response,
+        list(range(6)),
+        list(range(6)),
+        np.ones(1000, bool),
+        form_view(response.form, FitSettings("mdof")),
+    )
+    model = mdof(
+        Setup(
+            response.outputs,
+            response.inputs,
+            FitSettings("mdof", mass=tuple(1.0 + np.arange(6)), symmetric=False),
+        )
+    )
     problem = OutputError(data, model, fit_weights(data))
     here = starts(problem)[0].values
     ratio = cpu_time(lambda: linearised(problem, here), 3) / cpu_time(lambda: problem.linearised(here), 8)

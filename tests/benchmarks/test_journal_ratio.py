@@ -58,23 +58,35 @@ def equilibrium_seconds() -> tuple[float, float]:
 
 def identify(table: JournalTable) -> None:
     """Twenty starts on seven lines of the full directional response, complex residuals, exact derivatives."""
-    rotor = Rotor(tuple(ShaftElement(0.06, 0.012) for _ in range(15)), sleeves=(Sleeve(8, 0.04),), beta=1.6e-4)
+    rotor = Rotor(
+        tuple(ShaftElement(0.06, 0.012) for _ in range(15)), sleeves=(Sleeve(8, 0.04),), beta=1.6e-4
+    )
     first = journal_equilibrium(BEARING, LOAD, SPEED)
-    standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on([Support(4, first.stiffness, first.damping)])
+    standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on(
+        [Support(4, first.stiffness, first.damping)]
+    )
 
     def bearing(depth: float, angle: float) -> VaryingSupport:
         found = table.coefficients(worn(depth, angle), SPEED)
-        return VaryingSupport(Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2])
+        return VaryingSupport(
+            Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2]
+        )
 
     rig, scale = WornRig(standing, bearing, 14, 10), np.array([1e-6, np.deg2rad(1)])
     measured, _ = worn_response(22.27e-6, 0.19, rig, directional=True)
 
     def residual(x: np.ndarray) -> np.ndarray:
-        misfit = (worn_response(*(x * scale), rig, directional=True)[0] - measured).ravel() / np.abs(measured).max()
+        misfit = (worn_response(*(x * scale), rig, directional=True)[0] - measured).ravel() / np.abs(
+            measured
+        ).max()
         return np.concatenate([misfit.real, misfit.imag])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        flat = worn_response(*(x * scale), rig, directional=True)[1].reshape(2, -1).T * scale / np.abs(measured).max()
+        flat = (
+            worn_response(*(x * scale), rig, directional=True)[1].reshape(2, -1).T
+            * scale
+            / np.abs(measured).max()
+        )
         return np.concatenate([flat.real, flat.imag])
 
     for start in STARTS:
@@ -88,23 +100,36 @@ def test_identification_with_its_table_in_equilibria(capsys) -> None:  # type: i
     table = wall_seconds(lambda: tables.append(journal_table(BEARING, LOAD, SPEED, workers=2)), 1)
     search = wall_seconds(lambda: identify(tables[-1]), 1)
     with capsys.disabled():
-        print(f"\n120 x 30 equilibrium with coefficients: {1e3 * cold:.1f} ms from nothing, {1e3 * warm:.1f} ms from a neighbour")
-        print(f"table {table:.2f} s on two processes, 20 starts {search:.2f} s: {(table + search) / warm:.0f} equilibria (goal 1000)")
+        print(
+            f"\n120 x 30 equilibrium with coefficients: {1e3 * cold:.1f} ms from nothing, "
+            f"{1e3 * warm:.1f} ms from a neighbour"
+        )
+        print(
+            f"table {table:.2f} s on two processes, 20 starts {search:.2f} s: "
+            f"{(table + search) / warm:.0f} equilibria (goal 1000)"
+        )
     assert table + search < 4000 * warm
     assert warm < cold
 
 
 def test_steps_do_not_grow_with_the_mesh(capsys) -> None:  # type: ignore[no-untyped-def]
-    """Coarser meshes find the neighbourhood: four times the cells cost about four times the time, not more."""
+    """Coarser meshes find the neighbourhood: four times the cells cost about four times the time, not
+    more.
+    """
     meshes = (FilmMesh(120, 30), FilmMesh(240, 60))
-    coarse, fine = (wall_seconds(lambda mesh=mesh: journal_equilibrium(worn(30e-6, 0.1), LOAD, SPEED, mesh), 7) for mesh in meshes)
+    coarse, fine = (
+        wall_seconds(lambda mesh=mesh: journal_equilibrium(worn(30e-6, 0.1), LOAD, SPEED, mesh), 7)
+        for mesh in meshes
+    )
     with capsys.disabled():
         print(f"\n240 x 60 cells take {fine / coarse:.1f} times 120 x 30")
     assert fine < 24 * coarse
 
 
 def bare_factor_seconds(shape: tuple[int, int]) -> float:
-    """CPU of LAPACK's Cholesky factors of a band of as many cells as a film of *shape* (n_theta, n_half) has outside its cavity."""
+    """CPU of LAPACK's Cholesky factors of a band of as many cells as a film of *shape* (n_theta, n_half) has
+    outside its cavity.
+    """
     n_cell, n_half = int(0.7 * shape[0]) * shape[1], shape[1]
     band = np.full((n_half + 1, n_cell), -1.0 / (2 * n_half), order="F")
     band[0] = 2.0
@@ -123,12 +148,17 @@ def cpu_seconds(action: Callable[[], object], repeats: int) -> float:
 
 @pytest.mark.parametrize("mesh", [FilmMesh(120, 30), FilmMesh(480, 60)])
 def test_an_equilibrium_in_factorisations(mesh: FilmMesh, capsys) -> None:  # type: ignore[no-untyped-def]
-    """An equilibrium one degree from its neighbour, coefficients and all, over one bare factorisation of its equations."""
+    """An equilibrium one degree from its neighbour, coefficients and all, over one bare factorisation of its
+    equations.
+    """
     neighbour = journal_equilibrium(worn(25e-6, 0.15), LOAD, SPEED, mesh)
     near = cpu_seconds(lambda: journal_equilibrium(worn(25e-6, 0.1675), LOAD, SPEED, mesh, neighbour), 9)
     factor = bare_factor_seconds((mesh.around, mesh.across // 2))
     with capsys.disabled():
-        print(f"\n{mesh.around} x {mesh.across}: {1e3 * near:.1f} ms, {near / factor:.0f} bare factorisations of {1e3 * factor:.2f} ms")
+        print(
+            f"\n{mesh.around} x {mesh.across}: {1e3 * near:.1f} ms, {near / factor:.0f} bare "
+            f"factorisations of {1e3 * factor:.2f} ms"
+        )
     assert near < 100 * factor
 
 
@@ -148,5 +178,7 @@ def test_a_whole_fit_in_factorisations(capsys, monkeypatch: pytest.MonkeyPatch) 
     spent = cpu_seconds(lambda: fitted(response, settings), 1)
     floor = sum(shapes.count(shape) * bare_factor_seconds(shape) for shape in sorted(set(shapes)))
     with capsys.disabled():
-        print(f"\na fit of wear {spent:.2f} s: {spent / floor:.1f} times its {len(shapes)} bare factorisations")
+        print(
+            f"\na fit of wear {spent:.2f} s: {spent / floor:.1f} times its {len(shapes)} bare factorisations"
+        )
     assert spent < 30 * floor

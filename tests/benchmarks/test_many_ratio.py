@@ -1,4 +1,7 @@
-"""Many recordings on two processes against one, in one run. Two hundred of them, all told, took 55.1 and 30.7 s: 1.79 times."""
+"""Many recordings on two processes against one, in one run.
+
+Two hundred of them, all told, took 55.1 and 30.7 s: 1.79 times.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ identify:
 
 
 def seconds(folder: Path, name: str, execute: Execute) -> float:
-    """The time between the ends of the first and the last test: starting processes and writing the result are the same for any number."""
+    """The time between the ends of the first and the last test: starting processes and writing the result are
+    the same for any number.
+    """
     done: list[float] = []
     with output_folder(folder / name) as output:
         manner = Manner(execute=execute, progress=lambda *_: done.append(time.perf_counter()))
@@ -46,6 +51,8 @@ def test_two_processes_are_nearly_twice_as_fast_as_one(tmp_path: Path, root: Pat
     if one / two <= GOAL:
         # Whatever else the machine does slows two processes more than one: the quicker of two runs counts.
         two = min(two, seconds(tmp_path, "again", in_processes(2)))
-    assert (tmp_path / "one/identification.json").read_bytes() == (tmp_path / "two/identification.json").read_bytes()
+    assert (tmp_path / "one/identification.json").read_bytes() == (
+        tmp_path / "two/identification.json"
+    ).read_bytes()
     print(f"one process {one:.1f} s, two {two:.1f} s: {one / two:.2f} times")
     assert one / two > GOAL

@@ -16,11 +16,15 @@ from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 def own(omega: np.ndarray, matrix: np.ndarray) -> Refined:
     modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
-    return refine_with_terms(Lines(omega, matrix, 2, np.ones(omega.size)), modes.values, modes.participation)[0]
+    return refine_with_terms(Lines(omega, matrix, 2, np.ones(omega.size)), modes.values, modes.participation)[
+        0
+    ]
 
 
 def peer_poles(frequency: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Poles of all orders up to 60; the package takes one row of FRFs. It is loaded here: every run of the tests collects this file."""
+    """Poles of all orders up to 60; the package takes one row of FRFs. It is loaded here: every run of the
+    tests collects this file.
+    """
     import sdypy.EMA as peer
 
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -37,7 +41,10 @@ def peer_poles(frequency: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def relative_errors(poles: np.ndarray) -> np.ndarray:
-    """Of frequency and damping ratio of the nine modes, (2, 9); of many poles the one nearest to the truth."""
+    """Of frequency and damping ratio of the nine modes, (2, 9).
+
+    Of many poles the one nearest to the truth.
+    """
     truth = 2 * np.pi * FREQUENCIES * (-DAMPING + 1j * np.sqrt(1 - DAMPING**2))
     nearest = np.array([poles[np.argmin(np.abs(poles - pole))] for pole in truth])
     zeta = -nearest.real / np.abs(nearest)
@@ -51,7 +58,9 @@ def test_modes_against_a_public_package(record_property) -> None:  # type: ignor
     ours = np.mean([relative_errors(own(omega, matrix).poles) for matrix in draws], axis=0)
     theirs = np.mean([relative_errors(peer_poles(structure.frequency, matrix)) for matrix in draws], axis=0)
     worst = float(np.max(ours / theirs))
-    ratio = cpu_time(lambda: own(omega, draws[0]), 2) / cpu_time(lambda: peer_poles(structure.frequency, draws[0]), 2)
+    ratio = cpu_time(lambda: own(omega, draws[0]), 2) / cpu_time(
+        lambda: peer_poles(structure.frequency, draws[0]), 2
+    )
     record_property("modal_error_over_peer_worst_mode", round(worst, 3))
     record_property("modal_time_over_peer", round(ratio, 2))
     assert worst < 0.5

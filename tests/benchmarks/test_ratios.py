@@ -1,4 +1,7 @@
-"""Speed as ratios within one run. The figures are printed; only gross failures (four times the usual ratio) fail the test."""
+"""Speed as ratios within one run. The figures are printed.
+
+Only gross failures (four times the usual ratio) fail the test.
+"""
 
 from __future__ import annotations
 
@@ -62,5 +65,8 @@ def test_welch_against_the_bare_ffts_and_scipy(capsys) -> None:  # type: ignore[
 
     floor, own, peer = cpu_seconds(bare), cpu_seconds(ours), cpu_seconds(pair_by_pair)
     with capsys.disabled():
-        print(f"\ncross-spectra of 4 channels: {own / floor:.2f} times the bare FFTs; scipy.signal.csd {peer / floor:.1f} times")
+        print(
+            f"\ncross-spectra of 4 channels: {own / floor:.2f} times the bare FFTs; scipy.signal.csd "
+            f"{peer / floor:.1f} times"
+        )
     assert own < 16 * floor

@@ -1,6 +1,8 @@
-"""Ten thousand load cases of a rolling bearing together, against loops over single cases: CPU time within one run, printed.
+"""Ten thousand load cases of a rolling bearing together, against loops over single cases: CPU time within one
+run, printed.
 
-Both loops solve to the same tolerance; labpipe's own single-case call also starts from the same point. Only gross failure is tested.
+Both loops solve to the same tolerance; labpipe's own single-case call also starts from the same point. Only
+gross failure is tested.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ def loads() -> np.ndarray:
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(N_TOGETHER, 5))
     size = 10 ** rng.uniform(0, np.log10(20e3), (N_TOGETHER, 1))
-    scaled: np.ndarray = size * directions / np.linalg.norm(directions, axis=1, keepdims=True) * [1, 1, 1, 0.03, 0.03]
+    scaled: np.ndarray = (
+        size * directions / np.linalg.norm(directions, axis=1, keepdims=True) * [1, 1, 1, 0.03, 0.03]
+    )
     return scaled
 
 
@@ -54,6 +58,12 @@ def test_many_load_cases_against_loops(loads: np.ndarray, capsys) -> None:  # ty
     start = np.array([0, 0, 1e-4, 0, 0])
     peer = cpu_seconds(lambda: [solved_by_scipy(load, start) for load in loads[:N_LOOP]]) / N_LOOP
     with capsys.disabled():
-        print(f"\n10,000 load cases, {1e6 * together:.0f} us each: {own_loop / together:.0f} times faster than one by one,")
-        print(f"{peer / together:.0f} times faster than a loop over scipy.optimize.root with the same derivative (goal 20)")
+        print(
+            f"\n10,000 load cases, {1e6 * together:.0f} us each: {own_loop / together:.0f} times faster "
+            "than one by one,"
+        )
+        print(
+            f"{peer / together:.0f} times faster than a loop over scipy.optimize.root with the same "
+            "derivative (goal 20)"
+        )
     assert min(own_loop, peer) > 5 * together

@@ -1,6 +1,8 @@
-"""Speed of the spectra as ratios within one run, on the white-noise measurement of a rotor: 860,000 samples of 2 forces and 2 responses.
+"""Speed of the spectra as ratios within one run, on the white-noise measurement of a rotor: 860,000 samples
+of 2 forces and 2 responses.
 
-The figures are printed; a test fails only where a ratio is grossly missed, since other work on the same machine disturbs them.
+The figures are printed; a test fails only where a ratio is grossly missed, since other work on the same
+machine disturbs them.
 """
 
 from __future__ import annotations
@@ -73,19 +75,28 @@ def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(
             for b in range(a, 4):
                 signal.csd(columns[a], columns[b], fs=RATE, nperseg=block, noverlap=block // 2)
 
-    own, peer = ratios(lambda: bare_ffts(columns, block), lambda: measure([recording], settings), pair_by_pair, repeats=5)
+    own, peer = ratios(
+        lambda: bare_ffts(columns, block), lambda: measure([recording], settings), pair_by_pair, repeats=5
+    )
     with capsys.disabled():
-        print(f"\nMIMO FRF with covariance, blocks of {block}: {own:.2f} times the bare FFTs; scipy.signal.csd {peer:.1f} times")
+        print(
+            f"\nMIMO FRF with covariance, blocks of {block}: {own:.2f} times the bare FFTs; "
+            f"scipy.signal.csd {peer:.1f} times"
+        )
     assert own < 4.5
     assert peer > least * own
 
 
 def test_frf_of_many_channels_in_memory_against_the_bare_ffts(capsys: pytest.CaptureFixture[str]) -> None:
-    # 8 responses to 2 forces; the covariance of the 16 elements stays in its factors, as long as nobody reads it.
+    # 8 responses to 2 forces; the covariance of the 16 elements stays in its factors, as long as nobody reads
+    # it.
     forces = tuple(Channel(f"f{n}", "force", "input", f"d{n}") for n in range(2))
     responses = tuple(Channel(f"y{n}", "displacement", "output", f"d{n}") for n in range(8))
     samples = np.random.default_rng(2).normal(size=(1_200_000, 10))
-    recording, columns = Recording((*forces, *responses), samples, RATE, "run"), np.ascontiguousarray(samples.T)
+    recording, columns = (
+        Recording((*forces, *responses), samples, RATE, "run"),
+        np.ascontiguousarray(samples.T),
+    )
     settings = FrfSettings(excitation="random", block=25_600 / RATE)
     (own,) = ratios(lambda: bare_ffts(columns, 25_600), lambda: measure([recording], settings), repeats=3)
     with capsys.disabled():
@@ -100,7 +111,9 @@ def test_the_matrix_is_that_of_scipy_to_1e10(samples: np.ndarray) -> None:
     matrix = average.spectra(RATE).matrix
     for a, b in ((0, 0), (2, 1), (3, 2), (3, 3)):
         _, expected = signal.csd(samples[:, b], samples[:, a], fs=RATE, nperseg=BLOCK, noverlap=BLOCK - STEP)
-        np.testing.assert_allclose(matrix[:-1, a, b], expected[1:-1], rtol=0, atol=1e-10 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            matrix[:-1, a, b], expected[1:-1], rtol=0, atol=1e-10 * np.abs(expected).max()
+        )
 
 
 def test_block_size_of_the_reader_changes_nothing_but_rounding(samples: np.ndarray) -> None:
@@ -114,7 +127,9 @@ def test_block_size_of_the_reader_changes_nothing_but_rounding(samples: np.ndarr
         np.testing.assert_allclose(matrix, matrices[0], rtol=0, atol=1e-14 * np.abs(matrices[0]).max())
 
 
-def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_from_parquet_against_bare_read_and_bare_ffts(
+    samples: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from labpipe.artefacts.header import Header
     from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
 
@@ -140,15 +155,22 @@ def test_from_parquet_against_bare_read_and_bare_ffts(samples: np.ndarray, tmp_p
 def test_a_raw_file_to_its_frf_by_the_command_against_bare_read_and_bare_ffts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, most: float
 ) -> None:
-    """What users run: a logger's file is read, screened, calibrated and measured; of CSV by way of a calibrated recording.
+    """What users run: a logger's file is read, screened, calibrated and measured; of CSV by way of a
+    calibrated recording.
 
-    At this size what a command costs at least, about 0.2 s, is most of it; `python -m tests.benchmarks.raw_files` takes large files.
+    At this size what a command costs at least, about 0.2 s, is most of it; `python -m
+    tests.benchmarks.raw_files` takes large files.
     """
     write_raw(tmp_path, kind, 860_000, BLOCK)
     turn = count()
 
     def by_command() -> None:
-        assert run_command(["frf", "-c", str(tmp_path / f"{kind}.yaml"), "-o", str(tmp_path / f"out{next(turn)}"), "-q"]) == 0
+        assert (
+            run_command(
+                ["frf", "-c", str(tmp_path / f"{kind}.yaml"), "-o", str(tmp_path / f"out{next(turn)}"), "-q"]
+            )
+            == 0
+        )
 
     (own,) = ratios(lambda: bare(str(tmp_path / f"raw.{kind}"), BLOCK, WHOLE), by_command, repeats=3)
     with capsys.disabled():

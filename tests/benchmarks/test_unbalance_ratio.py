@@ -1,4 +1,7 @@
-"""Cost of unbalance responses and their identification, in run-up evaluations: figures are printed; only gross failures fail."""
+"""Cost of unbalance responses and their identification, in run-up evaluations: figures are printed.
+
+Only gross failures fail.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,9 @@ def run_up_seconds() -> float:
 
 
 def integration_seconds(speed: float, turns: int) -> float:
-    """The same rotor integrated over time by RK45 at one speed, from its matched state, to a relative tolerance of 1e-6."""
+    """The same rotor integrated over time by RK45 at one speed, from its matched state, to a relative
+    tolerance of 1e-6.
+    """
     stiffness, damping = (found[0] for found in RIG.start_coefficients(5.0, np.array([speed])))
     forces = unbalance_forces(RIG.pinned, {2: 5e-5 + 0j}, np.array([speed]))
     system = Stability.of(RIG.pinned, 3).system(np.array([speed]), stiffness, damping)[0]
@@ -55,12 +60,16 @@ def integration_seconds(speed: float, turns: int) -> float:
 
 
 def test_frequency_domain_against_time_integration(capsys) -> None:  # type: ignore[no-untyped-def]
-    """Goal: 1000 times faster. A run-up of 27 speeds against 27 integrations of two turns, of which one, at 1500 rpm, is timed."""
+    """Goal: 1000 times faster.
+
+    A run-up of 27 speeds against 27 integrations of two turns, of which one, at 1500 rpm, is timed.
+    """
     run_up = run_up_seconds()
     integrated = 27 * integration_seconds(50 * np.pi, 2)
     with capsys.disabled():
         print(
-            f"\nrun-up of 27 speeds: {1e3 * run_up:.3f} ms; integrated over time {integrated:.1f} s, {integrated / run_up:.0f} times longer"
+            f"\nrun-up of 27 speeds: {1e3 * run_up:.3f} ms; integrated over time {integrated:.1f} s, "
+            f"{integrated / run_up:.0f} times longer"
         )
     assert integrated > 1000 * run_up
     assert run_up < 0.05
@@ -77,14 +86,18 @@ def test_identification_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-d
         print(f"\nrun-up {1e3 * run_up:.3f} ms, condensing it {1e3 * condensing:.2f} ms")
         print(f"per point {1e3 * points:.0f} ms = {points / run_up:.0f} run-ups")
         print(f"joint fit {1e3 * joint:.0f} ms = {joint / run_up:.0f} run-ups")
-    # The goals with the run-up counted as 1 ms or what it takes, whichever is longer; four times that is gross failure.
+    # The goals with the run-up counted as 1 ms or what it takes, whichever is longer; four times that is
+    # gross failure.
     unit = max(run_up, 1e-3)
     assert points < 4000 * unit
     assert joint < 12000 * unit
 
 
 def test_amplitudes_smooth_factors_and_metamodels_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-def]
-    """Goal where a run-up takes 1 ms: (a) 30 s for four loads and 27 speeds, 30 000 run-ups of 1 ms; the others have none."""
+    """Goal where a run-up takes 1 ms: (a) 30 s for four loads and 27 speeds, 30 000 run-ups of 1 ms.
+
+    The others have none.
+    """
     run_up = run_up_seconds()
     runs = trained("factors")
     joint = fit_jointly(RIG, runs)

@@ -49,7 +49,10 @@ def sliding_result() -> Identification:
     covariance = uncorrelated(np.full(clean.shape, 1e-14))
     ports = (Port("y", "y", "y"),), (Port("f", "f", "y"),)
     response = FrequencyResponse(frequency, clean + noise, *ports, covariance=covariance, name="run")
-    fits = identify(response, FitSettings("sdof", mass=0.79, name="sliding", band=(1.0, 250.0), sliding=Sliding(15.0, 3.0)))
+    fits = identify(
+        response,
+        FitSettings("sdof", mass=0.79, name="sliding", band=(1.0, 250.0), sliding=Sliding(15.0, 3.0)),
+    )
     whole = identify(response, FitSettings("sdof", mass=0.79, name="whole", band=(40.0, 100.0)))
     outcomes = (RuleOutcome("accept", "whole.gof >= 0.95", 0.99, True),)
     sources = ({"path": "run.csv", "sha256": "ab" * 32},)

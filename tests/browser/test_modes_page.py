@@ -1,4 +1,6 @@
-"""A page of modes in a browser: the structure turns and sways, and a click on the stabilisation diagram gives the line of poles."""
+"""A page of modes in a browser: the structure turns and sways, and a click on the stabilisation diagram gives
+the line of poles.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,13 @@ def fit() -> Fit:
 @pytest.fixture
 def page(browser: Any, fit: Fit, tmp_path: Path) -> Iterator[Any]:
     path = tmp_path / "modes.html"
-    path.write_bytes(html_document(Document("Modes", "", (Section("Fit", tuple(modal_blocks(fit, fit.detail(Modes)))),), to_sign=False)))
+    path.write_bytes(
+        html_document(
+            Document(
+                "Modes", "", (Section("Fit", tuple(modal_blocks(fit, fit.detail(Modes)))),), to_sign=False
+            )
+        )
+    )
     opened = browser.open(path)
     yield opened
     assert opened.said("Runtime.exceptionThrown") == []
@@ -53,7 +61,10 @@ def test_the_structure_sways_stops_and_turns(page: Any) -> None:
     before = page.run(rest)
     page.key("ArrowLeft")
     assert page.run(rest) != before and page.run(MOVED) != still
-    page.run("[...document.querySelectorAll('figure.shapes button')].find((one) => one.textContent === 'Top').click()")
+    page.run(
+        "[...document.querySelectorAll('figure.shapes button')].find((one) => one.textContent === "
+        "'Top').click()"
+    )
     # From above a straight beam along x that moves along z is a straight line, whatever its phase.
     assert page.run(MOVED) == page.run(rest)
 
@@ -70,11 +81,14 @@ def test_a_click_on_a_pole_gives_the_line_for_the_pipeline(page: Any, fit: Fit) 
     assert fit.detail(Modes) is not None
     page.run(f"{DIAGRAM}.scrollIntoView({{block: 'center'}})")
     page.settle()
-    low, high = page.run("JSON.parse(document.querySelector('#figure-1 script').textContent).panels[1].x.limits")
+    low, high = page.run(
+        "JSON.parse(document.querySelector('#figure-1 script').textContent).panels[1].x.limits"
+    )
     frame = f"{DIAGRAM}.querySelector('clipPath rect')"
     left, width, top, height = page.run(
         f"(([own, box]) => [own.left + Number(box.getAttribute('x')), Number(box.getAttribute('width')),"
-        f" own.top + Number(box.getAttribute('y')), Number(box.getAttribute('height'))])([{DIAGRAM}.getBoundingClientRect(), {frame}])"
+        " own.top + Number(box.getAttribute('y')), "
+        f"Number(box.getAttribute('height'))])([{DIAGRAM}.getBoundingClientRect(), {frame}])"
     )
     chosen = "document.querySelector('#figure-1 .choice').textContent"
     for frequency in fit.detail(Modes).frequency[:2]:

@@ -1,4 +1,6 @@
-"""The HTML report in a browser: nothing asked from elsewhere, readable in every width and colour scheme, zoom and reading work."""
+"""The HTML report in a browser: nothing asked from elsewhere, readable in every width and colour scheme, zoom
+and reading work.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,9 @@ def centre(page: Any, selector: str, across: float = 0.5, down: float = 0.4) -> 
 
 
 def read(page: Any) -> str:
-    return page.run("(document.querySelector('#figure-1 .reading:not([hidden])') || {innerText: ''}).innerText")
+    return page.run(
+        "(document.querySelector('#figure-1 .reading:not([hidden])') || {innerText: ''}).innerText"
+    )
 
 
 def test_nothing_is_asked_from_elsewhere_and_nothing_is_complained_of(page: Any, report_page: Path) -> None:
@@ -100,7 +104,9 @@ def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> No
         page.mouse("mouseWheel", *centre(page, CURVE, 0.1), deltaX=0, deltaY=-100)
     page.settle()
     assert page.run(LIMITS) < boxed
-    page.run("[...document.querySelectorAll('#figure-1 button')].find((one) => one.textContent === 'All').click()")
+    page.run(
+        "[...document.querySelectorAll('#figure-1 button')].find((one) => one.textContent === 'All').click()"
+    )
     assert page.run(LIMITS) == whole
 
 
@@ -108,7 +114,9 @@ def test_the_pointer_and_the_keys_read_the_values_of_the_table(page: Any) -> Non
     page.mouse("mouseMoved", *centre(page, CURVE, 0.5))
     page.settle()
     told = read(page)
-    found = re.search(r"centre of the band ([\d.]+) Hz\s+k: ([\d.]+) kN/m \(shaded ([\d.]+) to ([\d.]+)\)", told)
+    found = re.search(
+        r"centre of the band ([\d.]+) Hz\s+k: ([\d.]+) kN/m \(shaded ([\d.]+) to ([\d.]+)\)", told
+    )
     assert found, told
     at, k, low, high = map(float, found.groups())
     assert low < k < high
@@ -142,12 +150,23 @@ def test_nothing_hangs_over_the_edge(page: Any, width: int, kind: str) -> None:
     assert page.run("document.documentElement.scrollWidth") <= width
     if kind == "print":
         page.run("dispatchEvent(new Event('beforeprint'))")
-        assert page.run("[...document.querySelectorAll('.live svg')].every((one) => one.getClientRects().length === 1)")
-        assert page.run("[...document.querySelectorAll('.controls > button')].every((one) => !one.getClientRects().length)")
-        edges = "[...document.querySelectorAll('table, pre, .live svg')].map((one) => one.getBoundingClientRect().right)"
+        assert page.run(
+            "[...document.querySelectorAll('.live svg')].every((one) => one.getClientRects().length === 1)"
+        )
+        assert page.run(
+            "[...document.querySelectorAll('.controls > button')].every((one) => "
+            "!one.getClientRects().length)"
+        )
+        edges = (
+            "[...document.querySelectorAll('table, pre, .live svg')].map((one) => "
+            "one.getBoundingClientRect().right)"
+        )
         assert max(page.run(edges)) <= width + 1
     else:
-        sizes = "Math.min(...[...document.querySelectorAll('.live text')].map((one) => parseFloat(getComputedStyle(one).fontSize)))"
+        sizes = (
+            "Math.min(...[...document.querySelectorAll('.live text')].map((one) => "
+            "parseFloat(getComputedStyle(one).fontSize)))"
+        )
         assert page.run(sizes) >= 11
 
 
@@ -157,7 +176,9 @@ def test_all_text_stands_out_in_both_colour_schemes(page: Any, dark: bool) -> No
     page.settle()
     count, least = page.run(CONTRAST)
     assert count > 200 and least >= 4.5
-    assert page.run("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 24, 29)" if dark else "rgb(255, 255, 255)")
+    assert page.run("getComputedStyle(document.body).backgroundColor") == (
+        "rgb(20, 24, 29)" if dark else "rgb(255, 255, 255)"
+    )
 
 
 def test_a_screen_reader_finds_names_for_everything(page: Any) -> None:
@@ -185,23 +206,35 @@ def test_a_page_of_79_bands_is_small_and_soon_there(browser: Any, report_page: P
         metrics = {one["name"]: one["value"] for one in opened.call("Performance.getMetrics")["metrics"]}
         spent[path.name] = metrics["TaskDuration"]
         loaded = opened.run("performance.getEntriesByType('navigation')[0].loadEventEnd")
-        print(f"{path.name}: loaded after {loaded:.0f} ms, main thread {1000 * spent[path.name]:.0f} ms, {path.stat().st_size} bytes")
+        print(
+            f"{path.name}: loaded after {loaded:.0f} ms, main thread {1000 * spent[path.name]:.0f} ms, "
+            f"{path.stat().st_size} bytes"
+        )
         opened.close()
     assert spent["report.html"] < 30 * spent["empty.html"]
 
 
 def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path) -> None:
     across = Axis("x", "um")
-    series = (curve("orbit", [0.0, 1.0], [0.0, 1.0]), arrow([0.0, 0.0], [0.5, 0.5], 1), level(0.5, name="limit"))
+    series = (
+        curve("orbit", [0.0, 1.0], [0.0, 1.0]),
+        arrow([0.0, 0.0], [0.5, 0.5], 1),
+        level(0.5, name="limit"),
+    )
     sense = Panel(across, Axis("y", "um"), series)
     empty = Panel(across, Axis(), (), note="no uncertainty is stated")
     figure = Figure(Chart((sense, empty), 1, 2), "Orbit", "An orbit")
-    (tmp_path / "kinds.html").write_bytes(html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False)))
+    (tmp_path / "kinds.html").write_bytes(
+        html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False))
+    )
     opened = browser.open(tmp_path / "kinds.html")
     texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
     assert "limit" in texts and "no uncertainty is stated" in texts
     head = opened.run("document.querySelector('.head').getBBox().width")
-    assert 0 < head < 20 and opened.run("getComputedStyle(document.querySelector('.head')).fill") == "rgb(213, 94, 0)"
+    assert (
+        0 < head < 20
+        and opened.run("getComputedStyle(document.querySelector('.head')).fill") == "rgb(213, 94, 0)"
+    )
     assert opened.said("Runtime.exceptionThrown") == []
     opened.close()
 
@@ -213,17 +246,23 @@ def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
     page.key("Home")
     places = []
     for _ in range(3):
-        told = re.search(r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-4 .reading').innerText"))
+        told = re.search(
+            r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-4 .reading').innerText")
+        )
         assert told is not None
         places.append(float(told[1]))
         page.key("ArrowRight")
     assert places == [40.0, 41.0, 42.0]
 
 
-def test_without_script_a_page_shows_the_numbers_and_says_why(browser: Any, report_page: Path, tmp_path: Path) -> None:
+def test_without_script_a_page_shows_the_numbers_and_says_why(
+    browser: Any, report_page: Path, tmp_path: Path
+) -> None:
     # What a browser without script makes of the page: noscript is an element as any other, and nothing draws.
     text = report_page.read_text(encoding="utf-8").replace("noscript>", "div>")
-    (tmp_path / "still.html").write_text(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL), encoding="utf-8")
+    (tmp_path / "still.html").write_text(
+        re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL), encoding="utf-8"
+    )
     opened = browser.open(tmp_path / "still.html")
     shown = opened.run("[...document.querySelectorAll('figure')].map((one) => one.innerText)")
     assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 5
@@ -233,11 +272,15 @@ def test_without_script_a_page_shows_the_numbers_and_says_why(browser: Any, repo
 def test_every_figure_is_on_paper_however_soon_it_is_printed(browser: Any, tmp_path: Path) -> None:
     chart = Chart((Panel(Axis("x"), Axis("y"), (curve("a", [0.0, 1.0], [0.0, 1.0]),)),))
     figures = tuple(Figure(chart, f"Figure {n}", "a line") for n in range(40))
-    (tmp_path / "many.html").write_bytes(html_document(Document("T", "", (Section("F", figures),), to_sign=False)))
+    (tmp_path / "many.html").write_bytes(
+        html_document(Document("T", "", (Section("F", figures),), to_sign=False))
+    )
     opened = browser.open(tmp_path / "many.html")
     opened.run("dispatchEvent(new Event('beforeprint'))")
     assert opened.run("document.querySelectorAll('figure.alive .series .curve').length") == 40
-    widths = opened.run("[...document.querySelectorAll('.panels > svg')].map((one) => one.viewBox.baseVal.width)")
+    widths = opened.run(
+        "[...document.querySelectorAll('.panels > svg')].map((one) => one.viewBox.baseVal.width)"
+    )
     assert set(widths) == {680}
     opened.run("dispatchEvent(new Event('afterprint'))")
     assert opened.run("document.querySelector('.panels > svg').viewBox.baseVal.width") > 680
@@ -250,19 +293,27 @@ def test_a_heat_map_has_its_colours_words_and_scale(browser: Any, tmp_path: Path
     values = [[1.0 - abs(r - c) / 6 for c in range(12)] for r in range(12)]
     panel = Panel(axis, axis, (cells(values, [["1\nall"] * 12] * 12, "correlation"),))
     figure = Figure(Chart((panel,), size=(7.2, 6.0)), "Correlation", "A matrix")
-    (tmp_path / "heat.html").write_bytes(html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False)))
+    (tmp_path / "heat.html").write_bytes(
+        html_document(Document("T", "", (Section("F", (figure,)),), to_sign=False))
+    )
     opened = browser.open(tmp_path / "heat.html")
-    fills = opened.run("[...document.querySelectorAll('.series rect')].map((one) => getComputedStyle(one).fill)")
+    fills = opened.run(
+        "[...document.querySelectorAll('.series rect')].map((one) => getComputedStyle(one).fill)"
+    )
     # The ends and the middle of ColorBrewer's PuOr.
     assert fills[0] == "rgb(45, 0, 75)" and fills[6] == "rgb(247, 247, 247)" and len(fills) == 144
     texts = opened.run("[...document.querySelectorAll('.panels text')].map((one) => one.textContent)")
     assert texts.count("1") == 145 and texts.count("all") == 144 and "correlation" in texts
     # All names stand at the axes, turned, none over another and none outside.
     assert all(texts.count(name) == 2 for name in names)
-    boxes = "[...document.querySelectorAll('.ticks text[transform]')].map((one) => one.getBoundingClientRect())"
+    boxes = (
+        "[...document.querySelectorAll('.ticks text[transform]')].map((one) => one.getBoundingClientRect())"
+    )
     edges = opened.run(f"{boxes}.map(({{left, right, bottom}}) => [left, right, bottom])")
     assert len(edges) == 12 and all(after[0] >= before[1] - 4 for before, after in pairwise(edges))
-    assert max(edge[2] for edge in edges) <= opened.run("document.querySelector('.panels > svg').getBoundingClientRect().bottom")
+    assert max(edge[2] for edge in edges) <= opened.run(
+        "document.querySelector('.panels > svg').getBoundingClientRect().bottom"
+    )
     opened.close()
 
 
@@ -274,16 +325,27 @@ def test_a_heat_map_has_its_colours_words_and_scale(browser: Any, tmp_path: Path
         ((0.9, 2000.0), "N", True, ["1", "10", "100", "1000"]),
         ((9.0, 110.0), "N", True, ["10", "20", "50", "100"]),
         ((1e-9, 3e-8), "N", False, ["5e−9", "1e−8", "1.5e−8", "2e−8", "2.5e−8", "3e−8"]),
-        ((1048576.5, 1048577.0), "N", False, ["1048576.5", "1048576.6", "1048576.7", "1048576.8", "1048576.9", "1048577.0"]),
+        (
+            (1048576.5, 1048577.0),
+            "N",
+            False,
+            ["1048576.5", "1048576.6", "1048576.7", "1048576.8", "1048576.9", "1048577.0"],
+        ),
     ],
 )
 def test_numbers_along_an_axis_are_round(
-    browser: Any, report_page: Path, limits: tuple[float, float], unit: str, logarithmic: bool, texts: list[str]
+    browser: Any,
+    report_page: Path,
+    limits: tuple[float, float],
+    unit: str,
+    logarithmic: bool,
+    texts: list[str],
 ) -> None:
     opened = browser.open(report_page)
     axis = {"ticks": [], "log": logarithmic, "unit": unit}
     found = opened.run(
-        f"(() => {{{page_part('scale.js')}; return ticksOf({json.dumps(axis)}, {json.dumps(limits)}, 6).map((one) => one[1]); }})()"
+        f"(() => {{{page_part('scale.js')}; return ticksOf({json.dumps(axis)}, {json.dumps(limits)}, "
+        "6).map((one) => one[1]); })()"
     )
     opened.close()
     assert found == texts

@@ -1,4 +1,6 @@
-"""The commands together: stages alone and in one, freshness, rules and exit codes, overrides, provenance, exports."""
+"""The commands together: stages alone and in one, freshness, rules and exit codes, overrides, provenance,
+exports.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def labpipe(labpipe_without_report):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
 
 
 def test_the_stages_one_by_one_give_what_run_gives(tmp_path: Path, labpipe) -> None:
@@ -78,28 +82,47 @@ def test_identification_json_has_the_agreed_shape(tmp_path: Path, labpipe) -> No
     assert set(result["sources"][0]) == {"path", "sha256"} and len(result["sources"][0]["sha256"]) == 64
     (fit,) = result["fits"]
     agreed = (
-        "name test model estimator band_hz centre_hz lines equations dof gof condition_number converged iterations parameters correlation"
+        "name test model estimator band_hz centre_hz lines equations dof gof condition_number converged "
+        "iterations parameters correlation"
     )
     assert set(agreed.split()) <= set(fit)
     assert {"r2", "r2_adjusted", "chi2_reduced", "chi2_p"} == set(fit["gof"])
-    assert {"name", "value", "unit", "std_error", "t_ratio", "ci95", "significant", "vif"} <= set(fit["parameters"][0])
+    assert {"name", "value", "unit", "std_error", "t_ratio", "ci95", "significant", "vif"} <= set(
+        fit["parameters"][0]
+    )
     assert [p["name"] for p in fit["parameters"]][:4] == ["k_xx", "c_xx", "k_yy", "c_yy"]
     assert (fit["band_hz"], fit["centre_hz"], fit["lines"], fit["equations"]) == ([65.0, 80.0], 72.5, 16, 64)
     assert {"code", "message"} == set(fit["warnings"][0])
-    assert result["accept"] == [{"rule": "direct.gof >= 0.95", "value": pytest.approx(fit["gof"]["r2_adjusted"]), "passed": True}]
+    assert result["accept"] == [
+        {"rule": "direct.gof >= 0.95", "value": pytest.approx(fit["gof"]["r2_adjusted"]), "passed": True}
+    ]
 
 
 def test_ingest_calibrates_to_si_with_the_source_s_checksum(tmp_path: Path, labpipe) -> None:
-    ended = labpipe("ingest", "sample_data/hmb/radial-0rpm.parquet", "-r", "configs/hmb-radial.yaml", "-o", tmp_path)
+    ended = labpipe(
+        "ingest", "sample_data/hmb/radial-0rpm.parquet", "-r", "configs/hmb-radial.yaml", "-o", tmp_path
+    )
     assert ended.code == 0 and "12000 samples, 2000 Hz, 6 s" in ended.out
     stored = pq.read_table(tmp_path / "radial-0rpm.recording.parquet")
     raw = pq.read_table("sample_data/hmb/radial-0rpm.parquet")
     # 8 V/mm: 1 V is 0.125 mm.
     np.testing.assert_allclose(stored["y"], np.array(raw["y [V]"], np.float64) * 0.125e-3, rtol=1e-12)
     np.testing.assert_allclose(stored["x"], np.array(raw["x [um]"], np.float64) * 1e-6, rtol=1e-12)
-    header = json.loads(pq.ParquetFile(tmp_path / "radial-0rpm.recording.parquet").metadata.metadata[b"labpipe"])
-    assert header["inputs"][0]["sha256"] == hashlib.sha256(Path("sample_data/hmb/radial-0rpm.parquet").read_bytes()).hexdigest()
-    ended = labpipe("frf", "-c", "pipelines/radial-direct.yaml", "-o", tmp_path, tmp_path / "radial-0rpm.recording.parquet")
+    header = json.loads(
+        pq.ParquetFile(tmp_path / "radial-0rpm.recording.parquet").metadata.metadata[b"labpipe"]
+    )
+    assert (
+        header["inputs"][0]["sha256"]
+        == hashlib.sha256(Path("sample_data/hmb/radial-0rpm.parquet").read_bytes()).hexdigest()
+    )
+    ended = labpipe(
+        "frf",
+        "-c",
+        "pipelines/radial-direct.yaml",
+        "-o",
+        tmp_path,
+        tmp_path / "radial-0rpm.recording.parquet",
+    )
     assert ended.code == 0 and "2 x 1 receptance, 250 lines, 1-250 Hz" in ended.out
 
 
@@ -113,11 +136,14 @@ def test_a_parquet_file_saved_again_by_another_program_is_refused(tmp_path: Path
 
 def test_frf_as_csv_goes_out_and_comes_in_again(tmp_path: Path, labpipe) -> None:
     labpipe("run", "pipelines/radial-two-directions.yaml", "-o", tmp_path)
-    assert labpipe("export", tmp_path / "frf.frf.parquet", "--to", "csv", "-o", tmp_path / "frf.csv").code == 0
+    assert (
+        labpipe("export", tmp_path / "frf.frf.parquet", "--to", "csv", "-o", tmp_path / "frf.csv").code == 0
+    )
     lines = (tmp_path / "frf.csv").read_text().splitlines()
     assert lines[0] == "# form: receptance" and lines[1].startswith("frequency_hz,x/x:re,x/x:im,x/x:var")
     (tmp_path / "p.yaml").write_text(
-        "title: From FRFs\nfrfs: frf.csv\nidentify:\n  eight: {model: rotor-2dof, mass: 0.92 kg, output: [x, y], band: 40-120 Hz}\n"
+        "title: From FRFs\nfrfs: frf.csv\nidentify:\n  eight: {model: rotor-2dof, mass: 0.92 kg, output: "
+        "[x, y], band: 40-120 Hz}\n"
         "expect:\n  eight.k_xy: 25 kN/m +- 0.5 kN/m\n  eight.k_yx: -18 kN/m +- 0.5 kN/m\n"
     )
     ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
@@ -125,7 +151,11 @@ def test_frf_as_csv_goes_out_and_comes_in_again(tmp_path: Path, labpipe) -> None
 
 
 @pytest.mark.parametrize(
-    ("artefact", "head"), [("identification.json", "fit,test,centre_hz"), ("recordings/pedestal.recording.parquet", "t [s],f [N],y [m]")]
+    ("artefact", "head"),
+    [
+        ("identification.json", "fit,test,centre_hz"),
+        ("recordings/pedestal.recording.parquet", "t [s],f [N],y [m]"),
+    ],
 )
 def test_exports_for_other_programs(tmp_path: Path, labpipe, artefact: str, head: str) -> None:
     labpipe("run", PEDESTAL, "-o", tmp_path)
@@ -143,7 +173,11 @@ def test_init_makes_a_project_that_runs_as_it_is(tmp_path: Path, labpipe) -> Non
 
 def test_inspect_shows_levels_of_raw_and_calibrated_files(tmp_path: Path, labpipe) -> None:
     ended = labpipe("inspect", "sample_data/hmb/pedestal.csv")
-    assert ended.code == 0 and "16000 rows, 3 columns, 1000 samples per unit" in ended.out and "no gaps, no clipping" in ended.out
+    assert (
+        ended.code == 0
+        and "16000 rows, 3 columns, 1000 samples per unit" in ended.out
+        and "no gaps, no clipping" in ended.out
+    )
     labpipe("ingest", "sample_data/hmb/axial.csv", "-r", "configs/hmb-axial.yaml", "-o", tmp_path)
     assert "f [N] input z" in labpipe("inspect", tmp_path / "axial.recording.parquet").out
 
@@ -160,30 +194,40 @@ def test_excite_writes_a_signal_and_prints_its_crest_factor(tmp_path: Path, labp
 def test_calibrate_gives_slopes_that_a_rig_file_can_name(tmp_path: Path, labpipe) -> None:
     rows = "".join(f"{d},{8.2e-3 * d + 0.1:.6g}\n" for d in range(0, 200, 10))
     (tmp_path / "probe.csv").write_text("displacement [um],output [V]\n" + rows)
-    (tmp_path / "c.yaml").write_text('title: Probe\ncalibrate:\n  probe_y: {table: probe.csv, x: "displacement [um]", y: "output [V]"}\n')
+    (tmp_path / "c.yaml").write_text(
+        'title: Probe\ncalibrate:\n  probe_y: {table: probe.csv, x: "displacement [um]", y: "output [V]"}\n'
+    )
     assert labpipe("calibrate", "-c", tmp_path / "c.yaml", "-o", tmp_path / "cal").code == 0
     from labpipe.project.rig_file import load_rig
 
     (tmp_path / "rig.yaml").write_text(
         "name: R\nsample_rate: 1 kHz\nchannels:\n"
-        "  y: {quantity: displacement, unit: V, sensitivity: 'cal/identification.json#probe_y'}\n  f: {quantity: force}\n"
+        "  y: {quantity: displacement, unit: V, sensitivity: 'cal/identification.json#probe_y'}\n  f: "
+        "{quantity: force}\n"
     )
     assert load_rig(tmp_path / "rig.yaml").channels[0].scale == pytest.approx(1 / 8200.0, rel=1e-6)
 
 
-def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(tmp_path: Path, labpipe, root: Path) -> None:
+def test_simulate_is_deterministic_and_the_shipped_data_are_what_it_makes(
+    tmp_path: Path, labpipe, root: Path
+) -> None:
     assert labpipe("simulate", "configs/virtual-hmb.yaml", "-o", tmp_path, "--seed", "1").code == 0
     made = json.loads((tmp_path / "truth.json").read_text())
     assert made == json.loads((root / "sample_data/hmb/truth.json").read_text())
     for path in sorted(tmp_path.glob("*.csv")):
-        ours, shipped = (np.loadtxt(p, delimiter=",", skiprows=1) for p in (path, root / "sample_data/hmb" / path.name))
+        ours, shipped = (
+            np.loadtxt(p, delimiter=",", skiprows=1) for p in (path, root / "sample_data/hmb" / path.name)
+        )
         np.testing.assert_allclose(ours, shipped, rtol=1e-5, atol=1e-6 * np.max(np.abs(shipped)))
     for path in sorted(tmp_path.glob("*.parquet")):
-        ours, shipped = (pq.read_table(p).to_pandas().to_numpy() for p in (path, root / "sample_data/hmb" / path.name))
+        ours, shipped = (
+            pq.read_table(p).to_pandas().to_numpy() for p in (path, root / "sample_data/hmb" / path.name)
+        )
         np.testing.assert_allclose(ours, shipped, rtol=1e-5, atol=1e-6 * np.max(np.abs(shipped)))
 
 
-# Studies, campaigns, wear, unbalance and run-ups take long and have tests of their own; `.ci/run` checks every pipeline at its full size.
+# Studies, campaigns, wear, unbalance and run-ups take long and have tests of their own; `.ci/run` checks
+# every pipeline at its full size.
 SLOW = ("\nstudy:", "\ncompare:", "\nrun_ups:", "\nunbalance:", "worn-bearing")
 PIPELINES = sorted((Path(__file__).parents[2] / "pipelines").glob("*.yaml"))
 QUICK = [path.name for path in PIPELINES if not any(word in path.read_text("utf-8") for word in SLOW)]
@@ -208,37 +252,56 @@ def test_every_command_explains_itself(labpipe, command: str) -> None:
 
 def test_help_is_quick_because_heavy_imports_wait(root: Path) -> None:
     heavy = "{'numpy', 'scipy', 'pandas', 'pyarrow', 'matplotlib', 'yaml'}"
-    code = f"import sys; from labpipe.cli.main import run_command; run_command(['--help']); print(sorted({heavy} & set(sys.modules)))"
+    code = (
+        "import sys; from labpipe.cli.main import run_command; run_command(['--help']); "
+        f"print(sorted({heavy} & set(sys.modules)))"
+    )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip().endswith("[]")
 
 
 def test_version_and_python_dash_m(root: Path) -> None:
-    ended = subprocess.run([sys.executable, "-m", "labpipe", "--version"], capture_output=True, text=True, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-m", "labpipe", "--version"], capture_output=True, text=True, check=True
+    )
     known = commit()
     assert ended.stdout == "labpipe, version 0.1.0" + (f" (commit {known})" if known else "") + "\n"
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
-@pytest.mark.parametrize(("n_sample", "limit"), [(2_500_000, 15), pytest.param(12_000_000, 40, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("n_sample", "limit"), [(2_500_000, 15), pytest.param(12_000_000, 40, marks=pytest.mark.long)]
+)
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path, n_sample: int, limit: float) -> None:
-    """Peak memory [MiB] of `labpipe frf` against that for a million samples: the longer recording itself holds 16 bytes a sample more."""
-    (tmp_path / "rig.yaml").write_text("name: R\nsample_rate: 10 kHz\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n")
-    (tmp_path / "p.yaml").write_text("title: T\nrig: rig.yaml\nrecordings: run.parquet\nfrf: {excitation: random, block: 0.1 s}\n")
+    """Peak memory [MiB] of `labpipe frf` against that for a million samples: the longer recording itself
+    holds 16 bytes a sample more.
+    """
+    (tmp_path / "rig.yaml").write_text(
+        "name: R\nsample_rate: 10 kHz\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n"
+    )
+    (tmp_path / "p.yaml").write_text(
+        "title: T\nrig: rig.yaml\nrecordings: run.parquet\nfrf: {excitation: random, block: 0.1 s}\n"
+    )
     import pyarrow as pa
 
     peaks = []
     for n in (1_000_000, n_sample):
         noise = np.random.default_rng(1).normal(size=n).astype(np.float32)
-        pq.write_table(pa.table({"f": noise, "x": np.roll(noise, 3)}), tmp_path / "run.parquet", row_group_size=1 << 18)
+        pq.write_table(
+            pa.table({"f": noise, "x": np.roll(noise, 3)}), tmp_path / "run.parquet", row_group_size=1 << 18
+        )
         code = (
             "from pathlib import Path; from labpipe.cli.main import run_command; "
             f"assert run_command(['frf', '-c', r'{tmp_path}/p.yaml', '-o', r'{tmp_path}/{n}']) == 0; "
             "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
         )
-        ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ}, check=True)
+        ended = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ}, check=True
+        )
         peaks.append(int(ended.stdout.split()[-1]) / 1024)
-    assert peaks[1] - peaks[0] < limit, f"{peaks} MiB; the longer recording holds {16 * n_sample / 2**20:.0f} MiB of float64"
+    assert peaks[1] - peaks[0] < limit, (
+        f"{peaks} MiB; the longer recording holds {16 * n_sample / 2**20:.0f} MiB of float64"
+    )
 
 
 def test_progress_is_told_on_request_only(tmp_path: Path, labpipe) -> None:
@@ -251,7 +314,10 @@ def test_progress_is_told_on_request_only(tmp_path: Path, labpipe) -> None:
 def test_no_clock_in_any_artefact(tmp_path: Path, labpipe) -> None:
     labpipe("run", PEDESTAL, "-o", tmp_path, "--set", "report.formats=[html]")
     year = time.strftime("%Y-%m")
-    assert year not in (tmp_path / "identification.json").read_text() and year not in (tmp_path / "report.html").read_text()
+    assert (
+        year not in (tmp_path / "identification.json").read_text()
+        and year not in (tmp_path / "report.html").read_text()
+    )
 
 
 @pytest.mark.parametrize(

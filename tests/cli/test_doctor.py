@@ -42,7 +42,9 @@ def test_a_missing_package_is_named_and_is_a_fault(labpipe, monkeypatch: pytest.
     assert doctor.callback() == 0
 
 
-def test_an_optional_package_says_what_is_missing_without_it(labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_optional_package_says_what_is_missing_without_it(
+    labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     ended = labpipe("doctor")
     assert ended.code == 0 and "--cluster: pip install 'labpipe[cluster]'" in ended.out
@@ -71,11 +73,20 @@ def test_completion_is_printed_for_every_shell(labpipe, shell: str) -> None:
     assert ended.code == 0 and f"_LABPIPE_COMPLETE={shell}_complete" in ended.out
 
 
-@pytest.mark.parametrize(("words", "offered"), [("labpipe insp", "inspect"), ("labpipe run --clus", "--cluster")])
+@pytest.mark.parametrize(
+    ("words", "offered"), [("labpipe insp", "inspect"), ("labpipe run --clus", "--cluster")]
+)
 def test_the_tab_key_offers_commands_and_options(words: str, offered: str) -> None:
-    environment = {**os.environ, "_LABPIPE_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    environment = {
+        **os.environ,
+        "_LABPIPE_COMPLETE": "bash_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(words.count(" ")),
+    }
     script = "import sys; sys.argv[0] = 'labpipe'; from labpipe.cli.main import main; main()"
-    ended = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
     assert f"plain,{offered}" in ended.stdout.splitlines()
 
 

@@ -1,4 +1,6 @@
-"""What a command does not need it does not import: libraries take longer to load than most commands take to work."""
+"""What a command does not need it does not import: libraries take longer to load than most commands take to
+work.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,17 @@ HEAVY = {"pandas", "scipy", "matplotlib", "h5py", "nptdms"}
 
 def imported(*arguments: object) -> set[str]:
     """Heavy libraries that a command has loaded when it ends."""
-    script = "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); print('|'.join(sys.modules))"
+    script = (
+        "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); "
+        "print('|'.join(sys.modules))"
+    )
     ended = subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=True, cwd=ROOT, timeout=120
+        [sys.executable, "-c", script, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        timeout=120,
     )
     return HEAVY & set(ended.stdout.splitlines()[-1].split("|"))
 
@@ -34,7 +44,10 @@ def test_a_report_of_charts_is_drawn_without_matplotlib(tmp_path: Path) -> None:
 
 def test_a_run_loads_no_method_that_its_pipeline_does_not_name(tmp_path: Path) -> None:
     """A fit of a single mass is the core's own work; a ring-down is that of one method."""
-    script = "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); print('|'.join(sys.modules))"
+    script = (
+        "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); "
+        "print('|'.join(sys.modules))"
+    )
 
     def methods(name: str) -> set[str]:
         command = [sys.executable, "-c", script, "run", f"pipelines/{name}.yaml", "-o", str(tmp_path / name)]

@@ -1,4 +1,6 @@
-"""labpipe orders on the shipped levitated run-up: 1x and whole motion at both ends, orbits against the gap."""
+"""labpipe orders on the shipped levitated run-up: 1x and whole motion at both ends, orbits against the
+gap.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,13 @@ def command(root: Path, tmp_path: Path) -> list[object]:
     return ["orders", *files, "--tacho", "n", "-o", tmp_path / "out"]
 
 
-def test_amplitudes_are_those_of_the_unbalance_on_the_loop(command: list[object], root: Path, tmp_path: Path, labpipe) -> None:
-    """m e w^2 / (K_eq + j w C_eq - m w^2) of 15 um at the front and 9 um at the rear; 2 % is what run-up and noise leave."""
+def test_amplitudes_are_those_of_the_unbalance_on_the_loop(
+    command: list[object], root: Path, tmp_path: Path, labpipe
+) -> None:
+    """m e w^2 / (K_eq + j w C_eq - m w^2) of 15 um at the front and 9 um at the rear.
+
+    2 % is what run-up and noise leave.
+    """
     ended = labpipe(*command, "--gap", "0.45 mm")
     assert ended.code == 0 and "of the gap" in ended.out and "within 20 % at all speeds" in ended.out, ended
     drawn = {"orders.svg", "orbits-front.svg", "orbits-rear.svg", "gap.svg"}
@@ -34,7 +41,9 @@ def test_amplitudes_are_those_of_the_unbalance_on_the_loop(command: list[object]
     fast = table["speed_hz"] > 40
     for end, eccentricity in (("front", 15e-6), ("rear", 9e-6)):
         for name in (f"{end}.x:amplitude", f"{end}:f:amplitude", f"{end}:half_axis"):
-            np.testing.assert_allclose(table[name][fast], (eccentricity * compliance)[fast], rtol=0.04, err_msg=name)
+            np.testing.assert_allclose(
+                table[name][fast], (eccentricity * compliance)[fast], rtol=0.04, err_msg=name
+            )
         assert np.all(table[f"{end}:orbit"] >= table[f"{end}:half_axis"])
         assert np.all(table[f"{end}.y:overall"] >= 0.97 * table[f"{end}.y:amplitude"])
         np.testing.assert_allclose(table[f"{end}:orbit_per_gap"], table[f"{end}:orbit"] / 0.45e-3, rtol=1e-6)
@@ -53,14 +62,20 @@ def test_an_orbit_beyond_the_limit_is_told_with_its_speed(command: list[object],
         (("--gap", "450"), "--gap: '450' has no unit"),
     ],
 )
-def test_a_gap_that_is_none_is_said(command: list[object], arguments: tuple[str, ...], message: str, labpipe) -> None:
+def test_a_gap_that_is_none_is_said(
+    command: list[object], arguments: tuple[str, ...], message: str, labpipe
+) -> None:
     ended = labpipe(*command, *arguments)
     assert ended.code == 2 and message in ended.err, ended
 
 
 def test_a_gap_needs_a_plane_of_displacements(root: Path, tmp_path: Path, labpipe) -> None:
     text = (root / "configs/hmb-run-up.yaml").read_text("utf-8")
-    (tmp_path / "rig.yaml").write_text(text.replace("dof: front.y", "dof: a").replace("dof: rear.y", "dof: b"), encoding="utf-8")
+    (tmp_path / "rig.yaml").write_text(
+        text.replace("dof: front.y", "dof: a").replace("dof: rear.y", "dof: b"), encoding="utf-8"
+    )
     source = root / "sample_data/hmb-loop/run-up.parquet"
-    ended = labpipe("orders", source, "-r", tmp_path / "rig.yaml", "--tacho", "n", "--gap", "1 mm", "-o", tmp_path / "out")
+    ended = labpipe(
+        "orders", source, "-r", tmp_path / "rig.yaml", "--tacho", "n", "--gap", "1 mm", "-o", tmp_path / "out"
+    )
     assert ended.code == 2 and "no orbit to hold against the gap" in ended.err, ended

@@ -1,4 +1,6 @@
-"""The Python reference holds every public name of labpipe, with its signature, and shapes and units where arrays come and go."""
+"""The Python reference holds every public name of labpipe, with its signature, and shapes and units where
+arrays come and go.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ import maths  # noqa: E402
 
 
 def docstring_rules() -> ModuleType:
-    """The rules of tests/test_docstrings.py: which members hold arrays, what counts as a shape and as a unit."""
+    """The rules of tests/test_docstrings.py: which members hold arrays, what counts as a shape and as a
+    unit.
+    """
     spec = importlib.util.spec_from_file_location("docstring_rules", ROOT / "tests/test_docstrings.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -33,19 +37,31 @@ def docstring_rules() -> ModuleType:
 @pytest.fixture(scope="module")
 def pages() -> dict[str, str]:
     folder = ROOT / "docs/pages"
-    texts = {path.relative_to(folder).as_posix(): path.read_text(encoding="utf-8") for path in folder.rglob("*.md")}
+    texts = {
+        path.relative_to(folder).as_posix(): path.read_text(encoding="utf-8") for path in folder.rglob("*.md")
+    }
     return api.api_pages(api.modules(), maths.labels_of(texts))
 
 
 @pytest.fixture(scope="module")
 def entries(pages: dict[str, str]) -> dict[str, str]:
     """Dotted name -> what its entry says, without tags."""
-    parts = [re.split(r"^#+ .* \{: #([\w.]+).*\}$", text, flags=re.MULTILINE) for page, text in pages.items() if "scripts" not in page]
-    return {name: unescape(re.sub(r"<[^>]+>", " ", text)) for part in parts for name, text in zip(part[1::2], part[2::2], strict=True)}
+    parts = [
+        re.split(r"^#+ .* \{: #([\w.]+).*\}$", text, flags=re.MULTILINE)
+        for page, text in pages.items()
+        if "scripts" not in page
+    ]
+    return {
+        name: unescape(re.sub(r"<[^>]+>", " ", text))
+        for part in parts
+        for name, text in zip(part[1::2], part[2::2], strict=True)
+    }
 
 
 def public_names() -> Iterator[str]:
-    """Modules, functions, classes, their methods and values with names in the source, found without the generator."""
+    """Modules, functions, classes, their methods and values with names in the source, found without the
+    generator.
+    """
     for path in sorted((ROOT / "labpipe").rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
         if any(part.startswith("_") and part != "__init__" for part in parts):
@@ -63,7 +79,11 @@ def defined(node: ast.stmt) -> Iterator[str]:
         yield from (target.id for target in targets if isinstance(target, ast.Name) and target.id[0] != "_")
     elif isinstance(node, (ast.FunctionDef, ast.ClassDef)) and node.name[0] != "_":
         yield node.name
-        methods = (one for one in node.body if isinstance(one, ast.FunctionDef)) if isinstance(node, ast.ClassDef) else ()
+        methods = (
+            (one for one in node.body if isinstance(one, ast.FunctionDef))
+            if isinstance(node, ast.ClassDef)
+            else ()
+        )
         yield from (f"{node.name}.{one.name}" for one in methods if one.name[0] != "_")
 
 
@@ -78,7 +98,9 @@ def test_entries_of_functions_and_records_of_arrays_state_shapes_and_units(entri
     checked = 0
     for module in rules.covered_modules():
         prefix = "labpipe." + module.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        for member in rules.public_members(ast.parse((ROOT / "labpipe" / module).read_text(encoding="utf-8")), prefix):
+        for member in rules.public_members(
+            ast.parse((ROOT / "labpipe" / module).read_text(encoding="utf-8")), prefix
+        ):
             text = " ".join(entries[member.place.replace(":", ".")].split())
             assert rules.SHAPE.search(text) and (rules.UNIT.search(text) or not member.numeric), member.place
             checked += 1
@@ -90,10 +112,15 @@ def test_an_entry_shows_the_signature_with_marks_and_defaults() -> None:
         "# How many.\nCOUNT = 3\n\ndef f(a, /, b: int = 2, *rest: str, c=None, **more) -> int:\n"
         '    """Sums *a*.\n\n    Example::\n\n        f(1)\n\n        f(2)\n    """\n\n'
         "class C(Base):\n    x: float = setting('value', 'mass', unit='kg', default=1.0)\n    _y: int = 0\n\n"
-        "    @property\n    def p(self) -> int:\n        ...\n\n    @classmethod\n    def m(cls, *, k: int) -> C:\n        ...\n"
+        "    @property\n    def p(self) -> int:\n        ...\n\n    @classmethod\n    def m(cls, *, k: int) "
+        "-> C:\n        ...\n"
     )
     module = api.module_of("labpipe/estimation/example.py", source)
-    signatures = {one.path.removeprefix("labpipe.estimation.example."): one.signature for name in module.names for one in name.all}
+    signatures = {
+        one.path.removeprefix("labpipe.estimation.example."): one.signature
+        for name in module.names
+        for one in name.all
+    }
     assert signatures == {
         "COUNT": "COUNT = 3",
         "f": "f(a, /, b: int = 2, *rest: str, c=None, **more) -> int",

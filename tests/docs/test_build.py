@@ -1,4 +1,6 @@
-"""The documentation is built whole, with its figures: a caption or a page that changed cannot break it unseen."""
+"""The documentation is built whole, with its figures: a caption or a page that changed cannot break it
+unseen.
+"""
 
 from __future__ import annotations
 
@@ -31,19 +33,25 @@ class _Fetched(HTMLParser):
 
 @pytest.mark.long
 def test_the_site_is_built_with_every_figure_and_fetches_nothing() -> None:
-    built = subprocess.run([sys.executable, "docs/build.py"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600)
+    built = subprocess.run(
+        [sys.executable, "docs/build.py"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=600
+    )
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
     site = ROOT / "docs/site"
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 50
     asked = {
-        figure for page in (ROOT / "docs/pages").rglob("*.md") for figure in re.findall(r"^\{\{ figure .+ \}\}$", page.read_text(), re.M)
+        figure
+        for page in (ROOT / "docs/pages").rglob("*.md")
+        for figure in re.findall(r"^\{\{ figure .+ \}\}$", page.read_text(), re.M)
     }
     assert len(list((site / "figures").glob("*.svg"))) >= len(asked) > 20
     for page in pages:
         fetched = _Fetched()
         fetched.feed(page.read_text(encoding="utf-8"))
-        assert not [address for address in fetched.addresses if address.startswith(("http:", "https:", "//"))], page
+        assert not [
+            address for address in fetched.addresses if address.startswith(("http:", "https:", "//"))
+        ], page
     # The reports of the same results can be mailed and open at once.
     for result in sorted((ROOT / "out/docs/runs").glob("*/identification.json")):
         assert len(html_report(read_identification(result))) < LARGEST_REPORT, result.parent.name

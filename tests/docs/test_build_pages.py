@@ -1,4 +1,6 @@
-"""What docs/build.py makes of the marks in a page: figures, sections of shipped pipelines, and the pages of a folder in the navigation."""
+"""What docs/build.py makes of the marks in a page: figures, sections of shipped pipelines, and the pages of a
+folder in the navigation.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,13 @@ def test_a_figure_of_the_gallery_stands_with_yaml_of_the_pipeline_it_comes_from(
     (shown,) = build.PIPELINE.findall(kind)
     assert figure[0] == shown[0]
     whole = yaml.safe_load((DOCS.parent / f"pipelines/{shown[0]}.yaml").read_text(encoding="utf-8"))
-    part = yaml.safe_load(re.search(r"```yaml\n(.*?)```", section(f"{{{{ pipeline {shown[0]} | {shown[1]} }}}}"), re.DOTALL)[1])
+    part = yaml.safe_load(
+        re.search(r"```yaml\n(.*?)```", section(f"{{{{ pipeline {shown[0]} | {shown[1]} }}}}"), re.DOTALL)[1]
+    )
     for key, value in part.items():
-        assert value == (whole[key] if key in shown[1].split(", ") else {name: whole[key][name] for name in value})
+        assert value == (
+            whole[key] if key in shown[1].split(", ") else {name: whole[key][name] for name in value}
+        )
 
 
 def test_the_gallery_has_many_kinds_of_figures() -> None:
@@ -42,7 +48,8 @@ def test_the_gallery_has_many_kinds_of_figures() -> None:
 
 def test_entries_of_one_section_share_its_head() -> None:
     assert section("{{ pipeline ring-down | identify.ring, identify.joint }}") == (
-        "`pipelines/ring-down.yaml`:\n\n```yaml\nidentify:\n  ring: {model: decay, modes: 1, test: [struck]}\n"
+        "`pipelines/ring-down.yaml`:\n\n```yaml\nidentify:\n  ring: {model: decay, modes: 1, test: "
+        "[struck]}\n"
         "  joint: {model: decay, modes: 1, test: [joint]}\n```"
     )
     with pytest.raises(SystemExit, match=r"pipelines/ring-down.yaml has no 'identify.other'"):
@@ -51,10 +58,19 @@ def test_entries_of_one_section_share_its_head() -> None:
 
 def test_a_folder_in_the_navigation_is_its_pages_in_the_order_of_its_index(tmp_path: Path) -> None:
     (tmp_path / "theory").mkdir()
-    for name, text in {"a": "", "b": "", "c": "", "index": "[c](c.md), [a](a.md), [out](../x.md), [c](c.md)"}.items():
+    for name, text in {
+        "a": "",
+        "b": "",
+        "c": "",
+        "index": "[c](c.md), [a](a.md), [out](../x.md), [c](c.md)",
+    }.items():
         (tmp_path / f"theory/{name}.md").write_text(text, encoding="utf-8")
-    assert build.in_full({"Theory": "theory/"}, tmp_path) == [{"Theory": [f"theory/{name}.md" for name in ("index", "c", "a", "b")]}]
-    assert build.in_full({"Trust": [{"One": "one.md"}, {"None": "none/"}]}, tmp_path) == [{"Trust": [{"One": "one.md"}]}]
+    assert build.in_full({"Theory": "theory/"}, tmp_path) == [
+        {"Theory": [f"theory/{name}.md" for name in ("index", "c", "a", "b")]}
+    ]
+    assert build.in_full({"Trust": [{"One": "one.md"}, {"None": "none/"}]}, tmp_path) == [
+        {"Trust": [{"One": "one.md"}]}
+    ]
 
 
 def test_a_mark_that_is_none_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

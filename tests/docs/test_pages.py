@@ -1,7 +1,9 @@
-"""The documentation: every command of every page runs and prints what is shown, its YAML and Python are valid, the pages fetch nothing.
+"""The documentation: every command of every page runs and prints what is shown, its YAML and Python are
+valid, the pages fetch nothing.
 
-Runs whose report no page shows are made without one, the study of minutes with few repeats; commands marked `parse` in the page
-(a cluster's address, half a minute of work that tests/cli runs) are held against the options of their command only.
+Runs whose report no page shows are made without one, the study of minutes with few repeats; commands marked
+`parse` in the page (a cluster's address, half a minute of work that tests/cli runs) are held against the
+options of their command only.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ SHELL = {
     "python -m tests.machine.kills --count 100 --processes 2": "tests/machine, with one kill",
     "python -m tests.machine.kills --count 100 --cluster --worker": "tests/machine, with one kill",
     "python -m tests.mutants.run --count 200": "takes hours",
-    "python -m tests.benchmarks.fleet --recordings 2000 --results 20000 --cluster 1000 4000 16000": "takes half an hour",
+    "python -m tests.benchmarks.fleet --recordings 2000 --results 20000 --cluster 1000 4000 16000": "takes "
+    "half an hour",
     "python -m tests.validation": "tests/validation",
     "python -m tests.validation.record_measured --data FOLDER": "tests/validation, where the raw files are",
     "moto_server -H 127.0.0.1 -p 5055": "tests/project/test_object_storage.py, on a free port",
@@ -69,9 +72,15 @@ SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop"}
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.long] * (page.stem in SLOW), id=page.stem) for page in WITH_COMMANDS]
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.long] * (page.stem in SLOW), id=page.stem)
+        for page in WITH_COMMANDS
+    ],
 )
-def test_the_commands_of_a_page_run_as_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands_of_a_page_run_as_shown(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     console.scratch(tmp_path)
     monkeypatch.chdir(tmp_path)
     for command in console.commands(page.read_text(encoding="utf-8")):
@@ -110,7 +119,10 @@ def test_shell_commands_are_known(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
-    """Keys of a pipeline; a block with channels is a whole rig file, one with a plan a whole plan file, which are read."""
+    """Keys of a pipeline.
+
+    A block with channels is a whole rig file, one with a plan a whole plan file, which are read.
+    """
     from labpipe.methods.planning.plan_file import load_plan
     from labpipe.project.pipeline_file import section_names
     from labpipe.project.rig_file import load_rig
@@ -173,7 +185,9 @@ def keys(owner: type) -> set[str]:
     """The names of a dataclass's settings, those of nested sections too."""
     from labpipe.records.settings import settings_of
 
-    nested = [keys(setting.section) for setting, _ in settings_of(owner).values() if setting.section is not None]
+    nested = [
+        keys(setting.section) for setting, _ in settings_of(owner).values() if setting.section is not None
+    ]
     return set(settings_of(owner)).union(*nested)
 
 
@@ -183,7 +197,9 @@ def test_the_reference_has_words_for_every_form_of_a_setting() -> None:
     reference = module("reference")
     # A choice lists its choices.
     assert set(reference.KINDS) == set(CONVERTERS) - {"choice"}
-    assert set(reference.BELOW) == {kind for kind, words in reference.KINDS.items() if words.endswith("below")}
+    assert set(reference.BELOW) == {
+        kind for kind, words in reference.KINDS.items() if words.endswith("below")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -192,24 +208,34 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mkdocs")
     folder = tmp_path_factory.mktemp("docs")
     build = module("build")
-    build.write_pages(folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>")
+    build.write_pages(
+        folder / "pages", lambda name, words, up: f"<figure><figcaption>{words}</figcaption></figure>"
+    )
     assert build.build_site(folder / "pages", folder / "site") == 0
     return folder / "site"
 
 
 def test_all_pages_are_built_and_linked(site: Path) -> None:
-    """mkdocs --strict ends with an error at a link or heading that is not there, and at a page that no menu names."""
+    """mkdocs --strict ends with an error at a link or heading that is not there, and at a page that no menu
+    names.
+    """
     built = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")} - {"404"}
     written = {path.relative_to(DOCS / "pages").with_suffix("").as_posix() for path in PAGES}
     packages = {path.parent.name for path in (DOCS.parent / "labpipe").glob("*/__init__.py")}
     python = {f"reference/python/{name}" for name in packages | {"index", "scripts", "labpipe"}}
     papers = {page.removesuffix(".md") for page in module("build").PAPERS}
-    assert built == written | python | papers | {f"reference/{name}" for name in module("reference").reference_pages()}
+    assert built == written | python | papers | {
+        f"reference/{name}" for name in module("reference").reference_pages()
+    }
 
 
 def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: Path) -> None:
-    """Typed into a headless browser: a page and the entry of a function, found in the index that lies beside the pages."""
-    spec = importlib.util.spec_from_file_location("labpipe_browser", Path(__file__).parents[1] / "browser/browser.py")
+    """Typed into a headless browser: a page and the entry of a function, found in the index that lies beside
+    the pages.
+    """
+    spec = importlib.util.spec_from_file_location(
+        "labpipe_browser", Path(__file__).parents[1] / "browser/browser.py"
+    )
     assert spec is not None and spec.loader is not None
     driver = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(driver)
@@ -219,7 +245,10 @@ def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: P
     browser = driver.Browser(path)
     try:
         page = browser.open(site / "index.html")
-        for words, there in {"crest factor": "recordings.html", "adjusted_forces_as_instruments": "spectra.html"}.items():
+        for words, there in {
+            "crest factor": "recordings.html",
+            "adjusted_forces_as_instruments": "spectra.html",
+        }.items():
             page.run(TYPE % words)
             found = "[...document.querySelectorAll('.md-search-result__item a')].map((link) => link.href)"
             page.until(lambda there=there, found=found: any(there in link for link in page.run(found)))
@@ -231,8 +260,12 @@ def test_the_search_of_a_page_opened_as_a_file_finds_and_fetches_nothing(site: P
 
 
 def test_the_pages_fetch_nothing_from_elsewhere(site: Path) -> None:
-    fetching = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)")
+    fetching = re.compile(
+        r"<(?:script|link|img|iframe|source)\b[^>]*\b(?:src|href)=[\"']?((?:https?:)?//[^\"'> ]+)"
+    )
     for path in site.rglob("*.html"):
         assert not fetching.findall(path.read_text(encoding="utf-8")), path
     for path in site.rglob("*.css"):
-        assert not re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", path.read_text(encoding="utf-8")), path
+        assert not re.findall(
+            r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", path.read_text(encoding="utf-8")
+        ), path

@@ -1,4 +1,6 @@
-"""The worked plug-in: its numbers against closed forms, calculations by hand, and truths that its examples were made with."""
+"""The worked plug-in: its numbers against closed forms, calculations by hand, and truths that its examples
+were made with.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ def part(monkeypatch: pytest.MonkeyPatch):
     return load
 
 
-def test_the_reader_gives_what_was_stored_in_any_chunks(part, tmp_path: Path, rng: np.random.Generator, monkeypatch) -> None:
+def test_the_reader_gives_what_was_stored_in_any_chunks(
+    part, tmp_path: Path, rng: np.random.Generator, monkeypatch
+) -> None:
     module = part("r16_table")
     samples = rng.integers(-30_000, 30_000, (1000, 2)).astype("<i2")
     channels = [{"name": "f", "unit": "N", "scale": 0.5}, {"name": "y", "unit": "um", "scale": 0.01}]
@@ -61,7 +65,9 @@ def test_the_reader_gives_what_was_stored_in_any_chunks(part, tmp_path: Path, rn
 HEAD = b'{"rate_hz": 1, "channels": [{"name": "a", "unit": "V", "scale": 1}]}\n'
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"no JSON\n12", "does not begin"), (HEAD + b"123", "ends within a sample")])
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"no JSON\n12", "does not begin"), (HEAD + b"123", "ends within a sample")]
+)
 def test_the_reader_refuses_what_it_cannot_read(part, tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "a.r16"
     path.write_bytes(content)
@@ -70,7 +76,8 @@ def test_the_reader_refuses_what_it_cannot_read(part, tmp_path: Path, content: b
 
 
 def test_disturbed_lines_pull_ml_but_not_the_robust_estimator(part, rng: np.random.Generator) -> None:
-    """Closed form: the FRF of k = 80 kN/m, c = 40 N s/m, m = 2 kg with 1 % noise. Two of 60 lines are 30 % too large.
+    """Closed form: the FRF of k = 80 kN/m, c = 40 N s/m, m = 2 kg with 1 % noise. Two of 60 lines are 30 %
+    too large.
 
     Both are below the resonance: one on either side would cancel in k.
     """
@@ -81,7 +88,9 @@ def test_disturbed_lines_pull_ml_but_not_the_robust_estimator(part, rng: np.rand
     noisy = exact + sigma * (rng.normal(size=60) + 1j * rng.normal(size=60)) / np.sqrt(2)
     noisy[[10, 14]] *= 1.3
     ports = (Port("y", "y", "y", np.pi / 2),)
-    response = FrequencyResponse(frequency, noisy[:, None, None], ports, ports, covariance=(sigma**2 + 0j)[:, None, None])
+    response = FrequencyResponse(
+        frequency, noisy[:, None, None], ports, ports, covariance=(sigma**2 + 0j)[:, None, None]
+    )
     measured = measured_part(response, [0], [0], np.full(60, True))
     model = MODELS["sdof"].model(Setup(ports, ports, FitSettings("sdof", mass=2.0)))
     plain, own = maximum_likelihood(measured, model), part("robust").robust(measured, model)
@@ -93,12 +102,25 @@ def test_disturbed_lines_pull_ml_but_not_the_robust_estimator(part, rng: np.rand
 
 
 def test_the_damper_is_that_of_the_closed_form(part) -> None:
-    """By hand at 30 % eccentricity: c = pi mu R (L/c)^3 / (2 (1 - e^2)^1.5) = 24 428 N s/m, k = 2 mu R (L/c)^3 w e / (1 - e^2)^2."""
+    """By hand at 30 % eccentricity: c = pi mu R (L/c)^3 / (2 (1 - e^2)^1.5) = 24 428 N s/m, k = 2 mu R
+    (L/c)^3 w e / (1 - e^2)^2.
+    """
     module = part("squeeze_film")
-    sizes = {"kind": "squeeze-film-damper", "diameter": 0.1, "length": 0.03, "clearance": 1e-4, "viscosity": 0.01, "frequency": 100.0}
-    centred, eccentric = module.coefficients([module.SqueezeFilm(**sizes), module.SqueezeFilm(**sizes, eccentricity=0.3)])
+    sizes = {
+        "kind": "squeeze-film-damper",
+        "diameter": 0.1,
+        "length": 0.03,
+        "clearance": 1e-4,
+        "viscosity": 0.01,
+        "frequency": 100.0,
+    }
+    centred, eccentric = module.coefficients(
+        [module.SqueezeFilm(**sizes), module.SqueezeFilm(**sizes, eccentricity=0.3)]
+    )
     np.testing.assert_allclose(eccentric.damping, 24428.205 * np.eye(2), rtol=1e-6)
-    np.testing.assert_allclose(eccentric.stiffness, 27_000 * 2 * np.pi * 100 * 0.3 / 0.91**2 * np.eye(2), rtol=1e-12)
+    np.testing.assert_allclose(
+        eccentric.stiffness, 27_000 * 2 * np.pi * 100 * 0.3 / 0.91**2 * np.eye(2), rtol=1e-12
+    )
     assert not centred.stiffness.any()
     with pytest.raises(ConfigError, match="eccentricity"):
         module.SqueezeFilm(**sizes, eccentricity=1.0)
@@ -114,13 +136,20 @@ def recorded(rig_module: ModuleType, seed: int = 1, **changes: object) -> Record
 
 
 def test_the_virtual_rig_obeys_its_equation_of_motion(part) -> None:
-    """m y'' + c y' + k y = f in the time domain; derivatives by central differences of fourth order, 40 samples per shortest period."""
+    """m y'' + c y' + k y = f in the time domain.
+
+    Derivatives by central differences of fourth order, 40 samples per shortest period.
+    """
     recording = recorded(part("sdof_rig"), band=(1.0, 25.0), force_noise=0.0, displacement_noise=0.0)
     force, y = recording.samples.T
     rate = recording.sample_rate
     velocity = (8 * (np.roll(y, -1) - np.roll(y, 1)) - np.roll(y, -2) + np.roll(y, 2)) * rate / 12
-    acceleration = (16 * (np.roll(y, -1) + np.roll(y, 1)) - np.roll(y, -2) - np.roll(y, 2) - 30 * y) * rate**2 / 12
-    np.testing.assert_allclose(2.0 * acceleration + 40.0 * velocity + 80e3 * y, force, atol=1e-4 * np.max(np.abs(force)))
+    acceleration = (
+        (16 * (np.roll(y, -1) + np.roll(y, 1)) - np.roll(y, -2) - np.roll(y, 2) - 30 * y) * rate**2 / 12
+    )
+    np.testing.assert_allclose(
+        2.0 * acceleration + 40.0 * velocity + 80e3 * y, force, atol=1e-4 * np.max(np.abs(force))
+    )
 
 
 def test_the_virtual_rig_gives_its_truth_by_hand(part) -> None:
@@ -161,48 +190,79 @@ def film() -> RunUpRotor:
     return replace(rotor(ROOT / "configs/rotors/falah.yaml"), speeds=(50.0, 300.0))
 
 
-def run_up(rig: RunUpRotor, load: float, factors: np.ndarray, rng: np.random.Generator | None = None) -> RunUp:
-    """The response with the start coefficients times *factors* (8,), with 1 % and 1 deg of noise where there is a generator."""
+def run_up(
+    rig: RunUpRotor, load: float, factors: np.ndarray, rng: np.random.Generator | None = None
+) -> RunUp:
+    """The response with the start coefficients times *factors* (8,), with 1 % and 1 deg of noise where there
+    is a generator.
+    """
     speed = np.linspace(60.0, 280.0, 30)
     stiffness, damping = rig.start_coefficients(load, speed)
     split = factors.reshape(2, 2, 2)
-    exact = rig.under_unbalance(speed, rig.known_unbalance).response(split[0] * stiffness, split[1] * damping).reshape(30, 2, 2)
+    exact = (
+        rig.under_unbalance(speed, rig.known_unbalance)
+        .response(split[0] * stiffness, split[1] * damping)
+        .reshape(30, 2, 2)
+    )
     turn = 0.0 if rng is None else rng.normal(0, np.radians(1), exact.shape)
     size = 1.0 if rng is None else 1 + rng.normal(0, 0.01, exact.shape)
     errors = {"amplitude_error": 0.01 * np.abs(exact), "phase_error": np.full(exact.shape, np.radians(1))}
-    return RunUp(f"{load:g} N", load, speed, rig.plane_names, exact * size * np.exp(1j * turn), **errors, unbalance=rig.known_unbalance)
+    return RunUp(
+        f"{load:g} N",
+        load,
+        speed,
+        rig.plane_names,
+        exact * size * np.exp(1j * turn),
+        **errors,
+        unbalance=rig.known_unbalance,
+    )
 
 
 @pytest.mark.parametrize("true", [0.6, 1.0, 1.7])
-def test_the_common_factor_is_recovered_to_rounding_without_noise(part, film: RunUpRotor, true: float) -> None:
-    fit = part("common_factor").fit_common_factor(film, [run_up(film, load, np.full(8, true)) for load in (4.0, 9.0)])
+def test_the_common_factor_is_recovered_to_rounding_without_noise(
+    part, film: RunUpRotor, true: float
+) -> None:
+    fit = part("common_factor").fit_common_factor(
+        film, [run_up(film, load, np.full(8, true)) for load in (4.0, 9.0)]
+    )
     assert fit.factor == pytest.approx(true, rel=1e-8)
     assert fit.chi2 < 1e-9 and fit.n_datum == 2 * 30 * 8
 
 
 def test_the_standard_error_is_that_of_the_sum_of_squares(part, film: RunUpRotor) -> None:
-    """One standard error from the minimum, chi-square has risen by one: by the sum of squares itself, no slope is used."""
+    """One standard error from the minimum, chi-square has risen by one: by the sum of squares itself, no
+    slope is used.
+    """
     module = part("common_factor")
     runs = [run_up(film, 5.0, np.full(8, 1.2))]
     fit = module.fit_common_factor(film, runs)
     groups = module.runs_by_load(film, runs)
     for sign in (-1, 1):
-        residual, _ = module.residual_and_slope(film, groups, float(np.log(fit.factor + sign * fit.std_error)))
+        residual, _ = module.residual_and_slope(
+            film, groups, float(np.log(fit.factor + sign * fit.std_error))
+        )
         assert residual @ residual == pytest.approx(1.0, rel=0.03)
 
 
 def test_the_common_factor_scatters_as_its_standard_error_says(part, film: RunUpRotor) -> None:
     module = part("common_factor")
-    fits = [module.fit_common_factor(film, [run_up(film, 5.0, np.full(8, 1.2), np.random.default_rng(seed))]) for seed in range(60)]
+    fits = [
+        module.fit_common_factor(film, [run_up(film, 5.0, np.full(8, 1.2), np.random.default_rng(seed))])
+        for seed in range(60)
+    ]
     deviations = np.array([(fit.factor - 1.2) / fit.std_error for fit in fits])
-    # 60 draws of a normal distribution: their mean within 4 / sqrt(60), their rms within 4 / sqrt(120) of one.
+    # 60 draws of a normal distribution: their mean within 4 / sqrt(60), their rms within 4 / sqrt(120) of
+    # one.
     assert abs(np.mean(deviations)) < 0.52 and abs(np.sqrt(np.mean(deviations**2)) - 1) < 0.37
 
 
 def test_one_factor_that_is_not_enough_is_rejected_and_has_no_errors(part, film: RunUpRotor) -> None:
     module = part("common_factor")
     settings = RunUpSettings(rotor="r.yaml", runs=({"file": "a.csv"},), rig=film)
-    factors = {"not rejected": np.full(8, 1.2), "rejected": np.array([1.2, 1.2, 1.2, 0.7, 1.2, 1.2, 1.2, 0.8])}
+    factors = {
+        "not rejected": np.full(8, 1.2),
+        "rejected": np.array([1.2, 1.2, 1.2, 0.7, 1.2, 1.2, 1.2, 0.8]),
+    }
     rng = np.random.default_rng(5)
     for verdict, eight in factors.items():
         run = run_up(film, 5.0, eight, rng)
@@ -238,7 +298,10 @@ def fit_of(name: str, *modes: tuple[float, float], test: str = "") -> Fit:
     parameters = [
         parameter
         for end, f, zeta in pairs
-        for parameter in (Parameter(f"f_n{end}", f, "Hz", std_error=0.5), Parameter(f"zeta{end}", zeta, "1", std_error=0.001))
+        for parameter in (
+            Parameter(f"f_n{end}", f, "Hz", std_error=0.5),
+            Parameter(f"zeta{end}", zeta, "1", std_error=0.001),
+        )
     ]
     return Fit(
         name,
@@ -265,7 +328,8 @@ def margin(module: ModuleType, frequency: float, ratio: float, order: float):
 @pytest.mark.parametrize(
     ("frequency", "ratio", "order", "expected", "error", "required"),
     [
-        # zeta 0.01: AF = 50, 17 (1 - 1 / 48.5) = 16.6495 %: below the speeds at most 16 %, above 26.6495 %, at most 26 %.
+        # zeta 0.01: AF = 50, 17 (1 - 1 / 48.5) = 16.6495 %: below the speeds at most 16 %, above 26.6495 %,
+        # at most 26 %.
         (60.0, 0.01, 1.0, 0.2, 0.5 / 50, 0.26),
         (30.0, 0.01, 1.0, 0.25, 0.5 / 40, 0.16),
         (60.0, 0.01, 2.0, 0.25, 0.5 / 80, 0.16),
@@ -277,7 +341,9 @@ def margin(module: ModuleType, frequency: float, ratio: float, order: float):
         (45.0, 0.21, 1.0, 0.0, None, 0.0),
     ],
 )
-def test_margins_by_hand(part, frequency: float, ratio: float, order: float, expected: float, error: float | None, required: float) -> None:
+def test_margins_by_hand(
+    part, frequency: float, ratio: float, order: float, expected: float, error: float | None, required: float
+) -> None:
     """At 40 to 50 Hz: distance to the nearer end of the order's band over that end."""
     one = margin(part("separation"), frequency, ratio, order)
     assert (one.margin, one.required) == (pytest.approx(expected), pytest.approx(required, rel=1e-6))
@@ -287,13 +353,18 @@ def test_margins_by_hand(part, frequency: float, ratio: float, order: float, exp
 
 def test_every_mode_of_every_fit_is_held_against_every_order(part) -> None:
     module = part("separation")
-    assert [f.name for f, _ in module.natural_frequencies(fit_of("a", (10.0, 0.1), (20.0, 0.1)))] == ["f_n_1", "f_n_2"]
+    assert [f.name for f, _ in module.natural_frequencies(fit_of("a", (10.0, 0.1), (20.0, 0.1)))] == [
+        "f_n_1",
+        "f_n_2",
+    ]
     calibration = replace(fit_of("line", (1.0, 0.1)), parameters=(Parameter("slope", 1.0, "1"),))
     assert not list(module.natural_frequencies(calibration))
     assert [zeta.name for _, zeta in module.natural_frequencies(fit_of("a", (10.0, 0.1)))] == ["zeta"]
 
 
-@pytest.mark.parametrize("entries", [{"speeds": (0.0, 50.0)}, {"speeds": (40.0, 50.0), "orders": (1.0, -1.0)}])
+@pytest.mark.parametrize(
+    "entries", [{"speeds": (0.0, 50.0)}, {"speeds": (40.0, 50.0), "orders": (1.0, -1.0)}]
+)
 def test_the_section_refuses_impossible_settings(part, entries: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="above zero"):
         part("separation").SeparationSettings(**entries)
@@ -307,10 +378,17 @@ def compare(rule: Rule, value: float | None, unit: str) -> tuple[float | None, b
 
 @pytest.fixture
 def two_tests(part):
-    """One mode of two tests at 40 to 50 Hz, once the speed: 60 Hz is 20 % away, 65 Hz is 30 %; zeta 0.1 asks for 22.1 %."""
+    """One mode of two tests at 40 to 50 Hz, once the speed: 60 Hz is 20 % away, 65 Hz is 30 %.
+
+    Zeta 0.1 asks for 22.1 %.
+    """
     module = part("separation")
     fits = [fit_of("a", (60.0, 0.1), test="cold"), fit_of("a", (65.0, 0.1), test="warm")]
-    margins = [module.margin_of(fit, *mode, 1.0, (40.0, 50.0)) for fit in fits for mode in module.natural_frequencies(fit)]
+    margins = [
+        module.margin_of(fit, *mode, 1.0, (40.0, 50.0))
+        for fit in fits
+        for mode in module.natural_frequencies(fit)
+    ]
     return module, module.Separation((40.0, 50.0), tuple(margins))
 
 
@@ -325,17 +403,30 @@ def two_tests(part):
         ("warm", "least", "0.25", 0.3, True),
     ],
 )
-def test_a_rule_holds_for_every_test_or_for_the_one_in_brackets(two_tests, which, item, bound, found, passed) -> None:
+def test_a_rule_holds_for_every_test_or_for_the_one_in_brackets(
+    two_tests, which, item, bound, found, passed
+) -> None:
     module, record = two_tests
     address, place = f"separation.{item}", "p.yaml:1:1"
-    rule = Rule(section="expect", address=address, fit="separation", which=which, item=item, kind=">=", bound=bound, place=place)
+    rule = Rule(
+        section="expect",
+        address=address,
+        fit="separation",
+        which=which,
+        item=item,
+        kind=">=",
+        bound=bound,
+        place=place,
+    )
     outcome = module.outcome(rule, record, compare)
     assert (outcome.value, outcome.passed) == (pytest.approx(found), passed)
 
 
 def test_a_missed_margin_is_a_warning_in_report_and_terminal(two_tests) -> None:
     module, record = two_tests
-    assert [finding.message for _, finding in module.findings(record)] == ["a.f_n.1x: 20.0 % where 22.1 % are required."]
+    assert [finding.message for _, finding in module.findings(record)] == [
+        "a.f_n.1x: 20.0 % where 22.1 % are required."
+    ]
     ((verdict, table),) = [section.blocks for section in module.report(record, None)]
     assert (verdict.kind, verdict.text) == ("failed", "Separation margins are missed.")
     # The error of 0.5 Hz over the 50 Hz of the nearer end.
@@ -345,7 +436,10 @@ def test_a_missed_margin_is_a_warning_in_report_and_terminal(two_tests) -> None:
 
 def test_margins_are_listed_by_fit_and_test_with_their_errors(two_tests) -> None:
     module, record = two_tests
-    listed = [(one.fit, one.test, one.parameter.name, one.parameter.value, one.parameter.std_error) for one in module.parameters(record)]
+    listed = [
+        (one.fit, one.test, one.parameter.name, one.parameter.value, one.parameter.std_error)
+        for one in module.parameters(record)
+    ]
     name = ("separation.a", "margin_1x")
     assert listed == [
         (name[0], "cold", name[1], pytest.approx(0.2), pytest.approx(0.01)),

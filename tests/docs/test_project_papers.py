@@ -24,7 +24,10 @@ def test_the_newest_entry_of_the_changes_is_this_version() -> None:
 
 
 def test_the_citation_is_of_this_version_and_names_no_person() -> None:
-    """Keys that the Citation File Format 1.2.0 requires; an entity has a name, a person family and given names."""
+    """Keys that the Citation File Format 1.2.0 requires.
+
+    An entity has a name, a person family and given names.
+    """
     citation = yaml.safe_load(text_of("CITATION.cff"))
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
     assert (citation["cff-version"], citation["version"]) == ("1.2.0", __version__)

@@ -1,6 +1,8 @@
-"""The theory manual: its equations and the functions that compute them name each other, and its formulas can be drawn.
+"""The theory manual: its equations and the functions that compute them name each other, and its formulas can
+be drawn.
 
-A directive `{{ equation LABEL | NAME, ... }}` above a formula says what computes it; the docstring of NAME says `Equation (LABEL)`.
+A directive `{{ equation LABEL | NAME, ... }}` above a formula says what computes it; the docstring of NAME
+says `Equation (LABEL)`.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs/pages/theory").glob("*.md"))}
+PAGES = {
+    path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs/pages/theory").glob("*.md"))
+}
 DIRECTIVE = re.compile(r"^\{\{ equation (.+?) \| (.+?) \}\}\n(.*)$", re.MULTILINE)
 LABEL = r"[a-z]+(?:-[a-z0-9]+)+"
 CITATION = re.compile(rf"\bEquations?\s+(\({LABEL}\)(?:(?:,|\s+and)\s+\({LABEL}\))*)")
@@ -30,7 +34,10 @@ WITHOUT_EQUATIONS = {"labpipe.report"}
 def directives() -> list[tuple[str, str, list[str], str]]:
     """(page, label, names, the line below) of all directives."""
     found = [(page, entry) for page, text in PAGES.items() for entry in DIRECTIVE.findall(text)]
-    return [(page, label, [name.strip() for name in names.split(",")], below) for page, (label, names, below) in found]
+    return [
+        (page, label, [name.strip() for name in names.split(",")], below)
+        for page, (label, names, below) in found
+    ]
 
 
 def documented(tree: ast.AST, above: str) -> Iterator[tuple[str, str]]:
@@ -50,7 +57,9 @@ def cited() -> set[tuple[str, str]]:
         if CITATION.search(text):
             module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
             for name, docstring in documented(ast.parse(text), module):
-                pairs |= {(label, name) for run in CITATION.findall(docstring) for label in re.findall(LABEL, run)}
+                pairs |= {
+                    (label, name) for run in CITATION.findall(docstring) for label in re.findall(LABEL, run)
+                }
     return pairs
 
 
@@ -68,7 +77,9 @@ def test_labels_are_unique_and_begin_as_on_no_other_page() -> None:
 
 
 def test_equations_and_docstrings_name_each_other() -> None:
-    """Both ways: a function of the manual that does not name its equation, and a label in a docstring that the manual has not."""
+    """Both ways: a function of the manual that does not name its equation, and a label in a docstring that
+    the manual has not.
+    """
     manual = {(label, name) for _, label, names, _ in directives() for name in names}
     assert manual - cited() == set()
     assert cited() - manual == set()
@@ -87,9 +98,13 @@ def test_the_names_of_equations_can_be_imported() -> None:
 
 def test_every_numerical_package_has_equations() -> None:
     """The packages that import no files and no screens, as the rule of imports lists them."""
-    rules = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    rules = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     numerical = next(
-        set(rule["source_modules"]) for rule in rules if rule["type"] == "forbidden" and "labpipe.spectra" in rule["source_modules"]
+        set(rule["source_modules"])
+        for rule in rules
+        if rule["type"] == "forbidden" and "labpipe.spectra" in rule["source_modules"]
     )
     with_equations = {".".join(name.split(".")[:2]) for _, _, names, _ in directives() for name in names}
     assert numerical - with_equations == WITHOUT_EQUATIONS
@@ -108,7 +123,9 @@ def test_formulas_can_be_drawn(page: str) -> None:
     for token in tokens:
         if token["block"] or token["within"]:
             assert "\n" not in (token["within"] or "")
-            assert maths.mathml(token["block"] or token["within"], display=token["block"] is not None).startswith("<math")
+            assert maths.mathml(
+                token["block"] or token["within"], display=token["block"] is not None
+            ).startswith("<math")
 
 
 def test_the_overview_links_to_every_chapter_and_chapters_name_their_sources() -> None:
@@ -123,7 +140,15 @@ def test_the_names_of_the_nomenclature_are_read_or_written() -> None:
     words = set(re.findall(r"[A-Za-z_]\w*", source))
     rows = [line.split("|") for line in PAGES["nomenclature"].splitlines() if line.startswith("|")]
     names = {
-        name for row in rows if len(row) == 6 for quoted in re.findall(r"`([^`]+)`", row[4]) for name in re.findall(r"[a-z]\w+", quoted)
+        name
+        for row in rows
+        if len(row) == 6
+        for quoted in re.findall(r"`([^`]+)`", row[4])
+        for name in re.findall(r"[a-z]\w+", quoted)
     }
     assert names
-    assert [name for name in sorted(names) if re.sub(r"(_[a-z]{1,2}|_\d+)+$", "", name) not in words and name not in words] == []
+    assert [
+        name
+        for name in sorted(names)
+        if re.sub(r"(_[a-z]{1,2}|_\d+)+$", "", name) not in words and name not in words
+    ] == []

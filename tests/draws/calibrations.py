@@ -16,7 +16,9 @@ from tests.draws.usual import Errors
 
 @dataclass(frozen=True)
 class LineWorlds:
-    """Points at *x* (n_point,), each y off the true *line* by itself, with the scatter [y unit] of the measured ones."""
+    """Points at *x* (n_point,), each y off the true *line* by itself, with the scatter [y unit] of the
+    measured ones.
+    """
 
     name: str
     x: np.ndarray
@@ -29,7 +31,10 @@ class LineWorlds:
         return np.asarray(slope * self.x + (rest[0] if rest else 0.0))
 
     def truth(self) -> dict[str, float]:
-        return {f"{self.name}.{name}": float(value) for name, value in zip(("slope", "intercept"), self.line.values, strict=False)}
+        return {
+            f"{self.name}.{name}": float(value)
+            for name, value in zip(("slope", "intercept"), self.line.values, strict=False)
+        }
 
     def amounts(self, _: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
         scatter = float(np.sqrt(np.sum(self.line.residual**2) / self.line.dof))
@@ -43,7 +48,10 @@ def line_worlds(settings: CalibrationSettings) -> list[LineWorlds]:
     table = open_table(settings.path)
     names = [settings.x, settings.y, *([settings.group] if settings.group else [])]
     columns = np.concatenate(list(table.chunks(names))).T
-    x, y = (values * parse_unit(table.units[name]).factor for name, values in zip(names, columns[:2], strict=False))
+    x, y = (
+        values * parse_unit(table.units[name]).factor
+        for name, values in zip(names, columns[:2], strict=False)
+    )
     groups = columns[2] if settings.group else np.zeros(x.size)
     worlds = []
     for group in np.unique(groups):

@@ -27,7 +27,10 @@ from tests.draws.usual import Errors, with_given_off, with_usual_mass, with_usua
 
 @dataclass(frozen=True)
 class Case:
-    """One fit of one band to one test; *worlds* record the test anew, *fit* is that of the measurement. term: as fits of peaks have it."""
+    """One fit of one band to one test; *worlds* record the test anew, *fit* is that of the measurement.
+
+    term: as fits of peaks have it.
+    """
 
     name: str
     settings: FitSettings
@@ -52,10 +55,17 @@ def cases_of(pipeline: Pipeline, most: int) -> list[Case]:
     return cases
 
 
-def cases_of_fit(settings: FitSettings, tests: Sequence[MeasuredTest], most: int, before: Sequence[Fit] = ()) -> list[Case]:
+def cases_of_fit(
+    settings: FitSettings, tests: Sequence[MeasuredTest], most: int, before: Sequence[Fit] = ()
+) -> list[Case]:
     """The cases of one fit to the *tests*, at most *most*; *before*: fits that it may begin with."""
     fits, cases = list(before), []
-    chosen = [one for test in tests if not settings.test or test.name in settings.test for one in _singles(settings, test)]
+    chosen = [
+        one
+        for test in tests
+        if not settings.test or test.name in settings.test
+        for one in _singles(settings, test)
+    ]
     for place in np.unique(np.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().astype(int)):
         label, alone, test, term = chosen[place]
         single = replace(with_usual_mass(alone), monte_carlo=0, bootstrap=0)
@@ -71,7 +81,9 @@ def cases_of_fit(settings: FitSettings, tests: Sequence[MeasuredTest], most: int
 
 
 def _of_measured_terms(test: MeasuredTest, fit: Fit) -> bool:
-    """Whether the fitted curve is one of the measured terms: of a directional FRF it is not, and no world can be made about it."""
+    """Whether the fitted curve is one of the measured terms: of a directional FRF it is not, and no world can
+    be made about it.
+    """
     if not isinstance(test, FrequencyResponse) or fit.curve is None:
         return True
     labels = {port.label for port in (*test.outputs, *test.inputs)}
@@ -81,32 +93,50 @@ def _of_measured_terms(test: MeasuredTest, fit: Fit) -> bool:
 def _free(settings: FitSettings, fit: Fit) -> FitSettings:
     """The fit without what only describes it; where forms are compared, the one that was chosen."""
     if settings.compare and fit.detail(DynamicStiffness) is not None:
-        settings = replace(settings, model_settings=replace(settings.model_settings, form=fit.detail(DynamicStiffness).form))
+        settings = replace(
+            settings, model_settings=replace(settings.model_settings, form=fit.detail(DynamicStiffness).form)
+        )
     return replace(settings, compare=False, monte_carlo=0, bootstrap=0)
 
 
 def measured_tests(pipeline: Pipeline) -> tuple[MeasuredTest, ...]:
     """What was measured in every test, with uncertainties of usual size on all sensors."""
-    with tempfile.TemporaryDirectory() as scratch, output_folder(Path(scratch)) as folder, warnings.catch_warnings():
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        output_folder(Path(scratch)) as folder,
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore")
         tests = measure_tests(pipeline, folder, Manner()).tests
     return tuple(with_usual_uncertainties(test) for test in tests)
 
 
-def _singles(settings: FitSettings, test: MeasuredTest) -> Iterator[tuple[str, FitSettings, MeasuredTest, str]]:
+def _singles(
+    settings: FitSettings, test: MeasuredTest
+) -> Iterator[tuple[str, FitSettings, MeasuredTest, str]]:
     """The fits of one band each that a fit of peaks, bands or sliding bands is."""
     name = f"{settings.name}[{test.name}]" if test.name else settings.name
     if settings.peaks:
         for dof, bands in settings.peaks:
             for band in bands:
-                yield f"{name}.{dof}", replace(settings, peaks=(), band=band, input=(dof,), output=(dof,)), test, dof
+                yield (
+                    f"{name}.{dof}",
+                    replace(settings, peaks=(), band=band, input=(dof,), output=(dof,)),
+                    test,
+                    dof,
+                )
     elif settings.sliding is not None or settings.bands:
         bands = settings.bands
         if settings.sliding is not None:
             whole = settings.band or (float(test.frequency[0]), float(test.frequency[-1]))
             bands = tuple(sliding_bands(whole, settings.sliding.width, settings.sliding.step))
         for band in bands:
-            yield f"{name}[{np.mean(band):g} Hz]", replace(settings, sliding=None, bands=(), band=band), test, ""
+            yield (
+                f"{name}[{np.mean(band):g} Hz]",
+                replace(settings, sliding=None, bands=(), band=band),
+                test,
+                "",
+            )
     else:
         yield name, settings, test, ""
 

@@ -1,8 +1,10 @@
-"""Worlds of comparisons of tests: one truth behind all of them, every test at the condition that it really had.
+"""Worlds of comparisons of tests: one truth behind all of them, every test at the condition that it really
+had.
 
-Behind a ratio to a theory stands the bending shaft on a multiple of the bearing's stiffness; behind trends and differences a power law of
-stiffness and damping over the condition; behind repeats one stiffness, with a part of its own in every setting. All of it is computed
-forward from the true numbers; the comparison gets the numbers that are written.
+Behind a ratio to a theory stands the bending shaft on a multiple of the bearing's stiffness; behind trends
+and differences a power law of stiffness and damping over the condition; behind repeats one stiffness, with a
+part of its own in every setting. All of it is computed forward from the true numbers; the comparison gets the
+numbers that are written.
 """
 
 from __future__ import annotations
@@ -79,20 +81,28 @@ class Question:
         found: dict[str, Parameter] = {}
         for one in self.answers(errors, rng):
             found |= {f"{one.name}.{amount.name}": amount for amount in one.amounts}
-            found |= {f"{one.name}.{band.parameter}[{np.mean(band.band_hz):g} Hz].ratio": _ratio_of(band) for band in one.bands}
+            found |= {
+                f"{one.name}.{band.parameter}[{np.mean(band.band_hz):g} Hz].ratio": _ratio_of(band)
+                for band in one.bands
+            }
         return found
 
     def answers(self, errors: Errors, rng: np.random.Generator | None) -> list[Comparison]:
         """All comparisons in one world; repeats of tests without noise do not scatter and have none."""
         fits = tuple(one.fitted(errors, rng) for one in self.tested)
-        settings = tuple({fit.name: one.case.settings for one, fit in zip(self.tested, fits, strict=True)}.values())
+        settings = tuple(
+            {fit.name: one.case.settings for one, fit in zip(self.tested, fits, strict=True)}.values()
+        )
         responses = {one.case.test: one.response(errors) for one in self.tested}
         evidence = Evidence(fits, tuple(responses.values()), settings)
         chosen = [one for one in self.settings if rng is not None or one.kind != "repeatability"]
         return [compare(one, evidence, self._theory(one)) for one in chosen]
 
     def truths(self) -> dict[str, float]:
-        """The true amounts: those of a world without errors; of repeats those that the worlds are made with."""
+        """The true amounts: those of a world without errors.
+
+        Of repeats those that the worlds are made with.
+        """
         found = {name: one.value for name, one in self.amounts(Errors(), None).items()}
         for one in self.settings:
             if one.kind == "repeatability":
@@ -101,7 +111,8 @@ class Question:
                 noise = [fit.parameter(one.parameter).std_error for fit in fits]
                 found[f"{one.name}.mean"] = mean
                 if one.parameter == "k":
-                    # Of damping a delay is followed by every test with other weights, and repeats scatter by more than their noise.
+                    # Of damping a delay is followed by every test with other weights, and repeats scatter by
+                    # more than their noise.
                     within = float(np.sqrt(np.mean(np.square(noise))))
                     found |= {f"{one.name}.within": within, f"{one.name}.between": BETWEEN * mean}
         return found
@@ -135,7 +146,10 @@ def questions_of(pipeline: Pipeline, most: int = 1000) -> list[Question]:
         fit_settings = next(one for one in pipeline.fits if one.name == name)
         of_bands = settings[0].kind == "bands"
         cases = [
-            case for test in tests.values() for case in cases_of_fit(fit_settings, [test], most if of_bands else 1000) if case.term == term
+            case
+            for test in tests.values()
+            for case in cases_of_fit(fit_settings, [test], most if of_bands else 1000)
+            if case.term == term
         ]
         truths = _truths(settings, cases, tests, pipeline.folder)
         tested = tuple(Tested(case, truth) for case, truth in zip(cases, truths, strict=True))
@@ -143,7 +157,9 @@ def questions_of(pipeline: Pipeline, most: int = 1000) -> list[Question]:
     return questions
 
 
-def _truths(settings: Sequence[CompareSettings], cases: Sequence[Case], tests: Mapping[str, Any], folder: Path) -> list[Truth | None]:
+def _truths(
+    settings: Sequence[CompareSettings], cases: Sequence[Case], tests: Mapping[str, Any], folder: Path
+) -> list[Truth | None]:
     first = settings[0]
     if first.kind == "bands":
         return _of_first_test(cases)
@@ -168,7 +184,10 @@ def _of_first_test(cases: Sequence[Case]) -> list[Truth | None]:
     first: dict[str, Case] = {}
     for case in cases:
         first.setdefault(_band(case), case)
-    assert all(np.array_equal(first[_band(case)].worlds.response.frequency, case.worlds.response.frequency) for case in cases)
+    assert all(
+        np.array_equal(first[_band(case)].worlds.response.frequency, case.worlds.response.frequency)
+        for case in cases
+    )
     for number, case in enumerate(cases):
         matrix = first[_band(case)].worlds.response.matrix
         object.__setattr__(case.worlds, "response", replace(case.worlds.response, matrix=matrix))
@@ -184,13 +203,19 @@ def _of_settings(cases: Sequence[Case], sources: Sequence[str]) -> list[Truth | 
     """Stiffness and damping of the first test, the stiffness times that of the setting."""
     k, c, mass = (cases[0].fit.parameter(name).value for name in ("k", "c", "m"))
     between = [lambda errors, name=name: BETWEEN * errors.of(Uncertainty(name, 1.0, "1")) for name in sources]
-    return [_moved(case, mass, lambda errors, part=part: (k * (1 + part(errors)), c)) for case, part in zip(cases, between, strict=True)]
+    return [
+        _moved(case, mass, lambda errors, part=part: (k * (1 + part(errors)), c))
+        for case, part in zip(cases, between, strict=True)
+    ]
 
 
 def _of_law(cases: Sequence[Case], conditions: np.ndarray, setting_error: float) -> list[Truth | None]:
     """Stiffness and damping by power laws through all tests."""
     middle = np.exp(np.mean(np.log(conditions)))
-    laws = [np.polyfit(np.log(conditions / middle), np.log([case.fit.parameter(name).value for case in cases]), 1) for name in ("k", "c")]
+    laws = [
+        np.polyfit(np.log(conditions / middle), np.log([case.fit.parameter(name).value for case in cases]), 1)
+        for name in ("k", "c")
+    ]
 
     def at(case: Case, condition: float, errors: Errors) -> tuple[float, float]:
         x = np.log(condition * _true_factor(case, setting_error, errors) / middle)
@@ -198,11 +223,16 @@ def _of_law(cases: Sequence[Case], conditions: np.ndarray, setting_error: float)
         return k, c
 
     mass = cases[0].fit.parameter("m").value
-    return [_moved(case, mass, lambda errors, case=case, x=x: at(case, x, errors)) for case, x in zip(cases, conditions, strict=True)]
+    return [
+        _moved(case, mass, lambda errors, case=case, x=x: at(case, x, errors))
+        for case, x in zip(cases, conditions, strict=True)
+    ]
 
 
 def _moved(case: Case, mass: float, coefficients: Callable[[Errors], tuple[float, float]]) -> Truth:
-    """The receptance of the *mass* [kg], one in all tests, on the true stiffness [N/m] and damping [N s/m]."""
+    """The receptance of the *mass* [kg], one in all tests, on the true stiffness [N/m] and damping [N
+    s/m].
+    """
     omega = 2 * np.pi * case.worlds.response.frequency
 
     def truth(errors: Errors) -> np.ndarray:
@@ -213,18 +243,33 @@ def _moved(case: Case, mass: float, coefficients: Callable[[Errors], tuple[float
 
 
 def _of_theory(
-    settings: Sequence[CompareSettings], cases: Sequence[Case], pairs: Sequence[tuple[float, str]], folder: Path, setting_error: float
+    settings: Sequence[CompareSettings],
+    cases: Sequence[Case],
+    pairs: Sequence[tuple[float, str]],
+    folder: Path,
+    setting_error: float,
 ) -> list[Truth | None]:
-    """The bending shaft on the theory's stiffness at the true condition, times the ratio and with the damping that were measured."""
+    """The bending shaft on the theory's stiffness at the true condition, times the ratio and with the damping
+    that were measured.
+    """
     with_theory = next(one for one in settings if one.kind == "ratio")
     measured = Question((with_theory,), tuple(Tested(case, None) for case in cases), folder)
     (answer,) = measured.answers(Errors(), None)
-    ratio, beta = (next(one.value for one in answer.amounts if one.name == name) for name in ("ratio", "beta"))
+    ratio, beta = (
+        next(one.value for one in answer.amounts if one.name == name) for name in ("ratio", "beta")
+    )
     named = with_theory.theory
     assert named is not None
     theory = _theory(folder, named)
     return [
-        _in_series(case, pair, (ratio, beta), named, theory, lambda errors, case=case: _true_factor(case, setting_error, errors) - 1)
+        _in_series(
+            case,
+            pair,
+            (ratio, beta),
+            named,
+            theory,
+            lambda errors, case=case: _true_factor(case, setting_error, errors) - 1,
+        )
         for case, pair in zip(cases, pairs, strict=True)
     ]
 
@@ -237,7 +282,9 @@ def _in_series(
     theory: Any,
     step_of: Callable[[Errors], float],
 ) -> Truth:
-    """The receptance of the shaft on (ratio, beta) times the theory, at a condition off by the share that *step_of* a world gives."""
+    """The receptance of the shaft on (ratio, beta) times the theory, at a condition off by the share that
+    *step_of* a world gives.
+    """
     steps = np.array([-0.02, 0.0, 0.02])
     ends = [theory(((float(pair[0] * (1 + step)), pair[1]),)) for step in steps]
     course = np.polyfit(steps, np.array([one.stiffness.ravel() for one in ends]), 2)
@@ -252,7 +299,9 @@ def _in_series(
         stiffness = factors[0] * (course[0] * step**2 + course[1] * step + course[2]).reshape(5, 5)
         bending = np.inf
         if named.shaft is not None:
-            bending = named.shaft.value + errors.of(Uncertainty("bending shaft", named.shaft.std_error, "N/m"))
+            bending = named.shaft.value + errors.of(
+                Uncertainty("bending shaft", named.shaft.std_error, "N/m")
+            )
         transfer = bent_transfer_matrix(ends[1].shaft, stiffness, frequency, factors[1], bending)
         return np.asarray(transfer[:, place, place] * arms)
 

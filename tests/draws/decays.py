@@ -1,4 +1,6 @@
-"""Worlds of ring-downs: the virtual rig that made the sample recordings, recorded again by a sensor that is off."""
+"""Worlds of ring-downs: the virtual rig that made the sample recordings, recorded again by a sensor that is
+off.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,15 @@ class DecayWorlds:
         quiet = replace(self.rig, noise=self.rig.noise * QUIET) if rng is None else self.rig
         seed = 1 if rng is None else int(rng.integers(1 << 30))
         (recording,) = decay_runs(quiet, seed, [self.name])
-        gains = np.array([factor_of(port.uncertainties, np.zeros(1), errors)[0].real for port in self.decays.outputs])
-        found = free_decays([replace(recording, samples=recording.samples * gains)], FrfSettings("decay"), name=self.name, conditions={})
+        gains = np.array(
+            [factor_of(port.uncertainties, np.zeros(1), errors)[0].real for port in self.decays.outputs]
+        )
+        found = free_decays(
+            [replace(recording, samples=recording.samples * gains)],
+            FrfSettings("decay"),
+            name=self.name,
+            conditions={},
+        )
         return replace(found, outputs=self.decays.outputs)
 
 

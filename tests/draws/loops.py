@@ -1,7 +1,8 @@
-"""Worlds of control loops: a response or signals as the loop of the bearing file gives them, with the support that really is there.
+"""Worlds of control loops: a response or signals as the loop of the bearing file gives them, with the support
+that really is there.
 
-Drawn are the noise of the response, its channels, a given mass and the support; the true unknowns are those that were fitted to the
-measurement.
+Drawn are the noise of the response, its channels, a given mass and the support; the true unknowns are those
+that were fitted to the measurement.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ KINDS = ("prediction", "sensitivity", "certificate")
 
 @dataclass(frozen=True)
 class LoopWorlds:
-    """One comparison of a loop; *recorded*: what is measured in a world; *found*: the amounts that are found in it."""
+    """One comparison of a loop; *recorded*: what is measured in a world; *found*: the amounts that are found
+    in it.
+    """
 
     name: str
     recorded: Callable[[Errors, np.random.Generator | None], list[FrequencyResponse]]
@@ -54,19 +57,28 @@ class LoopWorlds:
 
 def loop_worlds(pipeline: Pipeline) -> list[LoopWorlds]:
     """The comparisons of a pipeline that hold a loop against its bearing file."""
-    chosen = [one for one in pipeline.sections.get("compare", ()) if one.kind in KINDS and one.theory is not None]
+    chosen = [
+        one for one in pipeline.sections.get("compare", ()) if one.kind in KINDS and one.theory is not None
+    ]
     make = {"prediction": _prediction, "sensitivity": _sensitivity, "certificate": _certificate}
     tests = measured_tests(pipeline) if chosen else ()
     return [make[one.kind](one, pipeline, [_with_ports(test) for test in tests]) for one in chosen]
 
 
 def _with_ports(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
-    """The response, uncertainties of channels at its ports, where worlds take them not only to first order."""
+    """The response, uncertainties of channels at its ports, where worlds take them not only to first
+    order.
+    """
     if not isinstance(test, ChannelSpectra):
         return test
-    response, uncertainties = per_injection(test), {channel.name: channel.uncertainties for channel in test.channels}
+    response, uncertainties = (
+        per_injection(test),
+        {channel.name: channel.uncertainties for channel in test.channels},
+    )
     ports = {
-        name: tuple(replace(port, uncertainties=uncertainties[port.label]) for port in getattr(response, name))
+        name: tuple(
+            replace(port, uncertainties=uncertainties[port.label]) for port in getattr(response, name)
+        )
         for name in ("outputs", "inputs")
     }
     # Spectra of all channels have a covariance of every line's own.
@@ -99,7 +111,8 @@ def _on_support(view: View, errors: Errors) -> FrequencyResponse:
     response, plant, own = view.response, view.file.levitated(), view.settings
     omega = 2 * np.pi * response.frequency
     stiffness, damping = (
-        getattr(view.support, name).value + errors.of(Uncertainty(f"{name} of the support", getattr(view.support, name).std_error, ""))
+        getattr(view.support, name).value
+        + errors.of(Uncertainty(f"{name} of the support", getattr(view.support, name).std_error, ""))
         for name in ("stiffness", "damping")
     )
     assert isinstance(own.mass, float)
@@ -111,9 +124,15 @@ def _on_support(view: View, errors: Errors) -> FrequencyResponse:
     force = response.inputs[column]
     matrix = response.matrix.copy()
     # Sensors of known direction beside those of the fit tell what these read across.
-    for row in dict.fromkeys([*rows, *(n for n, port in enumerate(response.outputs) if port.angle is not None)]):
+    for row in dict.fromkeys(
+        [*rows, *(n for n, port in enumerate(response.outputs) if port.angle is not None)]
+    ):
         angles = response.outputs[row].angle, force.angle
-        cosine = 1.0 if None in angles else np.cos(angles[0] - angles[1] + angle_error(force.uncertainties, errors))
+        cosine = (
+            1.0
+            if None in angles
+            else np.cos(angles[0] - angles[1] + angle_error(force.uncertainties, errors))
+        )
         matrix[:, row, column] = cosine / total * receptance_factor(response.form, response.frequency)
     return replace(response, matrix=matrix)
 
@@ -124,7 +143,9 @@ def _sensitivity(settings: CompareSettings, pipeline: Pipeline, tests: list[Freq
     true = _fitted_file(assumed, loop_sensitivity(settings, response, assumed).amounts, settings)
     values = sensitivity(true.levitated(), 2 * np.pi * response.frequency)
     rows = {settings.before: values - 1, settings.after: values}
-    return _of_signals(settings, response, rows, lambda measured: loop_sensitivity(settings, measured, assumed).amounts)
+    return _of_signals(
+        settings, response, rows, lambda measured: loop_sensitivity(settings, measured, assumed).amounts
+    )
 
 
 def _certificate(settings: CompareSettings, pipeline: Pipeline, tests: list[FrequencyResponse]) -> LoopWorlds:
@@ -132,12 +153,19 @@ def _certificate(settings: CompareSettings, pipeline: Pipeline, tests: list[Freq
     (response,), assumed, own = tests, _file(settings, pipeline), settings.certificate
     assert own is not None
     true = _fitted_file(assumed, certificate(settings, response, assumed).amounts, settings)
-    signals = open_loop(true.levitated(), 2 * np.pi * response.frequency, own.rate or assumed.loop.rate, own.filtered).signals(
-        own.injection
-    )
-    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
+    signals = open_loop(
+        true.levitated(), 2 * np.pi * response.frequency, own.rate or assumed.loop.rate, own.filtered
+    ).signals(own.injection)
+    named = {
+        "after": own.after[0],
+        "output": own.output,
+        "displacement": own.displacement,
+        "current": own.current,
+    }
     rows = {name: signals[signal] for signal, name in named.items() if name}
-    return _of_signals(settings, response, rows, lambda measured: certificate(settings, measured, assumed).amounts)
+    return _of_signals(
+        settings, response, rows, lambda measured: certificate(settings, measured, assumed).amounts
+    )
 
 
 def _file(settings: CompareSettings, pipeline: Pipeline) -> MagneticFile:
@@ -145,7 +173,9 @@ def _file(settings: CompareSettings, pipeline: Pipeline) -> MagneticFile:
     return magnetic_theory(pipeline.folder, settings.theory)(None, "")
 
 
-def _fitted_file(file: MagneticFile, amounts: tuple[Parameter, ...], settings: CompareSettings) -> MagneticFile:
+def _fitted_file(
+    file: MagneticFile, amounts: tuple[Parameter, ...], settings: CompareSettings
+) -> MagneticFile:
     return with_unknowns(file, {one.name: one.value for one in amounts if one.name in settings.estimate})
 
 
@@ -160,4 +190,8 @@ def _of_signals(
     for name, values in rows.items():
         matrix[:, labels.index(name), 0] = values
     worlds: ResponseWorlds = worlds_about(replace(response, matrix=matrix))
-    return LoopWorlds(settings.name, lambda errors, rng: [worlds.recorded(errors, rng)], lambda responses: found(responses[0]))
+    return LoopWorlds(
+        settings.name,
+        lambda errors, rng: [worlds.recorded(errors, rng)],
+        lambda responses: found(responses[0]),
+    )

@@ -1,4 +1,6 @@
-"""A pipeline drawn: its fits, comparisons, calibrations, run-ups and responses to unbalance in worlds in which every number is off."""
+"""A pipeline drawn: its fits, comparisons, calibrations, run-ups and responses to unbalance in worlds in
+which every number is off.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ def _kinds(pipeline: Pipeline, most: int) -> list[Drawn]:
     kinds = [Drawn(question.amounts, question.truths()) for question in questions]
     if pipeline.fits and pipeline.tests and not questions:
         cases = cases_of(pipeline, most)
-        kinds.append(Drawn(lambda errors, rng: fits_of(cases, errors, rng), _values(fits_of(cases, Errors(), None))))
+        kinds.append(
+            Drawn(lambda errors, rng: fits_of(cases, errors, rng), _values(fits_of(cases, Errors(), None)))
+        )
     others = [line for settings in pipeline.sections.get("calibrate", ()) for line in line_worlds(settings)]
     others += loop_worlds(pipeline)
     others += [one for one in (run_up_worlds(pipeline), unbalance_worlds(pipeline)) if one is not None]

@@ -1,4 +1,6 @@
-"""Worlds of the spectra of all channels: what they would be if a fitted balance held exactly, recorded with errors and new noise."""
+"""Worlds of the spectra of all channels: what they would be if a fitted balance held exactly, recorded with
+errors and new noise.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ from tests.draws.usual import Errors, angle_error, factor_of
 
 @dataclass(frozen=True)
 class SpectraWorlds:
-    """Worlds about *spectra* whose vectors satisfy the balance; root (n_line, n_run, n_channel, n_channel) of their covariance."""
+    """Worlds about *spectra* whose vectors satisfy the balance.
+
+    Root (n_line, n_run, n_channel, n_channel) of their covariance.
+    """
 
     spectra: ChannelSpectra
     root: np.ndarray
@@ -32,7 +37,9 @@ class SpectraWorlds:
         vectors = spectra.vectors.copy()
         for quantity in dict.fromkeys(channel.quantity for channel in spectra.channels):
             self._aim(vectors, quantity, errors)
-        vectors *= np.stack([factor_of(channel.uncertainties, omega, errors) for channel in spectra.channels], axis=1)[:, None]
+        vectors *= np.stack(
+            [factor_of(channel.uncertainties, omega, errors) for channel in spectra.channels], axis=1
+        )[:, None]
         if rng is not None:
             assert not spectra.line_correlation
             parts = rng.standard_normal((2, *vectors.shape)) / np.sqrt(2)
@@ -40,8 +47,14 @@ class SpectraWorlds:
         return replace(spectra, vectors=vectors)
 
     def _aim(self, vectors: np.ndarray, quantity: str, errors: Errors) -> None:
-        """Channels in the directions that they have: a motion is projected on them, forces add up to the one that acts."""
-        columns = [n for n, one in enumerate(self.spectra.channels) if one.quantity == quantity and one.angle is not None]
+        """Channels in the directions that they have: a motion is projected on them, forces add up to the one
+        that acts.
+        """
+        columns = [
+            n
+            for n, one in enumerate(self.spectra.channels)
+            if one.quantity == quantity and one.angle is not None
+        ]
         if len(columns) != 2:
             return
         channels = [self.spectra.channels[n] for n in columns]
@@ -53,11 +66,18 @@ class SpectraWorlds:
 
 
 def spectra_worlds(spectra: ChannelSpectra, settings: FitSettings) -> tuple[SpectraWorlds, Fit]:
-    """Worlds about the fit to the *spectra*: vectors without the part of their noise that breaks the balance."""
+    """Worlds about the fit to the *spectra*: vectors without the part of their noise that breaks the
+    balance.
+    """
     (fit,) = identify(spectra, settings)
     band = settings.band or (float(spectra.frequency[0]), float(spectra.frequency[-1]))
     lines = lines_in(spectra.frequency, band)
-    spectra = replace(spectra, frequency=spectra.frequency[lines], vectors=spectra.vectors[lines], covariance=spectra.covariance[lines])
+    spectra = replace(
+        spectra,
+        frequency=spectra.frequency[lines],
+        vectors=spectra.vectors[lines],
+        covariance=spectra.covariance[lines],
+    )
     rows = (_of_magnet if settings.model == "magnet" else _of_stator)(spectra, settings, fit)
     left = (rows[:, None] @ spectra.vectors[..., None])[..., 0]
     held = rows.conj().swapaxes(1, 2)[:, None]
@@ -84,4 +104,6 @@ def _of_magnet(spectra: ChannelSpectra, settings: FitSettings, fit: Fit) -> np.n
     rotor = levitation_of(spectra, settings.band, (settings.input, settings.output), settings.mass, own)
     between = None if own.hold is None else Between(own.hold, own.amplifier_bandwidth)
     model = magnet_model(rotor.labels, rotor.bearing, rotor.mass, own.coupling, own.passive_damping, between)
-    return model.rows(np.array([fit.parameter(name).value for name in model.names]), rotor.omega) @ rotor.to_axes
+    return (
+        model.rows(np.array([fit.parameter(name).value for name in model.names]), rotor.omega) @ rotor.to_axes
+    )

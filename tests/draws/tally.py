@@ -1,4 +1,6 @@
-"""Counts over many worlds: scatter over combined uncertainty, how often intervals hold the truth, and the random part alone."""
+"""Counts over many worlds: scatter over combined uncertainty, how often intervals hold the truth, and the
+random part alone.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,9 @@ TWO_SIDED = 1.959964
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter by *draws* worlds: *ratio* of the scatter to the root mean square of the combined uncertainty, shares of the worlds
-    that hold the truth, *bias* in combined uncertainties."""
+    """One parameter by *draws* worlds: *ratio* of the scatter to the root mean square of the combined
+    uncertainty, shares of the worlds that hold the truth, *bias* in combined uncertainties.
+    """
 
     name: str
     draws: int
@@ -56,7 +59,9 @@ class Tally:
             error = np.nan if one.full_error is None else one.full_error
             noise = error if one.systematic is None else np.sqrt(max(error**2 - one.systematic**2, 0.0))
             held = one.ci95[0] <= truth <= one.ci95[1]
-            self.worlds.setdefault(name, []).append((one.value, error, held, abs(one.value - truth) <= TWO_SIDED * noise))
+            self.worlds.setdefault(name, []).append(
+                (one.value, error, held, abs(one.value - truth) <= TWO_SIDED * noise)
+            )
 
     def rows(self) -> Iterable[Row]:
         for name, worlds in self.worlds.items():
@@ -67,7 +72,13 @@ class Tally:
             relative = error / abs(truth) if truth else np.nan
             ratio = float(np.std(values, ddof=1)) / error
             yield Row(
-                name, len(worlds), relative, ratio, float(np.mean(held)), float(np.mean(by_noise)), float(np.mean(values) - truth) / error
+                name,
+                len(worlds),
+                relative,
+                ratio,
+                float(np.mean(held)),
+                float(np.mean(by_noise)),
+                float(np.mean(values) - truth) / error,
             )
 
 
@@ -77,5 +88,8 @@ HEAD = f"{'parameter':58s} {'draws':>6s} {'u_c':>8s} {'ratio':>6s} {'held':>6s} 
 def line(row: Row) -> str:
     """One row as text; what is not as it should be carries a mark."""
     mark = "" if row.is_good else "  <--"
-    sizes = f"{row.draws:6d} {100 * row.relative:7.3g}% {row.ratio:6.3f} {100 * row.held:5.1f}% {100 * row.by_noise:5.1f}% {row.bias:+6.2f}"
+    sizes = (
+        f"{row.draws:6d} {100 * row.relative:7.3g}% {row.ratio:6.3f} {100 * row.held:5.1f}% "
+        f"{100 * row.by_noise:5.1f}% {row.bias:+6.2f}"
+    )
     return f"{row.name:58s} {sizes}{mark}"

@@ -1,4 +1,7 @@
-"""A fixed part of the draws of shipped pipelines; `python -m tests.draws.run` draws all of them for as long as you like."""
+"""A fixed part of the draws of shipped pipelines.
+
+`python -m tests.draws.run` draws all of them for as long as you like.
+"""
 
 from __future__ import annotations
 
@@ -23,27 +26,44 @@ def rows_of(name: str, draws: int, cases: int) -> list[Row]:
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "draws", "cases"),
-    [("budget", 200, 1), ("radial-two-directions", 200, 1), ("floating-bearing", 120, 1), ("levitated-magnet", 200, 1)],
+    [
+        ("budget", 200, 1),
+        ("radial-two-directions", 200, 1),
+        ("floating-bearing", 120, 1),
+        ("levitated-magnet", 200, 1),
+    ],
 )
 @pytest.mark.filterwarnings("ignore")
 def test_combined_uncertainties_are_those_of_drawn_worlds(name: str, draws: int, cases: int) -> None:
-    """Scatter within 5 % of the combined uncertainty and 93-97 % of the intervals hold, beside three deviations of so many draws.
+    """Scatter within 5 % of the combined uncertainty and 93-97 % of the intervals hold, beside three
+    deviations of so many draws.
 
     A mass within limits, as the pedestal's, is no normal input: its interval holds more often.
     """
     rows = rows_of(name, draws, cases)
     bounded = ("pedestal.k",)
-    bad = [row for row in rows if not (row.is_good or (row.name in bounded and abs(row.ratio - 1) < 0.05 + row.chance and row.held > 0.95))]
+    bad = [
+        row
+        for row in rows
+        if not (
+            row.is_good
+            or (row.name in bounded and abs(row.ratio - 1) < 0.05 + row.chance and row.held > 0.95)
+        )
+    ]
     assert not bad
     # Noise alone would not do.
     assert np.mean([row.by_noise for row in rows]) < 0.8
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "draws"), [("preload-calibration", 300), ("magnetic-gains", 60), ("repeatability", 20)])
+@pytest.mark.parametrize(
+    ("name", "draws"), [("preload-calibration", 300), ("magnetic-gains", 60), ("repeatability", 20)]
+)
 @pytest.mark.filterwarnings("ignore")
 def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
-    """Lines of calibrations, unknowns of a loop under three gains, and what repeats give, within three deviations of so many draws."""
+    """Lines of calibrations, unknowns of a loop under three gains, and what repeats give, within three
+    deviations of so many draws.
+    """
     rows = rows_of(name, draws, 1)
     assert rows
     assert not [row for row in rows if not row.is_good]
@@ -52,9 +72,11 @@ def test_results_beside_fits_scatter_as_they_say(name: str, draws: int) -> None:
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
-    """Peak, its frequency and three unknowns of a loop whose channels are drawn, within three deviations of so many draws.
+    """Peak, its frequency and three unknowns of a loop whose channels are drawn, within three deviations of
+    so many draws.
 
-    Gains of 0.2 %, for which first order holds; with those of usual size, 1 %, the bandwidth is known to a third only.
+    Gains of 0.2 %, for which first order holds; with those of usual size, 1 %, the bandwidth is known to a
+    third only.
     """
     rig = (ROOT / "configs/hmb-injection.yaml").read_text()
     for name, uncertainty in (
@@ -71,6 +93,11 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     tally = draw_pipeline(tmp_path / "pipeline.yaml", 100, 600.0, 1, 1)
     assert tally is not None and not tally.failed
     rows = list(tally.rows())
-    assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth", "sensitivity.peak"} <= {row.name for row in rows}
+    assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth", "sensitivity.peak"} <= {
+        row.name for row in rows
+    }
     assert not [row for row in rows if not row.is_good]
-    assert np.mean([row.by_noise for row in rows if row.name.split(".")[1] in ("gap", "delay", "bandwidth")]) < 0.6
+    assert (
+        np.mean([row.by_noise for row in rows if row.name.split(".")[1] in ("gap", "delay", "bandwidth")])
+        < 0.6
+    )

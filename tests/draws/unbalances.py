@@ -23,24 +23,35 @@ TWO_SIDED = 1.959964
 
 @dataclass(frozen=True)
 class UnbalanceWorlds:
-    """The *settings* about the peaks, with uncertainties in the rotor's bearings, and what is *stated* of the peaks then."""
+    """The *settings* about the peaks, with uncertainties in the rotor's bearings, and what is *stated* of the
+    peaks then.
+    """
 
     settings: UnbalanceSettings
     stated: UnbalanceRuns
 
     def truth(self) -> dict[str, float]:
         """Peaks of the bearings as written, between the speeds as well."""
-        fine = unbalance_runs(replace(self.settings, rig=_plain(self.settings), step=self.settings.step / FINE))
-        return {f"{case.name}.{name}": value for case in fine.cases for name, (value, _) in fine.values(case).items()}
+        fine = unbalance_runs(
+            replace(self.settings, rig=_plain(self.settings), step=self.settings.step / FINE)
+        )
+        return {
+            f"{case.name}.{name}": value
+            for case in fine.cases
+            for name, (value, _) in fine.values(case).items()
+        }
 
     def amounts(self, errors: Errors, rng: np.random.Generator | None) -> dict[str, Parameter]:
-        """Peaks of bearings that are off, at speeds that begin anywhere within a step, with the uncertainties that are stated."""
+        """Peaks of bearings that are off, at speeds that begin anywhere within a step, with the uncertainties
+        that are stated.
+        """
         rig = self.settings.rig
         assert rig is not None
         for place in rig.bearings:
             film = place.film("a world")
             off = {
-                "clearance": film.clearance * (1 + errors.of(Uncertainty(f"{place.name}.clearance", CLEARANCE, "1"))),
+                "clearance": film.clearance
+                * (1 + errors.of(Uncertainty(f"{place.name}.clearance", CLEARANCE, "1"))),
                 "viscosity": film.viscosity * (1 + errors.of(Uncertainty("oil", VISCOSITY, "1"))),
             }
             rig = rig.with_bearings((place.name,), **off)
@@ -58,7 +69,9 @@ class UnbalanceWorlds:
 
 def _plain(settings: UnbalanceSettings) -> object:
     assert settings.rig is not None
-    return replace(settings.rig, bearings=tuple(replace(place, uncertainties=()) for place in settings.rig.bearings))
+    return replace(
+        settings.rig, bearings=tuple(replace(place, uncertainties=()) for place in settings.rig.bearings)
+    )
 
 
 def unbalance_worlds(pipeline: Pipeline) -> UnbalanceWorlds | None:
@@ -68,13 +81,20 @@ def unbalance_worlds(pipeline: Pipeline) -> UnbalanceWorlds | None:
         return None
     cases = (settings.cases[0], settings.cases[-1])
     first = unbalance_runs(replace(settings, cases=cases))
-    speeds = [value for case in first.cases for name, (value, _) in first.values(case).items() if name.endswith("speed")]
+    speeds = [
+        value
+        for case in first.cases
+        for name, (value, _) in first.values(case).items()
+        if name.endswith("speed")
+    ]
     reach = ABOUT * settings.step
     changes = []
     for number, place in enumerate(settings.rig.bearings):
         film = place.film("a world")
         changes.append(f"bearings.{number}.clearance={1e6 * film.clearance:.10g} um +- {100 * CLEARANCE:g} %")
-        changes.append(f"bearings.{number}.viscosity={film.viscosity:.10g} Pa.s +- {100 * VISCOSITY:g} % (source=oil)")
+        changes.append(
+            f"bearings.{number}.viscosity={film.viscosity:.10g} Pa.s +- {100 * VISCOSITY:g} % (source=oil)"
+        )
     rig = load_rotor(pipeline.folder / settings.rotor, changes)
     settings = replace(settings, cases=cases, rig=rig, speeds=(min(speeds) - reach, max(speeds) + reach))
     return UnbalanceWorlds(settings, unbalance_runs(settings))

@@ -1,4 +1,6 @@
-"""Uncertainties of usual size on what a pipeline was given: numbers of its rig that have none, the mass, what is subtracted."""
+"""Uncertainties of usual size on what a pipeline was given: numbers of its rig that have none, the mass, what
+is subtracted.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ GAIN_OF_FORCE, GAIN_OF_RESPONSE, DELAY, ANGLE, MASS = 0.005, 0.01, 2e-6, np.radi
 
 @dataclass
 class Errors:
-    """The errors of one world in standard uncertainties, by source: drawn when they are first asked for; all 0 without an *rng*."""
+    """The errors of one world in standard uncertainties, by source: drawn when they are first asked for.
+
+    All 0 without an *rng*.
+    """
 
     rng: np.random.Generator | None = None
     drawn: dict[str, float] = field(default_factory=dict)
@@ -36,37 +41,64 @@ class Errors:
 
 
 def with_usual_uncertainties(measured: MeasuredTest) -> MeasuredTest:
-    """The test with uncertainties on all sensors that the rig file gives none: gains, delays, and directions that are known as angles."""
+    """The test with uncertainties on all sensors that the rig file gives none: gains, delays, and directions
+    that are known as angles.
+    """
     if isinstance(measured, ChannelSpectra):
         channels = tuple(
-            replace(one, uncertainties=one.uncertainties or _of(one.name, one.role == "input", one.angle is not None, one.name))
+            replace(
+                one,
+                uncertainties=one.uncertainties
+                or _of(one.name, one.role == "input", one.angle is not None, one.name),
+            )
             for one in measured.channels
         )
         recorded = [one for one in channels if not one.terms]
         assert len(recorded) == len(channels)
-        return replace(measured, channels=channels, factors=calibration_factors(channels, np.eye(len(channels), dtype=np.complex128)))
+        return replace(
+            measured,
+            channels=channels,
+            factors=calibration_factors(channels, np.eye(len(channels), dtype=np.complex128)),
+        )
     if isinstance(measured, FreeDecays):
         return replace(measured, outputs=tuple(_uncertain(port, False) for port in measured.outputs))
     forces = tuple(_uncertain(port, True) for port in measured.inputs)
-    return replace(measured, outputs=tuple(_uncertain(port, False) for port in measured.outputs), inputs=forces)
+    return replace(
+        measured, outputs=tuple(_uncertain(port, False) for port in measured.outputs), inputs=forces
+    )
 
 
 def _uncertain(port: Port, force: bool) -> Port:
-    return replace(port, uncertainties=port.uncertainties or _of(port.channel, force, port.angle is not None, port.label))
+    return replace(
+        port, uncertainties=port.uncertainties or _of(port.channel, force, port.angle is not None, port.label)
+    )
 
 
 def _of(name: str, force: bool, directed: bool, place: str) -> tuple[ChannelUncertainty, ...]:
     """One sensor has one gain and one delay in all tests; it is mounted at every *place* by itself."""
-    found = [ChannelUncertainty("gain", Uncertainty(f"{name}.sensitivity", GAIN_OF_FORCE if force else GAIN_OF_RESPONSE, "1"))]
+    found = [
+        ChannelUncertainty(
+            "gain", Uncertainty(f"{name}.sensitivity", GAIN_OF_FORCE if force else GAIN_OF_RESPONSE, "1")
+        )
+    ]
     found += [] if force else [ChannelUncertainty("delay", Uncertainty(f"{name}.delay", DELAY, "s"))]
-    return (*found, *([ChannelUncertainty("direction", Uncertainty(f"{place}.dof", ANGLE, "rad"))] if directed else []))
+    return (
+        *found,
+        *([ChannelUncertainty("direction", Uncertainty(f"{place}.dof", ANGLE, "rad"))] if directed else []),
+    )
 
 
 def with_usual_mass(settings: FitSettings) -> FitSettings:
     """The fit with an uncertainty of its given mass, where it has none."""
-    if not isinstance(settings.mass, float) or dict(settings.uncertainties).get("mass", Uncertain(0.0)).std_error:
+    if (
+        not isinstance(settings.mass, float)
+        or dict(settings.uncertainties).get("mass", Uncertain(0.0)).std_error
+    ):
         return settings
-    return replace(settings, uncertainties=(*settings.uncertainties, ("mass", Uncertain(settings.mass, MASS * settings.mass))))
+    return replace(
+        settings,
+        uncertainties=(*settings.uncertainties, ("mass", Uncertain(settings.mass, MASS * settings.mass))),
+    )
 
 
 def with_given_off(settings: FitSettings, errors: Errors) -> FitSettings:
@@ -74,13 +106,24 @@ def with_given_off(settings: FitSettings, errors: Errors) -> FitSettings:
     of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and isinstance(settings.mass, float):
         off = _off(of_mass, "mass", errors)
-        settings = replace(settings, mass=off.value, uncertainties=tuple((k, off if k == "mass" else v) for k, v in settings.uncertainties))
+        settings = replace(
+            settings,
+            mass=off.value,
+            uncertainties=tuple((k, off if k == "mass" else v) for k, v in settings.uncertainties),
+        )
     if settings.subtract is not None:
         support = settings.subtract
-        parts = {name: _off(getattr(support, name), f"{name} of the support", errors) for name in ("stiffness", "damping")}
+        parts = {
+            name: _off(getattr(support, name), f"{name} of the support", errors)
+            for name in ("stiffness", "damping")
+        }
         settings = replace(settings, subtract=replace(support, **parts))
     own = settings.model_settings
-    given = {name: getattr(own, name) for name in ("stator_mass", "inertia", "viscosity", "clearance") if _is_uncertain(own, name)}
+    given = {
+        name: getattr(own, name)
+        for name in ("stator_mass", "inertia", "viscosity", "clearance")
+        if _is_uncertain(own, name)
+    }
     if given:
         moved = {name: _off(number, name, errors) for name, number in given.items()}
         settings = replace(settings, model_settings=replace(own, **moved))
@@ -93,16 +136,27 @@ def _is_uncertain(own: Any, name: str) -> bool:
 
 
 def _off(number: Uncertain, name: str, errors: Errors) -> Uncertain:
-    return replace(number, value=number.value + errors.of(uncertainty_of(number, name, ""))) if number.std_error > 0 else number
+    return (
+        replace(number, value=number.value + errors.of(uncertainty_of(number, name, "")))
+        if number.std_error > 0
+        else number
+    )
 
 
 def factor_of(uncertainties: Iterable[ChannelUncertainty], omega: np.ndarray, errors: Errors) -> np.ndarray:
-    """What a sensor reads over what it should, (n_line,) complex: (1 + a) e^{-jw tau} e^{-j phi}, not only to first order."""
+    """What a sensor reads over what it should, (n_line,) complex: (1 + a) e^{-jw tau} e^{-j phi}, not only to
+    first order.
+    """
     factor = np.ones(omega.size, np.complex128)
     for uncertain in uncertainties:
         error = errors.of(uncertain.uncertainty)
-        # As in `labpipe.records.uncertain`: an error d of the number changes X to X (1 - d), X e^{jwd}, X e^{jd}.
-        factor = factor * {"gain": 1 - error, "delay": np.exp(1j * omega * error), "phase": np.exp(1j * error)}.get(uncertain.effect, 1.0)
+        # As in `labpipe.records.uncertain`: an error d of the number changes X to X (1 - d), X e^{jwd}, X
+        # e^{jd}.
+        factor = factor * {
+            "gain": 1 - error,
+            "delay": np.exp(1j * omega * error),
+            "phase": np.exp(1j * error),
+        }.get(uncertain.effect, 1.0)
     return factor
 
 

@@ -30,15 +30,21 @@ def with_noise(
     """Independent circular noise of standard deviation *std* on every element; its variance is known."""
     variance = np.full(matrix.shape, std**2)
     if rng is not None:
-        matrix = matrix + std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
-    return FrequencyResponse(frequency, matrix, outputs, inputs, covariance=uncorrelated(variance) if std else None)
+        matrix = matrix + std * (
+            rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)
+        ) / np.sqrt(2)
+    return FrequencyResponse(
+        frequency, matrix, outputs, inputs, covariance=uncorrelated(variance) if std else None
+    )
 
 
 @pytest.fixture
 def sdof_response() -> Responder:
     """Receptance 1 / (k - m w^2 + j c w) of the pedestal, 60-70 Hz every 0.5 Hz, times *scale*."""
 
-    def respond(std: float = 0.0, rng: np.random.Generator | None = None, scale: float = 1.0, **other: float) -> FrequencyResponse:
+    def respond(
+        std: float = 0.0, rng: np.random.Generator | None = None, scale: float = 1.0, **other: float
+    ) -> FrequencyResponse:
         k, c, m = ({**PEDESTAL, **other}[name] for name in ("k", "c", "m"))
         frequency = np.arange(60, 70.25, 0.5)
         w = 2 * np.pi * frequency
@@ -63,7 +69,10 @@ def coupled_response() -> Responder:
 
 @pytest.fixture
 def symmetric_response() -> Responder:
-    """A symmetric rotor under one force at 45 deg: x and y move alike. 1-250 Hz, k = 180 kN/m, c = 190 N s/m, m = 0.92 kg."""
+    """A symmetric rotor under one force at 45 deg: x and y move alike.
+
+    1-250 Hz, k = 180 kN/m, c = 190 N s/m, m = 0.92 kg.
+    """
 
     def respond(std: float = 0.0, rng: np.random.Generator | None = None) -> FrequencyResponse:
         frequency = np.arange(1.0, 251.0)
@@ -74,7 +83,8 @@ def symmetric_response() -> Responder:
     return respond
 
 
-# The three-dof benchmark of Knaapen (1997), eq. 4.18-4.20: springs between masses of 1, 2 and 3 kg, B = 0.1 K.
+# The three-dof benchmark of Knaapen (1997), eq. 4.18-4.20: springs between masses of 1, 2 and 3 kg, B = 0.1
+# K.
 MASS = np.diag([1.0, 2.0, 3.0])
 STIFFNESS = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
 DAMPING = 0.1 * STIFFNESS
@@ -84,7 +94,10 @@ FORCES = tuple(Port(f"f{n}", f"f{n}", str(n)) for n in (1, 2, 3))
 
 @pytest.fixture
 def three_dof_response() -> Responder:
-    """Receptances of the benchmark, by default its 25 lines 0.01 to 2.41 rad/s; *stiffness* etc. replace its matrices."""
+    """Receptances of the benchmark, by default its 25 lines 0.01 to 2.41 rad/s; *stiffness* etc.
+
+    replace its matrices.
+    """
 
     def respond(
         std: float = 0.0,

@@ -1,4 +1,6 @@
-"""Slow readable twins: least squares and instrumental variables written line by line, one row of the equations after the other."""
+"""Slow readable twins: least squares and instrumental variables written line by line, one row of the
+equations after the other.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 
 def literal_ls(h: np.ndarray, omega: np.ndarray, mass: np.ndarray) -> Pair:
-    """Symmetric K, C from Z H = I with known mass: A x = b, real and imaginary parts of every line and entry one below the other."""
+    """Symmetric K, C from Z H = I with known mass: A x = b, real and imaginary parts of every line and entry
+    one below the other.
+    """
     a, b = _equations(h, h, omega, mass)
     return _matrices(np.linalg.lstsq(a, b, rcond=None)[0], len(mass))
 

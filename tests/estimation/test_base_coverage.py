@@ -1,4 +1,6 @@
-"""Model base on simulated tables: at the bound of Cramer and Rao, and intervals that hold the truth as often as they say."""
+"""Model base on simulated tables: at the bound of Cramer and Rao, and intervals that hold the truth as often
+as they say.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,14 @@ NAMES = ("k", "c", "f_n", "zeta")
 @pytest.mark.parametrize("is_relative", [False, True])
 @pytest.mark.parametrize("estimator", ["ml", "iv"])
 def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool, draws: int) -> None:
-    """RMSE over the bound (by differences of the closed form) at most 1.1; 95 % intervals within three binomial deviations."""
+    """RMSE over the bound (by differences of the closed form) at most 1.1.
+
+    95 % intervals within three binomial deviations.
+    """
     std, exact = 0.01, relative if is_relative else absolute
-    settings = replace(BASE, estimator=estimator, relative=is_relative, weight="none" if estimator == "ml" else "noise")
+    settings = replace(
+        BASE, estimator=estimator, relative=is_relative, weight="none" if estimator == "ml" else "noise"
+    )
     errors, holds = [], []
     for seed in range(draws):
         (fit,) = identify(response(exact(LINES), std, seed=seed), settings, judging=False)
@@ -40,7 +47,10 @@ def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool, dra
 
     # T and T_r differ by 1, so that their slopes are one.
     slopes = np.array(
-        [(dynamic(K * 1.0001, C) - dynamic(K * 0.9999, C)) / (2e-4 * K), (dynamic(K, C * 1.001) - dynamic(K, C * 0.999)) / (2e-3 * C)]
+        [
+            (dynamic(K * 1.0001, C) - dynamic(K * 0.9999, C)) / (2e-4 * K),
+            (dynamic(K, C * 1.001) - dynamic(K, C * 0.999)) / (2e-3 * C),
+        ]
     )
     bound = np.sqrt(np.diag(np.linalg.inv((slopes.conj() @ slopes.T).real / std**2)))
     ratio = np.sqrt(np.mean(np.square(errors), axis=0))[:2] / bound
@@ -53,7 +63,9 @@ def test_known_noise_is_used_to_the_bound(estimator: str, is_relative: bool, dra
 @pytest.mark.parametrize("run", ["absolute", "relative", "sweep"])
 def test_recordings_of_a_table_give_intervals_that_hold(run: str, draws: int) -> None:
     """From the recording on, with noise on both sensors: white noise (with its leakage) and a sweep."""
-    rig: BaseRig = replace(load_virtual_rig(Path(__file__).parents[2] / "configs/virtual-base.yaml"), duration=16.0, pause=3.0)
+    rig: BaseRig = replace(
+        load_virtual_rig(Path(__file__).parents[2] / "configs/virtual-base.yaml"), duration=16.0, pause=3.0
+    )
     frf = FrfSettings("sweep") if run == "sweep" else FrfSettings("random", block=2.0, band=(12.0, 95.0))
     known = rig.truth
     errors, holds = [], []

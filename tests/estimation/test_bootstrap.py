@@ -22,7 +22,8 @@ def test_bootstrap_agrees_with_the_information_matrix(sdof_response) -> None:
     for name in ("k", "c", "m", "f_n", "zeta"):
         own, other = again.parameter(name), plain.parameter(name)
         assert own.value == other.value
-        # A standard deviation of 200 values is known to 5 %, an end of the interval to 12 % of its width; three of those.
+        # A standard deviation of 200 values is known to 5 %, an end of the interval to 12 % of its width;
+        # three of those.
         assert own.std_error == pytest.approx(other.std_error, rel=0.15)
         np.testing.assert_allclose(own.ci95, other.ci95, atol=0.36 * (other.ci95[1] - other.ci95[0]) / 2)
     assert any("bootstrap" in note for note in again.notes)
@@ -35,12 +36,19 @@ def test_the_same_fit_draws_the_same_noise(sdof_response) -> None:
 
 
 def test_error_and_interval_are_those_of_the_refits() -> None:
-    """Of 0, 1, ..., 200: 2.5 and 97.5 % are 5 and 195, the variance n (n + 1) / 12 with n = 201. Too few of them change nothing."""
+    """Of 0, 1, ..., 200: 2.5 and 97.5 % are 5 and 195, the variance n (n + 1) / 12 with n = 201.
+
+    Too few of them change nothing.
+    """
     values = [float(n) for n in range(201)]
     plain = Parameter("k", 100.0, "N/m", std_error=1.0, t_ratio=100.0, ci95=(98.0, 102.0), significant=True)
     found = _with_scatter(plain, values)
     error = np.sqrt(201 * 202 / 12)
-    assert (found.std_error, found.t_ratio, found.ci95) == (pytest.approx(error), pytest.approx(100 / error), (5.0, 195.0))
+    assert (found.std_error, found.t_ratio, found.ci95) == (
+        pytest.approx(error),
+        pytest.approx(100 / error),
+        (5.0, 195.0),
+    )
     assert found.significant and _with_scatter(plain, [value - 10 for value in values]).significant is False
     assert _with_scatter(plain, values[:47]) == plain != _with_scatter(plain, values[:48])
     derived = replace(plain, std_error=None)

@@ -1,4 +1,6 @@
-"""Uncertainty budgets of fits: sensitivities against refits with the number changed, combination, shares, intervals."""
+"""Uncertainty budgets of fits: sensitivities against refits with the number changed, combination, shares,
+intervals.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def settings(estimator: str, **more) -> FitSettings:
 @pytest.mark.parametrize("estimator", ["ml", "ls", "iv", "amplitude"])
 @pytest.mark.parametrize("mass", ["estimate", "0.79 kg +- 1 %"])
 def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
-    """Each source against central differences of whole refits, to 1 % of the combined uncertainty (Gauss-Newton's form)."""
+    """Each source against central differences of whole refits, to 1 % of the combined uncertainty
+    (Gauss-Newton's form).
+    """
     response = a_response(rng)
     (fit,) = identify(response, settings(estimator, mass=mass))
     assert fit.budget is not None
@@ -58,7 +62,10 @@ def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
         if source not in [one.source for one in fit.budget.sources]:
             assert estimator == "amplitude" and source == "x.delay"
             continue
-        ends = [identify(changed(response, effect, sign * error), settings(estimator, mass=mass))[0] for sign in (1, -1)]
+        ends = [
+            identify(changed(response, effect, sign * error), settings(estimator, mass=mass))[0]
+            for sign in (1, -1)
+        ]
         for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
             expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
             assert fit.budget.change_by(source, name) == pytest.approx(expected, abs=0.01 * combined)
@@ -70,7 +77,8 @@ def test_changes_are_those_of_refits(rng, estimator: str, mass: str) -> None:
 
 
 def test_near_resonance_the_mass_is_the_stiffness_s_uncertainty(rng) -> None:
-    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative uncertainty and hardly any gain.
+    """Closed form: k = m w_n^2 with w_n from the peak, so k takes the mass's relative uncertainty and hardly
+    any gain.
 
     C takes gains -1 and 1.
     """
@@ -122,7 +130,9 @@ def test_effective_degrees_of_freedom_are_welch_and_satterthwaite_s() -> None:
 
 
 def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
-    """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction changed."""
+    """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction
+    changed.
+    """
     w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
     stiffness, damping = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]])
     z = stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping
@@ -134,7 +144,9 @@ def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
     def fitted(angle: float):
         outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
         inputs = (Port("fx", "fx", "x", angle, (turned,)), Port("fy", "fy", "y", np.pi / 2))
-        response = FrequencyResponse(w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        response = FrequencyResponse(
+            w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
+        )
         return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
 
     fit, (up, down) = fitted(0.0), [fitted(sign * np.radians(0.5)) for sign in (1, -1)]
@@ -146,9 +158,16 @@ def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
 
 
 def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
-    """x at the angle d reads cos d x + sin d y; refits of such data. Isotropic rotors would not tell this from a turned force."""
+    """x at the angle d reads cos d x + sin d y; refits of such data.
+
+    Isotropic rotors would not tell this from a turned force.
+    """
     w = 2 * np.pi * np.arange(20.0, 90.0, 0.5)
-    stiffness, damping, size = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]]), np.radians(0.5)
+    stiffness, damping, size = (
+        np.array([[1e5, 1e4], [-1e4, 1.4e5]]),
+        np.array([[60.0, 5.0], [4.0, 80.0]]),
+        np.radians(0.5),
+    )
     h = np.linalg.inv(stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping)
     std = 1e-4 * np.max(np.abs(h))
     noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
@@ -159,7 +178,9 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
         inputs = (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2))
         matrix = noisy.copy()
         matrix[:, 0] = np.cos(angle) * noisy[:, 0] + np.sin(angle) * noisy[:, 1]
-        response = FrequencyResponse(w / (2 * np.pi), matrix, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2)))
+        response = FrequencyResponse(
+            w / (2 * np.pi), matrix, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
+        )
         return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
 
     # An angle that is written too large is a sensor that is turned back.
@@ -178,7 +199,9 @@ def test_a_mass_in_the_settings_keeps_its_uncertainty() -> None:
 
 
 def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
-    """200 draws of noise, gains, delay and mass: scatter over the combined uncertainty within 4 standard deviations of a scatter."""
+    """200 draws of noise, gains, delay and mass: scatter over the combined uncertainty within 4 standard
+    deviations of a scatter.
+    """
     (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", monte_carlo=200))
     assert fit.budget is not None and fit.budget.drawn is not None
     np.testing.assert_allclose(fit.budget.drawn[:, 0] / fit.budget.combined, 1.0, atol=4 / np.sqrt(400))
@@ -190,16 +213,22 @@ def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
 
 @pytest.mark.long
 def test_a_large_uncertainty_is_beyond_first_order(rng) -> None:
-    """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear, and it is said."""
+    """c takes 1 / (1 - d) from the force sensor: with d of 30 % (one sigma) the scatter is far from linear,
+    and it is said.
+    """
     large = ChannelUncertainty("gain", Uncertainty("f.sensitivity", 0.3, "1"))
-    (fit,) = identify(a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=200))
+    (fit,) = identify(
+        a_response(rng, output=(), force=(large,)), settings("ml", mass="0.79 kg", monte_carlo=200)
+    )
     (finding,) = [finding for finding in fit.findings if finding.code == "first-order"]
     assert "c (" in finding.message and fit.budget is not None
 
 
 @pytest.mark.parametrize("shape", ["normal", "rectangular", "triangular"])
 def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
-    """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000 draws."""
+    """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000
+    draws.
+    """
     draws = np.array([drawn_error(Uncertainty("s", 1.0, "1", None, shape), rng) for _ in range(20000)])
     assert np.std(draws) == pytest.approx(1.0, abs=0.03)
     expected = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4}[shape]
@@ -209,12 +238,17 @@ def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
 
 
 def test_a_ring_down_s_stiffness_takes_the_uncertainty_of_its_mass() -> None:
-    """k = m w_n^2: relative uncertainties of k and c are that of the mass and of the pole; f_n and zeta have none of it."""
+    """k = m w_n^2: relative uncertainties of k and c are that of the mass and of the pole.
+
+    F_n and zeta have none of it.
+    """
     # One record in a hundred is called coloured by chance, and has no intervals then; this one is not.
     rng = np.random.default_rng(1)
     time = np.arange(4096) / 1024
     w, zeta = 2 * np.pi * 40, 0.01
-    decay = np.exp(-zeta * w * time) * np.cos(w * np.sqrt(1 - zeta**2) * time) + 1e-3 * rng.standard_normal(time.size)
+    decay = np.exp(-zeta * w * time) * np.cos(w * np.sqrt(1 - zeta**2) * time) + 1e-3 * rng.standard_normal(
+        time.size
+    )
     decays = FreeDecays(1024.0, (Port("x", "x", "x"),), ("m",), (FreeDecay("r", 0.0, decay[:, None]),))
     (fit,) = identify(decays, FitSettings("decay", mass="2 kg +- 1 %", name="d"))
     assert fit.budget is not None
@@ -225,7 +259,10 @@ def test_a_ring_down_s_stiffness_takes_the_uncertainty_of_its_mass() -> None:
 
 
 def test_parameters_state_their_parts(rng) -> None:
-    """combined, expanded = coverage factor times combined, and every source with contribution and share; std_error stays that of noise."""
+    """combined, expanded = coverage factor times combined, and every source with contribution and share.
+
+    Std_error stays that of noise.
+    """
     (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
     k = fit.parameter("k")
     assert k.combined == pytest.approx(np.hypot(k.std_error, k.systematic))
@@ -237,7 +274,10 @@ def test_parameters_state_their_parts(rng) -> None:
 
 
 def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
-    """99 %: k = 2.58 and the expanded uncertainty in the table are those of the parameter; a rule in per cent is held against it."""
+    """99 %: k = 2.58 and the expanded uncertainty in the table are those of the parameter.
+
+    A rule in per cent is held against it.
+    """
     (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
     table = next(block for block in budget_blocks(fit) if isinstance(block, Table))
     row = dict(zip(table.header, table.rows[0], strict=True))
@@ -246,7 +286,13 @@ def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
     relative = 100 * k.expanded / k.value
     assert float(row["relative"].split()[0]) == pytest.approx(relative, rel=0.02)
     for bound, holds in ((1.05 * relative, True), (0.95 * relative, False)):
-        address = {"section": "accept", "address": "peak.k.expanded", "fit": "peak", "which": "", "item": "k.expanded"}
+        address = {
+            "section": "accept",
+            "address": "peak.k.expanded",
+            "fit": "peak",
+            "which": "",
+            "item": "k.expanded",
+        }
         rule = Rule(**address, kind="<=", bound=f"{bound} %", place="")
         (outcome,) = judge([rule], [fit], {})
         assert outcome.passed is holds

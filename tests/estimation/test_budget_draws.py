@@ -1,7 +1,9 @@
-"""Budgets against worlds in which every sensor, mass and direction is off: scatter, coverage, and what the random part alone holds.
+"""Budgets against worlds in which every sensor, mass and direction is off: scatter, coverage, and what the
+random part alone holds.
 
-Independent of the budget's own derivatives: the truth is a matrix of known coefficients, the errors are drawn and applied to the data, and
-each world is fitted anew. Uncertainties of usual size: gains 0.5 and 1 %, mass 0.5 %, directions 0.5 deg, delays 2 us.
+Independent of the budget's own derivatives: the truth is a matrix of known coefficients, the errors are drawn
+and applied to the data, and each world is fitted anew. Uncertainties of usual size: gains 0.5 and 1 %, mass
+0.5 %, directions 0.5 deg, delays 2 us.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 GAIN_F, GAIN_X, DELAY, ANGLE, MASS = 0.005, 0.01, 2e-6, np.radians(0.5), 0.005
 
 
-def uncertainties_of(name: str, gain: float, *, delay: bool = False, angle: bool = False) -> tuple[ChannelUncertainty, ...]:
+def uncertainties_of(
+    name: str, gain: float, *, delay: bool = False, angle: bool = False
+) -> tuple[ChannelUncertainty, ...]:
     found = [ChannelUncertainty("gain", Uncertainty(f"{name}.sensitivity", gain, "1"))]
     found += [ChannelUncertainty("delay", Uncertainty(f"{name}.delay", DELAY, "s"))] if delay else []
     found += [ChannelUncertainty("direction", Uncertainty(f"{name}.dof", ANGLE, "rad"))] if angle else []
@@ -28,7 +32,9 @@ def uncertainties_of(name: str, gain: float, *, delay: bool = False, angle: bool
 
 @dataclass
 class Worlds:
-    """Fits of many worlds: estimates, combined and random standard errors, and whether intervals hold the truth, (n_draw, n_name)."""
+    """Fits of many worlds: estimates, combined and random standard errors, and whether intervals hold the
+    truth, (n_draw, n_name).
+    """
 
     names: tuple[str, ...]
     truth: np.ndarray
@@ -41,8 +47,15 @@ class Worlds:
         parameters = [fit.parameter(name) for name in self.names]
         self.values.append([p.value for p in parameters])
         self.combined.append([p.full_error for p in parameters])
-        self.held.append([p.ci95[0] <= truth <= p.ci95[1] for p, truth in zip(parameters, self.truth, strict=True)])
-        self.by_noise.append([abs(p.value - truth) <= 1.96 * p.std_error for p, truth in zip(parameters, self.truth, strict=True)])
+        self.held.append(
+            [p.ci95[0] <= truth <= p.ci95[1] for p, truth in zip(parameters, self.truth, strict=True)]
+        )
+        self.by_noise.append(
+            [
+                abs(p.value - truth) <= 1.96 * p.std_error
+                for p, truth in zip(parameters, self.truth, strict=True)
+            ]
+        )
 
     def ratio(self) -> np.ndarray:
         """Scatter over the combined standard uncertainty."""
@@ -60,13 +73,20 @@ def pedestal(rng, draws: int, mass_known: bool) -> Worlds:
         (Port("x", "x", "x", 0.0, uncertainties_of("x", GAIN_X, delay=True)),),
         (Port("f", "f", "x", 0.0, uncertainties_of("f", GAIN_F)),),
     )
-    worlds = Worlds(("k", "c") if mass_known else ("k", "c", "m"), np.array([k, c] if mass_known else [k, c, m]))
+    worlds = Worlds(
+        ("k", "c") if mass_known else ("k", "c", "m"), np.array([k, c] if mass_known else [k, c, m])
+    )
     for _ in range(draws):
         noise = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
         # What is recorded: X (1 + a) e^{-jw tau} / (F (1 + b)).
         recorded = h * (1 + GAIN_X * rng.standard_normal()) / (1 + GAIN_F * rng.standard_normal())
         recorded = recorded * np.exp(-1j * w * DELAY * rng.standard_normal()) + noise
-        response = FrequencyResponse(frequency, recorded[:, None, None], *ports, covariance=uncorrelated(np.full((w.size, 1, 1), std**2)))
+        response = FrequencyResponse(
+            frequency,
+            recorded[:, None, None],
+            *ports,
+            covariance=uncorrelated(np.full((w.size, 1, 1), std**2)),
+        )
         weighed = m * (1 + MASS * rng.standard_normal())
         mass = f"{weighed!r} kg +- {MASS * m!r} kg" if mass_known else "estimate"
         worlds.add(identify(response, FitSettings("sdof", mass=mass, name="p"), judging=False)[0])
@@ -74,7 +94,9 @@ def pedestal(rng, draws: int, mass_known: bool) -> Worlds:
 
 
 def rotor(rng, draws: int) -> Worlds:
-    """Eight coefficients by two forces, cross terms a tenth of the direct ones, noise of 0.05 % of the largest receptance."""
+    """Eight coefficients by two forces, cross terms a tenth of the direct ones, noise of 0.05 % of the
+    largest receptance.
+    """
     stiffness, damping = np.array([[1.0e5, 1.2e4], [-1.0e4, 1.3e5]]), np.array([[80.0, 8.0], [-7.0, 95.0]])
     m = 0.92
     frequency = np.arange(20.0, 90.0, 1.0)
@@ -83,13 +105,18 @@ def rotor(rng, draws: int) -> Worlds:
     std = 5e-4 * np.max(np.abs(inverse))
     names = tuple(f"{letter}_{axes}" for letter in "kc" for axes in ("xx", "xy", "yx", "yy"))
     outputs = tuple(Port(n, n, n, a, uncertainties_of(n, GAIN_X)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
-    inputs = tuple(Port(f"f{n}", f"f{n}", n, a, uncertainties_of(f"f{n}", GAIN_F, angle=True)) for n, a in (("x", 0.0), ("y", np.pi / 2)))
+    inputs = tuple(
+        Port(f"f{n}", f"f{n}", n, a, uncertainties_of(f"f{n}", GAIN_F, angle=True))
+        for n, a in (("x", 0.0), ("y", np.pi / 2))
+    )
     worlds = Worlds(names, np.concatenate([stiffness.reshape(-1), damping.reshape(-1)]))
     for _ in range(draws):
         turned = np.array([0.0, np.pi / 2]) + ANGLE * rng.standard_normal(2)
         force = np.array([np.cos(turned), np.sin(turned)])
         gains_x, gains_f = 1 + GAIN_X * rng.standard_normal(2), 1 + GAIN_F * rng.standard_normal(2)
-        noise = std * (rng.standard_normal(inverse.shape) + 1j * rng.standard_normal(inverse.shape)) / np.sqrt(2)
+        noise = (
+            std * (rng.standard_normal(inverse.shape) + 1j * rng.standard_normal(inverse.shape)) / np.sqrt(2)
+        )
         recorded = inverse @ force * gains_x[:, None] / gains_f + noise
         covariance = uncorrelated(np.full(inverse.shape, std**2))
         response = FrequencyResponse(frequency, recorded, outputs, inputs, covariance=covariance)
@@ -99,7 +126,10 @@ def rotor(rng, draws: int) -> Worlds:
 
 
 def check(worlds: Worlds, draws: int) -> None:
-    """Scatter within 5 % of first order beside chance, mean coverage 93-97 %; single ones within 3.5 binomial deviations of 95 %."""
+    """Scatter within 5 % of first order beside chance, mean coverage 93-97 %.
+
+    Single ones within 3.5 binomial deviations of 95 %.
+    """
     np.testing.assert_allclose(worlds.ratio(), 1.0, atol=0.05 + 3 / np.sqrt(2 * draws))
     held = np.mean(worlds.held, axis=0)
     assert 0.93 <= np.mean(held) <= 0.97
@@ -138,7 +168,10 @@ def relative_change(rng, k: float, mass: str) -> float:
 
 
 def test_a_ratio_of_two_tests_is_free_of_the_sensor_where_the_mass_is_estimated(rng) -> None:
-    """k goes as the force if all terms of the equation do; a given inertia does not, and the gain stays in the ratio."""
+    """k goes as the force if all terms of the equation do.
+
+    A given inertia does not, and the gain stays in the ratio.
+    """
     free = [relative_change(rng, k, "estimate") for k in (1.345e5, 1.5e5)]
     assert abs(free[0] - free[1]) < 1e-8
     assert free[0] == pytest.approx(-1.0, abs=1e-6)

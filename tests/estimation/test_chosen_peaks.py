@@ -1,4 +1,6 @@
-"""Several bands at once and chosen peaks of diagonal terms, against single fits and exact two-mass responses."""
+"""Several bands at once and chosen peaks of diagonal terms, against single fits and exact two-mass
+responses.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ K, M, C = {"x": 4e5, "z": 9e5}, 2.0, 40.0
 
 @pytest.fixture
 def two_directions() -> FrequencyResponse:
-    """Uncoupled x and z, each a mass on its own spring, 20-200 Hz every 0.5 Hz: the fit of a diagonal term is exact."""
+    """Uncoupled x and z, each a mass on its own spring, 20-200 Hz every 0.5 Hz: the fit of a diagonal term is
+    exact.
+    """
     frequency = np.arange(20.0, 200.25, 0.5)
     w = 2 * np.pi * frequency
     matrix = np.zeros((w.size, 2, 2), complex)
@@ -29,7 +33,9 @@ def two_directions() -> FrequencyResponse:
         matrix[:, number, number] = 1 / (k - M * w**2 + 1j * w * C)
     outputs = tuple(Port(dof, dof, dof) for dof in K)
     inputs = tuple(Port(f"f@{dof}", "f", dof) for dof in K)
-    return FrequencyResponse(frequency, matrix, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, 1e-18)))
+    return FrequencyResponse(
+        frequency, matrix, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, 1e-18))
+    )
 
 
 def test_bands_give_the_fits_of_each_band_alone(sdof_response, rng) -> None:
@@ -53,7 +59,11 @@ def test_peaks_fit_each_diagonal_term_in_its_own_bands(two_directions) -> None:
     for fit in fits:
         assert fit.parameter("k").value == pytest.approx(K[fit.term], rel=1e-9)
         assert fit.parameter("m").value == pytest.approx(M, rel=1e-9)
-        assert fit.curve is not None and fit.curve.outputs == (fit.term,) and fit.curve.inputs == (f"f@{fit.term}",)
+        assert (
+            fit.curve is not None
+            and fit.curve.outputs == (fit.term,)
+            and fit.curve.inputs == (f"f@{fit.term}",)
+        )
 
 
 def test_errors_name_the_term(two_directions) -> None:

@@ -21,11 +21,21 @@ GENERAL, SYMMETRIC = {"symmetric": False}, {"symmetric": True}
         ({"model": "sdof", "mass": ESTIMATE}, ["sdof, mass estimated"]),
         (
             {"model": "mdof", "mass": 1.0, **GENERAL},
-            ["mdof, general", "mdof, general, mass estimated", "mdof, symmetric", "mdof, general, proportional damping"],
+            [
+                "mdof, general",
+                "mdof, general, mass estimated",
+                "mdof, symmetric",
+                "mdof, general, proportional damping",
+            ],
         ),
         (
             {"model": "mdof", "mass": 1.0, **SYMMETRIC},
-            ["mdof, symmetric", "mdof, general", "mdof, symmetric, mass estimated", "mdof, symmetric, proportional damping"],
+            [
+                "mdof, symmetric",
+                "mdof, general",
+                "mdof, symmetric, mass estimated",
+                "mdof, symmetric, proportional damping",
+            ],
         ),
         (
             {"model": "mdof", "mass": ESTIMATE, "damping": "proportional", **SYMMETRIC},
@@ -52,7 +62,10 @@ def test_another_model_is_named_where_this_one_has_no_support() -> None:
     """Differences of AIC of ten and more leave essentially none (Burnham and Anderson 2002)."""
 
     def ranking(apart: float) -> tuple[Candidate, ...]:
-        return (Candidate("mdof", 5, 90.0, 100, 100.0), Candidate("this model: sdof", 3, 94.0 + apart, 102, 100.0 + apart))
+        return (
+            Candidate("mdof", 5, 90.0, 100, 100.0),
+            Candidate("this model: sdof", 3, 94.0 + apart, 102, 100.0 + apart),
+        )
 
     (finding,) = comparison_findings(ranking(10.5))
     assert finding.code == "other-model" and "'mdof' with 5 parameters" in finding.message

@@ -1,4 +1,6 @@
-"""Given, tied and proportional coefficients: truth from the matrices, tests of structure from their own distribution."""
+"""Given, tied and proportional coefficients: truth from the matrices, tests of structure from their own
+distribution.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ OMEGA = np.array([0.3, 1.1, 2.2])
 
 def test_a_given_coefficient_is_kept_and_the_rest_gains(three_dof_response) -> None:
     response = three_dof_response(0.05, np.random.default_rng(1))
-    (free,), (given,) = (identify(response, settings) for settings in (KNOWN, replace(KNOWN, fixed=(("k_1_3", 0.0), ("c_1_3", 0.0)))))
+    (free,), (given,) = (
+        identify(response, settings)
+        for settings in (KNOWN, replace(KNOWN, fixed=(("k_1_3", 0.0), ("c_1_3", 0.0))))
+    )
     assert given.parameter("k_1_3").value == 0.0 and given.parameter("k_1_3").std_error is None
     assert given.dof == free.dof + 2
     assert given.parameter("k_1_1").std_error <= free.parameter("k_1_1").std_error
@@ -55,10 +60,14 @@ def test_proportional_damping_without_noise(three_dof_response) -> None:
 
 
 def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> None:
-    fits = [identify(three_dof_response(0.05, np.random.default_rng(seed)), RAYLEIGH)[0] for seed in range(60)]
+    fits = [
+        identify(three_dof_response(0.05, np.random.default_rng(seed)), RAYLEIGH)[0] for seed in range(60)
+    ]
     for name in ("alpha", "beta", "c_1_1"):
         values = [fit.parameter(name).value for fit in fits]
-        assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(np.std(values, ddof=1), rel=0.27)
+        assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(
+            np.std(values, ddof=1), rel=0.27
+        )
     assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1.0, abs=0.03)
 
 
@@ -71,7 +80,9 @@ def test_slopes_of_proportional_models_are_central_differences(three_dof_respons
     start = 1 + 0.1 * np.arange(len(model.names))
     own = dict(zip(model.names, start, strict=True))
     whole = model.whole(start)
-    np.testing.assert_allclose(whole.damping, own["alpha"] * whole.mass + own["beta"] * whole.stiffness, rtol=1e-12)
+    np.testing.assert_allclose(
+        whole.damping, own["alpha"] * whole.mass + own["beta"] * whole.stiffness, rtol=1e-12
+    )
     entries = {"k": whole.stiffness, "c": whole.damping, "m": whole.mass}
     linear = np.array([entries[name[0]][int(name[2]) - 1, int(name[4]) - 1] for name in model.linear.names])
     np.testing.assert_allclose(model.from_linear(linear), start, rtol=1e-10)
@@ -84,7 +95,10 @@ def test_slopes_of_proportional_models_are_central_differences(three_dof_respons
 
 def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -> None:
     for model in ("sdof", "modal"):
-        with pytest.raises(ConfigError, match=f"proportional damping is of several coefficients, every mode of model {model} has its own"):
+        with pytest.raises(
+            ConfigError,
+            match=f"proportional damping is of several coefficients, every mode of model {model} has its own",
+        ):
             FitSettings(model, damping="proportional")
     setup = Setup((), (), FitSettings("sdof"))
     with pytest.raises(ConfigError, match="several damping coefficients"):
@@ -95,7 +109,10 @@ def test_proportional_damping_is_refused_where_it_means_nothing(sdof_response) -
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"estimator": "ls", "damping": "proportional"}, "'damping' is not for estimator ls; leave it out, or estimator: ml$"),
+        (
+            {"estimator": "ls", "damping": "proportional"},
+            "'damping' is not for estimator ls; leave it out, or estimator: ml$",
+        ),
         ({"eliminate": True, "damping": "proportional"}, "eliminate"),
         ({"weight": "noise"}, "not for estimator ml; leave it out, or estimator: ls or iv$"),
         ({"estimator": "amplitude"}, "amplitude does not estimate model mdof"),
@@ -127,7 +144,10 @@ def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -
 
 def test_likelihood_ratio_of_a_true_restriction_is_uniform(three_dof_response) -> None:
     """Proportional damping is held against free damping coefficients without being asked to."""
-    found = [identify(three_dof_response(0.03, np.random.default_rng(seed)), RAYLEIGH)[0].candidates for seed in range(100, 160)]
+    found = [
+        identify(three_dof_response(0.03, np.random.default_rng(seed)), RAYLEIGH)[0].candidates
+        for seed in range(100, 160)
+    ]
     levels = [next(c for c in candidates if c.name.startswith("this model")).p_value for candidates in found]
     # 60 values of a uniform variable: mean 0.5 +- 0.037, share below 0.1 is 0.1 +- 0.039; three sigma each.
     assert np.mean(levels) == pytest.approx(0.5, abs=0.12)

@@ -1,4 +1,7 @@
-"""A model between the measured lines is drawn as it is, however light the damping; all lines are among its frequencies."""
+"""A model between the measured lines is drawn as it is, however light the damping.
+
+All lines are among its frequencies.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ def test_a_peak_between_two_lines_has_its_height(zeta: float, f_n: float) -> Non
     lines = np.arange(40.0, 91.0)
     frequency, values = drawn_densely(lambda f: receptance(f, f_n, zeta), lines)
     assert np.max(np.abs(values)) == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=0.01)
-    assert set(lines) <= set(frequency) and np.all(np.diff(frequency) > 0) and FEWEST <= frequency.size <= MOST
+    assert (
+        set(lines) <= set(frequency) and np.all(np.diff(frequency) > 0) and FEWEST <= frequency.size <= MOST
+    )
 
 
 def test_straight_lines_between_the_points_follow_the_model() -> None:

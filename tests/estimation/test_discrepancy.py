@@ -1,7 +1,8 @@
-"""Intervals with model error: golden values of an independent calculation of the same method, and draws of its own kinds of error.
+"""Intervals with model error: golden values of an independent calculation of the same method, and draws of
+its own kinds of error.
 
-The golden values come from a separate program (two seeded sets, a minimal-standard generator): components to 1e-6, what runs through
-iterative fits to 1e-3 of the half-width.
+The golden values come from a separate program (two seeded sets, a minimal-standard generator): components to
+1e-6, what runs through iterative fits to 1e-3 of the half-width.
 """
 
 from __future__ import annotations
@@ -31,7 +32,12 @@ def mode(f: np.ndarray, f_n: float, zeta: float) -> np.ndarray:
 
 def hidden_mode() -> Fitted:
     f = 92 + 16 * np.arange(81) / 80
-    others = 0.05 * mode(f, 103, 0.012) + 0.4 * mode(f, 62, 0.02) + 0.7 * mode(f, 131, 0.015) + 0.2 * mode(f, 170, 0.01)
+    others = (
+        0.05 * mode(f, 103, 0.012)
+        + 0.4 * mode(f, 62, 0.02)
+        + 0.7 * mode(f, 131, 0.015)
+        + 0.2 * mode(f, 170, 0.01)
+    )
     model = ModeModel(Curve(f, mode(f, 100, 0.01) + others + 0.1 * noise(81, 1), np.full(81, 0.1)))
     return model.fitted(model.started(np.log([100, 0.01])))
 
@@ -45,11 +51,24 @@ def gain_curve() -> Fitted:
     return model.fitted(model.started(np.log([1.0, 3.8e-5, 2.5e-6])))
 
 
-# (type, length, amplitude): ln E (set 2 alone: residues have a unit of their own), mean, variance, largest eigenvalue.
+# (type, length, amplitude): ln E (set 2 alone: residues have a unit of their own), mean, variance, largest
+# eigenvalue.
 OF_POLE = {
-    ("a", 2.0, 10.0): ([4.605148079043306, -4.607190147239185], [5.368864858208516e-09, 5.18180052677702e-05], 21.523144537305072),
-    ("m", 4.5, 10.0): ([4.605176230334842, -4.613074996052742], [5.75964135830199e-09, 5.560487491278326e-05], 65.2629119216449),
-    ("z", 4.0, 100.0): ([4.606246044727376, -4.456709867286341], [1.5742460733578686e-05, 0.15194996268440822], 74.74724741546339),
+    ("a", 2.0, 10.0): (
+        [4.605148079043306, -4.607190147239185],
+        [5.368864858208516e-09, 5.18180052677702e-05],
+        21.523144537305072,
+    ),
+    ("m", 4.5, 10.0): (
+        [4.605176230334842, -4.613074996052742],
+        [5.75964135830199e-09, 5.560487491278326e-05],
+        65.2629119216449,
+    ),
+    ("z", 4.0, 100.0): (
+        [4.606246044727376, -4.456709867286341],
+        [1.5742460733578686e-05, 0.15194996268440822],
+        74.74724741546339,
+    ),
 }
 
 
@@ -72,7 +91,9 @@ def test_evidence_of_coefficients_is_that_of_the_independent_calculation() -> No
     none = np.zeros((1, base.theta.size))
     told = evidence(base, course(base, "a", 2.0), np.array([0.0, 1.0, 10.0]), none, 1)
     assert told.log == pytest.approx([-618.1869633339944, -120.3043113415938, -128.649540675033], rel=1e-7)
-    assert told.mean[2] == pytest.approx([-0.016377408554240424, -10.188753689397554, -12.90244685266657], abs=1e-6)
+    assert told.mean[2] == pytest.approx(
+        [-0.016377408554240424, -10.188753689397554, -12.90244685266657], abs=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -96,7 +117,9 @@ def test_evidence_of_coefficients_is_that_of_the_independent_calculation() -> No
 )
 def test_the_whole_mixture_is_that_of_the_independent_calculation(made, shares, stated) -> None:  # type: ignore[no-untyped-def]
     found = mixture(made())
-    assert {name: share for name, share in found.shares.items() if share > 1e-5} == pytest.approx(shares, abs=5e-5)
+    assert {name: share for name, share in found.shares.items() if share > 1e-5} == pytest.approx(
+        shares, abs=5e-5
+    )
     for number, (low, high) in enumerate(stated):
         row = np.eye(found.noise.shape[0])[number]
         assert found.stated(row)[1:] == pytest.approx((low, high), abs=1e-3 * (high - low) / 2)
@@ -113,14 +136,27 @@ def test_slopes_of_every_member_are_central_differences() -> None:
     f = np.linspace(95, 105, 41)
     curve = Curve(f, mode(f, 100, 0.01), np.ones(41))
     for coefficients, q in ((False, np.log([100, 0.01])), (True, np.log([1.0, 3.8e-5, 2.5e-6]))):
-        for member, more in (("", []), ("J", [101.0, 0.02]), ("L", [0.004]), ("G", [0.004]), ("U", [0.004]), ("C", [0.004])):
+        for member, more in (
+            ("", []),
+            ("J", [101.0, 0.02]),
+            ("L", [0.004]),
+            ("G", [0.004]),
+            ("U", [0.004]),
+            ("C", [0.004]),
+        ):
             model = ModeModel(curve, coefficients, 2, member=member)
             theta = model.started(np.concatenate([q, np.log(more)]))
             jacobian = model.at(theta)[1]
             for number in range(theta.size):
-                step = 1e-7 * np.eye(theta.size)[number] * max(1.0, abs(theta[number]) if number >= model.n_shape else 1.0)
+                step = (
+                    1e-7
+                    * np.eye(theta.size)[number]
+                    * max(1.0, abs(theta[number]) if number >= model.n_shape else 1.0)
+                )
                 slope = (model.at(theta + step)[0] - model.at(theta - step)[0]) / (2 * step[number])
-                np.testing.assert_allclose(jacobian[:, number], slope, atol=2e-6 * np.max(np.abs(slope)) + 1e-7)
+                np.testing.assert_allclose(
+                    jacobian[:, number], slope, atol=2e-6 * np.max(np.abs(slope)) + 1e-7
+                )
 
 
 def test_a_sound_fit_keeps_its_interval() -> None:

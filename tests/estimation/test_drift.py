@@ -24,10 +24,16 @@ def coupled(k_factor: float = 1.0, c_factor: float = 1.0, frequency: np.ndarray 
     return np.linalg.inv(k_factor * COUPLED_K + 1j * w * c_factor * COUPLED_C - w**2 * 0.92 * np.eye(2))
 
 
-def changed(response: FrequencyResponse, change: np.ndarray, rng: np.random.Generator | None, std: float = STD) -> FrequencyResponse:
-    """The response with the change of its second half: each half has twice the variance of the whole, their difference four times."""
+def changed(
+    response: FrequencyResponse, change: np.ndarray, rng: np.random.Generator | None, std: float = STD
+) -> FrequencyResponse:
+    """The response with the change of its second half: each half has twice the variance of the whole, their
+    difference four times.
+    """
     shape = response.matrix.shape
-    noise = 0.0 if rng is None else 2 * std * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+    noise = (
+        0.0 if rng is None else 2 * std * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+    )
     return replace(response, change=change + noise)
 
 
@@ -51,7 +57,9 @@ def test_each_shape_is_told_from_the_others_with_its_amount(coupled_response, na
     change, per_cent = SHAPES[name]
     finding = drift(changed(coupled_response(STD, rng), change, rng))
     assert finding is not None
-    amount, error = map(float, re.findall(f"looks like {name} changed by ([-+.0-9]+) \\+- ([.0-9]+) %", finding.message)[0])
+    amount, error = map(
+        float, re.findall(f"looks like {name} changed by ([-+.0-9]+) \\+- ([.0-9]+) %", finding.message)[0]
+    )
     # 1 % of stiffness is beyond first order by 1 % of itself; amounts are written with two digits.
     assert amount == pytest.approx(per_cent, abs=4 * error + 0.05 * abs(per_cent))
 
@@ -64,15 +72,22 @@ def test_a_single_coefficient_is_named(coupled_response) -> None:
     change = np.linalg.inv(other + 1j * w * COUPLED_C - w**2 * 0.92 * np.eye(2)) - coupled()
     finding = drift(changed(coupled_response(STD, rng), change, rng))
     assert finding is not None
-    amount, error = map(float, re.findall(r"most of all k_yx by ([-+.e0-9]+) \+- ([.e+0-9]+) kN/m", finding.message)[0])
+    amount, error = map(
+        float, re.findall(r"most of all k_yx by ([-+.e0-9]+) \+- ([.e+0-9]+) kN/m", finding.message)[0]
+    )
     assert amount == pytest.approx(2.0, abs=4 * error + 0.02 * 2.0)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("runs", [60, pytest.param(300, marks=pytest.mark.long)])
 @pytest.mark.parametrize("stated", [1.0, 4.0, 0.25])
-def test_noise_alone_is_no_drift_however_wrong_its_stated_size(coupled_response, stated: float, runs: int) -> None:
-    """A test of 0.1 %, held to 1 % and three binomial deviations; the covariance may be wrong by any factor."""
+def test_noise_alone_is_no_drift_however_wrong_its_stated_size(
+    coupled_response, stated: float, runs: int
+) -> None:
+    """A test of 0.1 %, held to 1 % and three binomial deviations.
+
+    The covariance may be wrong by any factor.
+    """
     alarms = 0
     for seed in range(runs):
         rng = np.random.default_rng([3, seed])
@@ -85,7 +100,9 @@ def test_noise_alone_is_no_drift_however_wrong_its_stated_size(coupled_response,
 def test_one_force_and_one_response_have_one_gain(sdof_response) -> None:
     rng = np.random.default_rng(4)
     response = sdof_response(1e-7, rng)
-    finding = drift(changed(response, 0.05 * response.matrix, rng, 1e-7), FitSettings("sdof", mass=PEDESTAL["m"]))
+    finding = drift(
+        changed(response, 0.05 * response.matrix, rng, 1e-7), FitSettings("sdof", mass=PEDESTAL["m"])
+    )
     assert finding is not None and "the gain of y or f" in finding.message
 
 

@@ -1,4 +1,6 @@
-"""An estimator of another package: a wrapper of ml, installed as documented, is ml in all its numbers and all that is said of them."""
+"""An estimator of another package: a wrapper of ml, installed as documented, is ml in all its numbers and all
+that is said of them.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-ENTRIES = "[labpipe.estimator]\nplain = wrapped:plain\nstated = wrapped:STATED\nequations = wrapped:EQUATIONS\n"
+ENTRIES = (
+    "[labpipe.estimator]\nplain = wrapped:plain\nstated = wrapped:STATED\nequations = wrapped:EQUATIONS\n"
+)
 WRAPPED = """
 from dataclasses import replace
 from labpipe.estimation.estimators import LS, ML
@@ -22,8 +26,8 @@ def plain(measured, model, weight="none"):
 STATED = replace(ML, fit=plain)
 EQUATIONS = replace(LS, fit=least_squares)
 """
-# Short blocks of random data; a model that lacks a mode; a mode seen from another point, with a mass that is not known; a given mass and
-# a sensor in uncertainty.
+# Short blocks of random data; a model that lacks a mode; a mode seen from another point, with a mass that is
+# not known; a given mass and a sensor in uncertainty.
 FITTED = """
 import json, sys
 from dataclasses import replace
@@ -38,9 +42,11 @@ w = 2 * np.pi * np.arange(50.0, 70.0, 0.25)
 one, other = (1 / (k - w**2 + 20j * w) for k in (380.0**2, 420.0**2))
 rng = np.random.default_rng(3)
 def measured(values, output=X):
-    return with_noise(w / (2 * np.pi), values[:, None, None], (output,), (FX,), 1e-7, np.random.default_rng(3))
+    matrix = values[:, None, None]
+    return with_noise(w / (2 * np.pi), matrix, (output,), (FX,), 1e-7, np.random.default_rng(3))
 short = response(2.0)
-noise = 1e-3 * np.abs(short.matrix).max() * (rng.normal(size=short.matrix.shape) + 1j * rng.normal(size=short.matrix.shape))
+real, imaginary = rng.normal(size=(2, *short.matrix.shape))
+noise = 1e-3 * np.abs(short.matrix).max() * (real + 1j * imaginary)
 cases = {
     "leakage": (replace(short, matrix=short.matrix + noise), {"mass": 1.0}),
     "blocks far too short": (response(1.0), {"mass": 1.0}),
@@ -53,21 +59,33 @@ def said(estimator, data, keys):
     (fit,) = identify(data, FitSettings("sdof", estimator=estimator, name="one", **keys))
     return {
         "numbers": [(p.name, p.value, p.std_error, p.full_error, p.expanded) for p in fit.parameters],
-        "chi2": fit.gof.chi2_reduced, "notes": fit.notes, "candidates": [(c.name, c.chi2) for c in fit.candidates],
-        "findings": [(f.code, f.message) for f in fit.findings], "curve": np.abs(fit.curve.fitted).ravel().tolist(),
+        "chi2": fit.gof.chi2_reduced, "notes": fit.notes,
+        "candidates": [(c.name, c.chi2) for c in fit.candidates],
+        "findings": [(f.code, f.message) for f in fit.findings],
+        "curve": np.abs(fit.curve.fitted).ravel().tolist(),
     }
-print(json.dumps({name: {estimator: said(estimator, *case) for estimator in sys.argv[1:]} for name, case in cases.items()}))
+def each(case):
+    return {estimator: said(estimator, *case) for estimator in sys.argv[1:]}
+print(json.dumps({name: each(case) for name, case in cases.items()}))
 """
 
 
 def fitted(folder: Path, *estimators: str) -> dict[str, dict[str, dict[str, list]]]:
-    """What fits by each estimator say, in a process that begins with the plug-in installed: choices are looked up once."""
+    """What fits by each estimator say, in a process that begins with the plug-in installed: choices are
+    looked up once.
+    """
     (folder / "plugin-1.dist-info").mkdir()
     (folder / "plugin-1.dist-info/entry_points.txt").write_text(ENTRIES)
     (folder / "plugin-1.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: plugin\nVersion: 1\n")
     (folder / "wrapped.py").write_text(WRAPPED)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])}
-    ended = subprocess.run([sys.executable, "-c", FITTED, *estimators], env=environment, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", FITTED, *estimators],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout)  # type: ignore[no-any-return]
 
@@ -76,7 +94,11 @@ def test_a_wrapper_of_ml_is_ml(tmp_path: Path) -> None:
     found = fitted(tmp_path, "ml", "plain", "stated")
     codes = {name: {code for code, _ in case["ml"]["findings"]} for name, case in found.items()}
     assert "leakage" not in codes["leakage"] and "leakage" in codes["blocks far too short"]
-    assert "model-mismatch" in codes["missing mode"] and "mass" in codes["wrong mass"] and found["compared"]["ml"]["candidates"]
+    assert (
+        "model-mismatch" in codes["missing mode"]
+        and "mass" in codes["wrong mass"]
+        and found["compared"]["ml"]["candidates"]
+    )
     assert [name for name, *_ in found["transfer"]["ml"]["numbers"]][2] == "modal_constant"
     for name, case in found.items():
         assert case["stated"] == case["plain"] == case["ml"], name
@@ -86,5 +108,9 @@ def test_one_that_states_the_properties_of_ls_is_ls(tmp_path: Path) -> None:
     found = fitted(tmp_path, "ls", "equations")
     assert "leakage" in {code for code, _ in found["leakage"]["ls"]["findings"]}
     for case in found.values():
-        text = json.dumps(case["equations"]).replace("equations is biased", "ls is biased").replace("equations:", "ls:")
+        text = (
+            json.dumps(case["equations"])
+            .replace("equations is biased", "ls is biased")
+            .replace("equations:", "ls:")
+        )
         assert json.loads(text) == case["ls"]

@@ -1,4 +1,6 @@
-"""Every key of a fit with every model: it changes what is found, or it is refused at its line with the models that take it."""
+"""Every key of a fit with every model: it changes what is found, or it is refused at its line with the models
+that take it.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,14 @@ LINEAR = tuple(model for model in MODELS if model_kind(model).equations is not N
 
 
 def uncoupled(damping: float, std: float = 1e-7) -> FrequencyResponse:
-    """0.92 kg on 180 and 213 kN/m in x and y, 120 N s/m in x and *damping* in y, uncoupled: several coefficients are zero."""
+    """0.92 kg on 180 and 213 kN/m in x and y, 120 N s/m in x and *damping* in y, uncoupled: several
+    coefficients are zero.
+    """
     frequency = np.arange(40.0, 121.0)
     w = 2 * np.pi * frequency[:, None, None]
-    matrix = np.linalg.inv(np.diag([180e3, 213e3]) + 1j * w * np.diag([120.0, damping]) - w**2 * 0.92 * np.eye(2))
+    matrix = np.linalg.inv(
+        np.diag([180e3, 213e3]) + 1j * w * np.diag([120.0, damping]) - w**2 * 0.92 * np.eye(2)
+    )
     return with_noise(frequency, matrix, (X, Y), (FX, FY), std, np.random.default_rng(7))
 
 
@@ -58,7 +64,10 @@ CASES: dict[str, tuple[Callable[[], Any], Callable[[], FitSettings]]] = {
     "base": (lambda: of_base(hardly_damped(), 1e-3, seed=2), lambda: FitSettings("base", mass="2 kg +- 1 %")),
     "modal": (lambda: uncoupled(80.0), lambda: FitSettings("modal")),
     "decay": (linear, lambda: FitSettings("decay")),
-    "dynamic-stiffness": (drawn, lambda: settings_of(form="kcm", baseline_stiffness="1.35 MN/m", baseline_damping="800 N.s/m")),
+    "dynamic-stiffness": (
+        drawn,
+        lambda: settings_of(form="kcm", baseline_stiffness="1.35 MN/m", baseline_damping="800 N.s/m"),
+    ),
     "magnet": (COUPLED.spectra, lambda: FitSettings("magnet", mass=4.0, model_settings=MagnetSettings())),
     "block": (lambda: of_block(1, 0.01), lambda: FitSettings("block", model_settings=BlockSettings("1"))),
     "worn-bearing": (lambda: measured(worn_rig(22.27, 11.0), 0.02, np.random.default_rng(3)), fit_settings),
@@ -147,7 +156,9 @@ def numbers(settings: FitSettings) -> tuple[Any, ...]:
 
 
 def repeated(model: str, coverage: float) -> list[float | None]:
-    """Expanded uncertainties of a fit with scatter between repeats: that, if nothing else, is stated with the fit's coverage."""
+    """Expanded uncertainties of a fit with scatter between repeats: that, if nothing else, is stated with the
+    fit's coverage.
+    """
     settings = replace(CASES[model][1](), coverage=coverage)
     fit = identify(data_of(model), settings)[0]
     source = RepeatSource("remounting", next(p.name for p in fit.parameters if p.std_error is not None), 0.01)
@@ -165,7 +176,9 @@ def test_every_key_and_model_is_walked() -> None:
     assert set(CASES) == set(MODELS)
 
 
-@pytest.mark.parametrize(("model", "key"), [pair for pair in PAIRS if takes(*pair) and pair[1] not in ("test", "coverage")])
+@pytest.mark.parametrize(
+    ("model", "key"), [pair for pair in PAIRS if takes(*pair) and pair[1] not in ("test", "coverage")]
+)
 def test_a_key_that_is_taken_changes_what_is_found(model: str, key: str) -> None:
     plain = replace(CASES[model][1](), **BESIDE.get(key, {}))
     changed = replace(plain, **{key: OF_MODEL.get((model, key), VALUES.get(key, WRITTEN[key]))})
@@ -182,7 +195,10 @@ def test_other_tests_than_those_named_are_not_fitted(model: str) -> None:
     assert fits_of([data_of(model)], replace(CASES[model][1](), test=("other",)), Path("p.yaml")) == []
 
 
-RIG = "name: R\nsample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n"
+RIG = (
+    "name: R\nsample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force}\n  x: {quantity: "
+    "displacement}\n"
+)
 FRF = {"decays": "{excitation: decay}", "spectra": "{excitation: periodic, period: 1 s, result: spectra}"}
 
 
@@ -193,7 +209,10 @@ def written(folder: Path, model: str, key: str, more: str = "") -> Path:
     kind = model_kind(model)
     rotor = Path(__file__).parents[2] / "configs/rotors/mendes.yaml"
     section = "" if kind.settings is None or kind.optional else f"    {kind.section}: {{rotor: {rotor}}}\n"
-    head = f"rig: rig.yaml\nrecordings: a.csv\nfrf: {FRF.get(kind.of, '{excitation: periodic, period: 1 s}')}\nidentify:\n  a:\n"
+    head = (
+        "rig: rig.yaml\nrecordings: a.csv\nfrf: "
+        f"{FRF.get(kind.of, '{excitation: periodic, period: 1 s}')}\nidentify:\n  a:\n"
+    )
     path = folder / "p.yaml"
     path.write_text(f"{head}    model: {model}\n{section}{more}    {key}: {WRITTEN[key]}\n")
     return path
@@ -208,9 +227,14 @@ def test_a_key_that_is_not_taken_is_refused_at_its_line(model: str, key: str, tm
     (fault,) = refused.value.faults
     assert str(fault).startswith(f"{path}:{line}:5: identify.a.{key}: ")
     if key == "estimator":
-        assert "does not estimate model" in fault.what and fault.hint == f"estimator: {model_kind(model).estimators[0]}"
+        assert (
+            "does not estimate model" in fault.what
+            and fault.hint == f"estimator: {model_kind(model).estimators[0]}"
+        )
     else:
-        assert fault.what.endswith(f"is not for model {model}") and fault.hint.endswith(f"models that take it: {', '.join(takers(key))}")
+        assert fault.what.endswith(f"is not for model {model}") and fault.hint.endswith(
+            f"models that take it: {', '.join(takers(key))}"
+        )
     with pytest.raises(ConfigError):
         replace(CASES[model][1](), **{key: VALUES.get(key, WRITTEN[key])})
 
@@ -218,15 +242,23 @@ def test_a_key_that_is_not_taken_is_refused_at_its_line(model: str, key: str, tm
 @pytest.mark.parametrize("model", tuple(MODELS))
 def test_defaults_that_are_written_out_are_taken(model: str) -> None:
     plain = CASES[model][1]()
-    defaults = {field.name: field.default for field in fields(plain) if field.name in WRITTEN and field.name != "mass"}
+    defaults = {
+        field.name: field.default for field in fields(plain) if field.name in WRITTEN and field.name != "mass"
+    }
     assert replace(plain, **{**defaults, "input": plain.input, "output": plain.output}) == plain
 
 
-@pytest.mark.parametrize(("estimator", "key"), [(name, key) for name in ESTIMATORS for key in estimator_of(name).refuses])
-def test_a_key_that_an_estimator_has_no_use_for_is_refused_at_its_line(estimator: str, key: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("estimator", "key"), [(name, key) for name in ESTIMATORS for key in estimator_of(name).refuses]
+)
+def test_a_key_that_an_estimator_has_no_use_for_is_refused_at_its_line(
+    estimator: str, key: str, tmp_path: Path
+) -> None:
     model = "sdof" if estimator_of(estimator).one_frf else "mdof"
     path = written(tmp_path, model, key, f"    estimator: {estimator}\n")
-    with pytest.raises(ConfigErrors, match=f"'{key}' is not for (estimator {estimator}|model {model}); leave it out") as refused:
+    with pytest.raises(
+        ConfigErrors, match=f"'{key}' is not for (estimator {estimator}|model {model}); leave it out"
+    ) as refused:
         load_pipeline(path)
     assert f"{path}:8:5: identify.a.{key}: " in str(refused.value)
 
@@ -236,12 +268,22 @@ def test_a_key_that_an_estimator_has_no_use_for_is_refused_at_its_line(estimator
     [
         ("mdof", {"lumped_mass": True}, "'lumped_mass' is for a mass that is estimated; mass: estimate"),
         ("base", {"mass": "estimate", "uncertainties": (), "share": 2}, "'share' needs the mass"),
-        ("base", {"mass": "estimate", "uncertainties": (), "subtract": {"damping": "1 N.s/m"}}, "'subtract' needs the mass"),
-        ("sdof", {"mass": 0.92, "uncertainties": (), "monte_carlo": 200}, "'monte_carlo' has nothing to draw"),
+        (
+            "base",
+            {"mass": "estimate", "uncertainties": (), "subtract": {"damping": "1 N.s/m"}},
+            "'subtract' needs the mass",
+        ),
+        (
+            "sdof",
+            {"mass": 0.92, "uncertainties": (), "monte_carlo": 200},
+            "'monte_carlo' has nothing to draw",
+        ),
         ("modal", {"mass": ("1 kg", "2 kg")}, "a modal fit takes one mass"),
     ],
 )
-def test_keys_that_change_nothing_beside_others_are_refused(model: str, keys: dict[str, Any], message: str) -> None:
+def test_keys_that_change_nothing_beside_others_are_refused(
+    model: str, keys: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ConfigError, match=message):
         identify(data_of(model), replace(CASES[model][1](), **keys))
 

@@ -1,7 +1,8 @@
-"""Faults that a good goodness of fit hides, on a rig of four dofs: how often each is named, and how often sound runs are left alone.
+"""Faults that a good goodness of fit hides, on a rig of four dofs: how often each is named, and how often
+sound runs are left alone.
 
-200 s of white force on all four dofs, blocks of 4 s, 5-50 Hz; K is known to about 0.05 %, so that every fault below moves it by far more
-than three standard errors.
+200 s of white force on all four dofs, blocks of 4 s, 5-50 Hz; K is known to about 0.05 %, so that every fault
+below moves it by far more than three standard errors.
 """
 
 from __future__ import annotations
@@ -30,24 +31,37 @@ FIT = FitSettings("mdof", mass=tuple(MASS), name="four")
 
 def fits(seeds: range, **fault: object) -> Iterator[Fit]:
     for first in range(seeds.start, seeds.stop, TOGETHER):
-        for record in recordings(FourDofRig(noise=1e-4, **fault), range(first, min(first + TOGETHER, seeds.stop))):
+        for record in recordings(
+            FourDofRig(noise=1e-4, **fault), range(first, min(first + TOGETHER, seeds.stop))
+        ):
             yield from identify(measure([record], FRF), FIT)
 
 
 def counted(seeds: range, **fault: object) -> tuple[Counter[str], list[str], float]:
-    """How many runs carry each code, what drift looks like in each, and the rms error of K in standard errors."""
+    """How many runs carry each code, what drift looks like in each, and the rms error of K in standard
+    errors.
+    """
     codes: Counter[str] = Counter()
     shapes, errors = [], []
     for fit in fits(seeds, **fault):
         codes.update({finding.code for finding in fit.findings})
-        shapes += [finding.message.split("looks like ")[-1] for finding in fit.findings if finding.code == "drift"]
+        shapes += [
+            finding.message.split("looks like ")[-1] for finding in fit.findings if finding.code == "drift"
+        ]
         stiffness = [fit.parameter(f"k_{i}_{j}") for i in range(1, 5) for j in range(1, 5)]
-        errors.append([(p.value - k) / p.std_error for p, k in zip(stiffness, true_stiffness().reshape(-1), strict=True)])
+        errors.append(
+            [
+                (p.value - k) / p.std_error
+                for p, k in zip(stiffness, true_stiffness().reshape(-1), strict=True)
+            ]
+        )
     return codes, shapes, float(np.sqrt(np.max(np.mean(np.square(errors), axis=0))))
 
 
 def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
-    """Integration against the closed form: equal but for the swing from rest, which has died away after 5 s."""
+    """Integration against the closed form: equal but for the swing from rest, which has died away after 5
+    s.
+    """
     (exact,) = recordings(FourDofRig(length=20.0, noise=0.0), range(1))
     (integrated,) = recordings(FourDofRig(length=20.0, noise=0.0, stiffness=1e-15), range(1))
     motion = exact.samples[round(5 * RATE) :, 4:]
@@ -58,7 +72,10 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("runs", [4, pytest.param(60, marks=pytest.mark.long)])
 def test_sound_runs_are_left_alone(runs: int) -> None:
-    """At most 5 %, and its chance: of 60 runs at most 6 with 95 %; drift, mass and model-mismatch are tests of 1 % each."""
+    """At most 5 %, and its chance: of 60 runs at most 6 with 95 %.
+
+    Drift, mass and model-mismatch are tests of 1 % each.
+    """
     codes, _, error = counted(range(1000, 1000 + runs))
     most = 1 if runs < 20 else round(0.05 * runs)
     assert error < 2
@@ -82,11 +99,18 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
     assert sum(shape.startswith(looks_like) for shape in shapes) >= 0.9 * runs
     # Half of the whole drift lies between the means of the halves.
     (amount,) = fault.values()
-    assert np.mean([float(shape.split(" by ")[1].split()[0]) for shape in shapes]) == pytest.approx(50 * amount, rel=0.1)
+    assert np.mean([float(shape.split(" by ")[1].split()[0]) for shape in shapes]) == pytest.approx(
+        50 * amount, rel=0.1
+    )
 
 
 @pytest.mark.parametrize(
-    ("share", "runs"), [(0.01, 2), pytest.param(0.05, 6, marks=pytest.mark.long), pytest.param(0.01, 40, marks=pytest.mark.long)]
+    ("share", "runs"),
+    [
+        (0.01, 2),
+        pytest.param(0.05, 6, marks=pytest.mark.long),
+        pytest.param(0.01, 40, marks=pytest.mark.long),
+    ],
 )
 def test_a_mode_just_above_the_band_is_a_mismatch(share: float, runs: int) -> None:
     """A mode at 60 Hz, with 1 % and 5 % of the static compliance: model-mismatch, and no drift."""
@@ -96,20 +120,37 @@ def test_a_mode_just_above_the_band_is_a_mismatch(share: float, runs: int) -> No
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("cubic", "least", "most"), [(5e8, 0.9, 1.0), (0.0, 0.0, 0.05)], ids=["cubic", "linear"])
+@pytest.mark.parametrize(
+    ("cubic", "least", "most"), [(5e8, 0.9, 1.0), (0.0, 0.0, 0.05)], ids=["cubic", "linear"]
+)
 def test_cubic_springs_are_named_between_two_levels(cubic: float, least: float, most: float) -> None:
-    """Springs to ground with 5e8 N/m^3: about 3 % more stiffness at 10 N than at 5 N. One level alone looks like noise."""
+    """Springs to ground with 5e8 N/m^3: about 3 % more stiffness at 10 N than at 5 N.
+
+    One level alone looks like noise.
+    """
     conditions = {"quiet": {"level": "5 N"}, "loud": {"level": "10 N"}}
     runs = 20
     quiet, loud = (fits(range(runs), cubic=cubic, force=force, length=100.0) for force in (5.0, 10.0))
     named = [
-        _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions) for low, high in zip(quiet, loud, strict=True)
+        _level_finding(replace(low, test="quiet"), replace(high, test="loud"), conditions)
+        for low, high in zip(quiet, loud, strict=True)
     ]
-    assert least * runs <= len([message for message in named if message]) <= max(most * runs, 1 if most < 1 else 0)
+    assert (
+        least * runs
+        <= len([message for message in named if message])
+        <= max(most * runs, 1 if most < 1 else 0)
+    )
     if cubic:
-        assert np.mean([float(message.split("stiffness by ")[1].split()[0]) for message in named]) == pytest.approx(3, abs=0.5)
+        assert np.mean(
+            [float(message.split("stiffness by ")[1].split()[0]) for message in named]
+        ) == pytest.approx(3, abs=0.5)
 
 
 def _level_finding(low: Fit, high: Fit, conditions: dict[str, dict[str, str]]) -> str:
-    messages = [f.message for fit in with_level_findings([low, high], conditions) for f in fit.findings if f.code == "amplitude"]
+    messages = [
+        f.message
+        for fit in with_level_findings([low, high], conditions)
+        for f in fit.findings
+        if f.code == "amplitude"
+    ]
     return messages[0] if messages else ""

@@ -1,4 +1,6 @@
-"""identify: noise-free recovery, scale, bands, corrections, elimination. Truth: the closed-form receptances of conftest."""
+"""identify: noise-free recovery, scale, bands, corrections, elimination. Truth: the closed-form receptances
+of conftest.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,16 @@ def test_sdof_without_noise(sdof_response, estimator: str, form: str) -> None:
 @pytest.mark.parametrize("estimator", [name for name in ESTIMATORS if name != "amplitude"])
 def test_eight_coefficients_from_two_directions_without_noise(coupled_response, estimator: str) -> None:
     found = values(coupled_response(), FitSettings("rotor-2dof", mass=0.92, estimator=estimator))
-    expected = {"k_xx": 180e3, "k_xy": 25e3, "k_yx": -18e3, "k_yy": 210e3, "c_xx": 120, "c_xy": 15, "c_yx": -10, "c_yy": 150}
+    expected = {
+        "k_xx": 180e3,
+        "k_xy": 25e3,
+        "k_yx": -18e3,
+        "k_yy": 210e3,
+        "c_xx": 120,
+        "c_xy": 15,
+        "c_yx": -10,
+        "c_yy": 150,
+    }
     assert found == {name: pytest.approx(value, rel=1e-7) for name, value in expected.items()}
 
 
@@ -50,7 +61,9 @@ def test_one_force_gives_its_factors_and_angle(coupled_response) -> None:
     two = coupled_response()
     angle = np.radians(30)
     matrix = two.matrix @ np.array([[np.cos(angle)], [np.sin(angle)]])
-    one = FrequencyResponse(two.frequency, matrix, two.outputs, (replace(two.inputs[0], angle=None, dof="shaker"),))
+    one = FrequencyResponse(
+        two.frequency, matrix, two.outputs, (replace(two.inputs[0], angle=None, dof="shaker"),)
+    )
     found = values(one, FitSettings("rotor-2dof", mass=0.92, estimator="ls"))
     assert found["b_x"] == pytest.approx(np.cos(angle), rel=1e-7)
     assert found["forcing_angle"] == pytest.approx(angle, rel=1e-7)
@@ -59,14 +72,20 @@ def test_one_force_gives_its_factors_and_angle(coupled_response) -> None:
 
 def test_direct_coefficients_share_the_force(symmetric_response) -> None:
     found = values(symmetric_response(), FitSettings("rotor-2dof-direct", mass=0.92, band=(65.0, 80.0)))
-    assert [found[name] for name in ("k_xx", "c_xx", "k_yy", "c_yy")] == pytest.approx([180e3, 190, 180e3, 190], rel=1e-8)
-    only_y = values(symmetric_response(), FitSettings("rotor-2dof-direct", mass=0.92, output=("y",), band=(65.0, 80.0)))
+    assert [found[name] for name in ("k_xx", "c_xx", "k_yy", "c_yy")] == pytest.approx(
+        [180e3, 190, 180e3, 190], rel=1e-8
+    )
+    only_y = values(
+        symmetric_response(), FitSettings("rotor-2dof-direct", mass=0.92, output=("y",), band=(65.0, 80.0))
+    )
     assert set(only_y) == {"k_yy", "c_yy"}
 
 
 @pytest.mark.parametrize("estimator", list(ESTIMATORS))
 @pytest.mark.parametrize("scale", [1e-7, 1e3])
-def test_the_scale_of_the_receptance_changes_no_relative_result(sdof_response, estimator: str, scale: float) -> None:
+def test_the_scale_of_the_receptance_changes_no_relative_result(
+    sdof_response, estimator: str, scale: float
+) -> None:
     settings = replace(SDOF, estimator=estimator, mass="estimate")
     (plain,) = identify(sdof_response(1e-6, np.random.default_rng(1)), settings)
     (scaled,) = identify(sdof_response(1e-6, np.random.default_rng(1), scale=scale), settings)
@@ -86,7 +105,9 @@ def test_sliding_bands_of_the_source() -> None:
 
 
 def test_every_sliding_band_has_its_fifteen_lines_and_warns_of_nothing(symmetric_response) -> None:
-    settings = FitSettings("rotor-2dof-direct", mass=0.92, output=("y",), sliding=Sliding(15.0, 3.0), name="sliding")
+    settings = FitSettings(
+        "rotor-2dof-direct", mass=0.92, output=("y",), sliding=Sliding(15.0, 3.0), name="sliding"
+    )
     fits = identify(symmetric_response(1e-9, np.random.default_rng(3)), settings)
     assert len(fits) == 79 and {fit.lines for fit in fits} == {15} and fits[0].centre_hz == 8.5
     codes = [finding.code for fit in fits for finding in fit.findings]
@@ -129,7 +150,8 @@ def test_elimination_drops_what_is_not_there(coupled_response) -> None:
 
 
 def test_insignificant_damping_is_reported_as_such(sdof_response) -> None:
-    # Noise for which the true t-ratio of c lies far below the limit: var(k) = s^2 / (2 sum |H|^4), s.e.(c) = s.e.(k) / w.
+    # Noise for which the true t-ratio of c lies far below the limit: var(k) = s^2 / (2 sum |H|^4), s.e.(c) =
+    # s.e.(k) / w.
     response = sdof_response(2e-6, np.random.default_rng(8), c=0.001)
     (fit,) = identify(response, SDOF)
     assert fit.parameter("c").significant is False and fit.parameter("k").significant is True
@@ -145,7 +167,9 @@ def test_standard_error_of_k_is_its_closed_form(sdof_response) -> None:
 
 
 def test_ls_equals_the_literal_regression_line_by_line(coupled_response, rng: np.random.Generator) -> None:
-    """Twin: the x row of the equation of motion under two known forces, one pair of equations after the other."""
+    """Twin: the x row of the equation of motion under two known forces, one pair of equations after the
+    other.
+    """
     response = coupled_response(1e-7, rng)
     rows, side = [], []
     for line, frequency in enumerate(response.frequency):
@@ -178,7 +202,9 @@ def model_of(name: str, response: FrequencyResponse) -> DynamicModel:
 
 
 @pytest.mark.parametrize("name", [name for name in MODELS if not model_kind(name).section])
-def test_jacobian_equals_central_differences(name: str, sdof_response, coupled_response, symmetric_response) -> None:
+def test_jacobian_equals_central_differences(
+    name: str, sdof_response, coupled_response, symmetric_response
+) -> None:
     responses = {
         "sdof": sdof_response,
         "base": sdof_response,
@@ -188,16 +214,23 @@ def test_jacobian_equals_central_differences(name: str, sdof_response, coupled_r
     }
     response = responses[name]()
     model = model_of(name, response)
-    start = np.array([{"N/m": 2e5, "N.s/m": 100.0, "1": 0.7, "kg": 1.0, "1/s^2": 1e5, "1/s": 50.0}[unit] for unit in model.units]) * (
-        1 + 0.1 * np.arange(len(model.terms))
-    )
+    start = np.array(
+        [
+            {"N/m": 2e5, "N.s/m": 100.0, "1": 0.7, "kg": 1.0, "1/s^2": 1e5, "1/s": 50.0}[unit]
+            for unit in model.units
+        ]
+    ) * (1 + 0.1 * np.arange(len(model.terms)))
     omega = 2 * np.pi * np.array([30.0, 65.0, 110.0])
     jacobian = model.jacobian(start, omega)
     for number in range(start.size):
         step = np.zeros_like(start)
         step[number] = 1e-5 * start[number]
-        difference = (model.receptance(start + step, omega) - model.receptance(start - step, omega)) / (2 * step[number])
-        np.testing.assert_allclose(jacobian[number], difference, rtol=1e-6, atol=1e-9 * np.max(np.abs(difference)))
+        difference = (model.receptance(start + step, omega) - model.receptance(start - step, omega)) / (
+            2 * step[number]
+        )
+        np.testing.assert_allclose(
+            jacobian[number], difference, rtol=1e-6, atol=1e-9 * np.max(np.abs(difference))
+        )
 
 
 def test_ports_answer_to_label_channel_or_dof_and_a_miss_names_the_nearest(coupled_response) -> None:
@@ -217,10 +250,14 @@ def test_what_a_fit_cannot_do_is_said(sdof_response, symmetric_response, coupled
         identify(sdof_response(), replace(SDOF, band=(65.0, 65.2)))
     with pytest.raises(ConfigError, match="needs the known mass"):
         identify(coupled_response(), FitSettings("rotor-2dof"))
-    unknown = replace(symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=None, dof="shaker"),))
+    unknown = replace(
+        symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=None, dof="shaker"),)
+    )
     with pytest.raises(ConfigError, match="direction of the force f is unknown"):
         identify(unknown, FitSettings("rotor-2dof-direct", mass=0.92))
-    axis = replace(symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=0.0, dof="x"),))
+    axis = replace(
+        symmetric_response(), inputs=(replace(symmetric_response().inputs[0], angle=0.0, dof="x"),)
+    )
     with pytest.raises(ConfigError, match="no force acts in direction y"):
         identify(axis, FitSettings("rotor-2dof-direct", mass=0.92))
     silent = sdof_response(1e-6)

@@ -1,4 +1,6 @@
-"""A wrong given mass: stiffness off by as much under a perfect goodness of fit, and what the data say against it."""
+"""A wrong given mass: stiffness off by as much under a perfect goodness of fit, and what the data say against
+it.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,13 @@ MASS, STIFFNESS, RATIO = 1.0, 63.17e3, 0.01
 PORTS = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
 
 
-def resonance(level: float, seed: int, *, shared: float = 0.0, relative: bool = False, noise_known: bool = False) -> FrequencyResponse:
-    """38-42 Hz every 0.1 Hz; noise of *level* times the rms of H or of its own size, common to neighbouring lines by *shared*."""
+def resonance(
+    level: float, seed: int, *, shared: float = 0.0, relative: bool = False, noise_known: bool = False
+) -> FrequencyResponse:
+    """38-42 Hz every 0.1 Hz.
+
+    Noise of *level* times the rms of H or of its own size, common to neighbouring lines by *shared*.
+    """
     f = np.arange(380, 421) / 10
     w = 2 * np.pi * f
     h = (1 / (STIFFNESS - MASS * w**2 + 2j * RATIO * np.sqrt(STIFFNESS * MASS) * w))[:, None, None]
@@ -43,15 +50,19 @@ def single(response: FrequencyResponse, mass: float, estimator: str = "ls") -> F
 
 @pytest.mark.parametrize("estimator", ["ls", "iv", "ml"])
 @pytest.mark.parametrize("noise_known", [False, True])
-def test_a_mass_30_percent_off_is_named_though_the_curve_is_followed(estimator: str, noise_known: bool) -> None:
+def test_a_mass_30_percent_off_is_named_though_the_curve_is_followed(
+    estimator: str, noise_known: bool
+) -> None:
     fit = single(resonance(0.003, 1, noise_known=noise_known), 1.3, estimator)
     # Equation errors give 0.9999; the output error of ml sees the peak's height.
-    assert fit.gof.r2_adjusted > (0.96 if estimator == "ml" else 0.99) and fit.parameter("k").value == pytest.approx(
-        1.3 * STIFFNESS, rel=0.01
-    )
+    assert fit.gof.r2_adjusted > (0.96 if estimator == "ml" else 0.99) and fit.parameter(
+        "k"
+    ).value == pytest.approx(1.3 * STIFFNESS, rel=0.01)
     (finding,) = findings(fit, "mass")
     mass, error = map(float, re.findall(r"comes out as ([\d.]+) \+- ([\d.]+) kg", finding.message)[0])
-    stiffness, uncertainty, before = map(float, re.findall(r"k is then ([\d.]+) \+- ([\d.]+) kN/m instead of ([\d.]+)", finding.message)[0])
+    stiffness, uncertainty, before = map(
+        float, re.findall(r"k is then ([\d.]+) \+- ([\d.]+) kN/m instead of ([\d.]+)", finding.message)[0]
+    )
     assert abs(mass - MASS) < 4 * error < 0.02
     assert abs(stiffness - STIFFNESS / 1e3) < 4 * uncertainty < 1
     assert before == pytest.approx(fit.parameter("k").value / 1e3, rel=1e-3)
@@ -77,8 +88,13 @@ def test_the_right_mass_is_left_alone(noise: dict, runs: int) -> None:
 
 @pytest.mark.parametrize("noise_known", [False, True])
 def test_a_mass_ten_standard_errors_off_is_seen(noise_known: bool) -> None:
-    """2 % noise knows the mass to about 0.6 %: 6 % is ten of these, 3.6 degrees of freedom without known noise."""
-    seen = [bool(findings(single(resonance(0.02, seed, noise_known=noise_known), 1.06), "mass")) for seed in range(40)]
+    """2 % noise knows the mass to about 0.6 %: 6 % is ten of these, 3.6 degrees of freedom without known
+    noise.
+    """
+    seen = [
+        bool(findings(single(resonance(0.02, seed, noise_known=noise_known), 1.06), "mass"))
+        for seed in range(40)
+    ]
     assert np.mean(seen) >= 0.9
 
 
@@ -87,8 +103,12 @@ def test_one_wrong_mass_of_three_is_named_with_the_others(three_dof_response) ->
     response = three_dof_response(0.005, np.random.default_rng(1))
     (fit,) = identify(response, settings)
     (finding,) = findings(fit, "mass")
-    named = re.findall(r"(m_\d_\d) = ([\d.]+) kg was given, free it comes out as ([\d.]+) \+- ([\d.]+)", finding.message)
-    assert [name for name, given, free, error in named if abs(float(free) - float(given)) > 4 * float(error)] == ["m_3_3"]
+    named = re.findall(
+        r"(m_\d_\d) = ([\d.]+) kg was given, free it comes out as ([\d.]+) \+- ([\d.]+)", finding.message
+    )
+    assert [
+        name for name, given, free, error in named if abs(float(free) - float(given)) > 4 * float(error)
+    ] == ["m_3_3"]
     assert abs(float(named[2][2]) - 3.0) < 4 * float(named[2][3])
     (right,) = identify(response, replace(settings, mass=(1.0, 2.0, 3.0)))
     assert not findings(right, "mass")
@@ -101,7 +121,9 @@ def test_a_mass_of_two_directions(coupled_response) -> None:
 
 
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
-    """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a contradiction too."""
+    """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
+    contradiction too.
+    """
     mass = ((1.0, 0.0, 0.0), (0.0, 2.0, 0.4), (0.0, 0.4, 3.0))
     (fit,) = identify(three_dof_response(0.005, np.random.default_rng(2)), FitSettings("mdof", mass=mass))
     assert {finding.code for finding in fit.findings} & {"mass", "model-mismatch"}
@@ -110,8 +132,14 @@ def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
 
 
 def test_nothing_is_said_where_the_data_cannot_tell(symmetric_response, sdof_response) -> None:
-    """Forces' factors estimated with the rest: ratios only are known. Sliding bands: stiffness may change. No mass: none given."""
-    (eight,) = identify(symmetric_response(1e-8, np.random.default_rng(1)), FitSettings("rotor-2dof", mass=2.0, band=(65.0, 80.0)))
+    """Forces' factors estimated with the rest: ratios only are known. Sliding bands: stiffness may change.
+
+    No mass: none given.
+    """
+    (eight,) = identify(
+        symmetric_response(1e-8, np.random.default_rng(1)),
+        FitSettings("rotor-2dof", mass=2.0, band=(65.0, 80.0)),
+    )
     response = sdof_response(1e-7, np.random.default_rng(1))
     sliding = identify(response, FitSettings("sdof", mass=1.5, sliding=Sliding(4.0, 2.0)))
     (estimated,) = identify(response, FitSettings("sdof"))
@@ -123,7 +151,9 @@ def test_nothing_is_said_where_the_data_cannot_tell(symmetric_response, sdof_res
 
 
 def test_another_fault_is_not_called_a_mass() -> None:
-    """A second mode 5 % above the first: a free mass explains less than half of it, model-mismatch stays alone."""
+    """A second mode 5 % above the first: a free mass explains less than half of it, model-mismatch stays
+    alone.
+    """
     response = resonance(0.003, 3, noise_known=True)
     w = 2 * np.pi * response.frequency
     other = 1 / (1.1 * STIFFNESS - MASS * w**2 + 2j * RATIO * np.sqrt(STIFFNESS * MASS) * w)

@@ -29,24 +29,37 @@ TRUTH = {"k": K, "eta": ETA, "f_n": np.sqrt(K / M) / (2 * np.pi)}
 def one_mass(seed: int, noise: float = 2e-3) -> FrequencyResponse:
     frequency = np.arange(38.0, 51.0, 0.25)
     matrix = (1 / (K * (1 + 1j * ETA) - M * (2 * np.pi * frequency) ** 2))[:, None, None]
-    return with_noise(frequency, matrix, (DOFS[0],), (FORCES[0],), noise * np.max(np.abs(matrix)), np.random.default_rng(seed))
+    return with_noise(
+        frequency,
+        matrix,
+        (DOFS[0],),
+        (FORCES[0],),
+        noise * np.max(np.abs(matrix)),
+        np.random.default_rng(seed),
+    )
 
 
 def structure(noise: float, seed: int) -> FrequencyResponse:
     """Knaapen's three masses with one loss factor, all of its H."""
     w = np.linspace(0.3, 2.2, 200)
     matrix = np.linalg.inv(STIFFNESS * (1 + 1j * ETA) - w[:, None, None] ** 2 * MASS)
-    return with_noise(w / (2 * np.pi), matrix, DOFS, FORCES, noise * np.max(np.abs(matrix)), np.random.default_rng(seed))
+    return with_noise(
+        w / (2 * np.pi), matrix, DOFS, FORCES, noise * np.max(np.abs(matrix)), np.random.default_rng(seed)
+    )
 
 
-def test_a_recorded_multisine_gives_eta_within_its_interval(tmp_path: Path, labpipe: Callable[..., Any]) -> None:
+def test_a_recorded_multisine_gives_eta_within_its_interval(
+    tmp_path: Path, labpipe: Callable[..., Any]
+) -> None:
     # Exact steady state: the response of every line is the closed form times the force.
     rate, n, periods = 512.0, 2048, 6
     rng = np.random.default_rng(3)
     lines = np.arange(1, n // 2) * rate / n
     force = np.where((lines > 30) & (lines < 60), np.exp(2j * np.pi * rng.random(lines.size)), 0)
     h = 1 / (K * (1 + 1j * ETA) - M * (2 * np.pi * lines) ** 2)
-    f, x = (np.tile(np.fft.irfft(np.concatenate([[0], line, [0]]), n) * n, periods) for line in (force, force * h))
+    f, x = (
+        np.tile(np.fft.irfft(np.concatenate([[0], line, [0]]), n) * n, periods) for line in (force, force * h)
+    )
     x = x + 2e-3 * np.std(x) * rng.standard_normal(x.size)
     table = "\n".join(f"{a:.9g},{b:.9g}" for a, b in zip(f, x, strict=True))
     (tmp_path / "run.csv").write_text(f"f [N],x [m]\n{table}\n")
@@ -75,7 +88,9 @@ def test_intervals_of_one_mass_are_the_scatter() -> None:
     for name, value in (*TRUTH.items(), ("m", M)):
         pulls = [(fit.parameter(name).value - value) / fit.parameter(name).std_error for fit in fits]
         # Mean and variance of 60 normal numbers, four of their deviations.
-        assert abs(np.mean(pulls)) < 4 / np.sqrt(60) and np.mean(np.square(pulls)) == pytest.approx(1, abs=4 * np.sqrt(2 / 60))
+        assert abs(np.mean(pulls)) < 4 / np.sqrt(60) and np.mean(np.square(pulls)) == pytest.approx(
+            1, abs=4 * np.sqrt(2 / 60)
+        )
     assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1, abs=0.1)
 
 
@@ -99,16 +114,24 @@ def test_modes_have_the_loss_factor_and_the_modal_mass_of_the_structure() -> Non
     for r, f in enumerate(exact, start=1):
         for name, value in ((f"eta_{r}", ETA), (f"f_n_{r}", f)):
             parameter = fit.parameter(name)
-            assert abs(parameter.value - value) < 4 * parameter.std_error and parameter.std_error < 1e-2 * value
+            assert (
+                abs(parameter.value - value) < 4 * parameter.std_error and parameter.std_error < 1e-2 * value
+            )
     # H = sum phi phi^T / (m (w_r^2 (1 + j eta) - w^2)): at a driving point k / m is w_r^2.
-    assert fit.parameter("k_1").value / fit.parameter("m_1").value == pytest.approx((2 * np.pi * exact[0]) ** 2, rel=1e-3)
+    assert fit.parameter("k_1").value / fit.parameter("m_1").value == pytest.approx(
+        (2 * np.pi * exact[0]) ** 2, rel=1e-3
+    )
     shapes = np.linalg.eig(np.linalg.solve(MASS, STIFFNESS))[1].T
     masses = [np.min(s @ MASS @ s / s**2) for s in shapes]
-    assert fit.parameter("m_1").value == pytest.approx(min(masses, key=lambda m: abs(m - fit.parameter("m_1").value)), rel=5e-3)
+    assert fit.parameter("m_1").value == pytest.approx(
+        min(masses, key=lambda m: abs(m - fit.parameter("m_1").value)), rel=5e-3
+    )
 
 
 def test_slopes_are_central_differences() -> None:
-    settings = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, damping="hysteretic", fixed=(("k_1_3", 0.1),))
+    settings = FitSettings(
+        "mdof", mass=(1.0, 2.0, 3.0), symmetric=True, damping="hysteretic", fixed=(("k_1_3", 0.1),)
+    )
     model = HYSTERETIC(MODELS["mdof"].model(Setup(DOFS, FORCES, settings)).fixed("k_1_3", 0.1))
     start, omega = 1 + 0.1 * np.arange(len(model.names)), np.array([0.3, 1.1, 2.2])
     jacobian = model.jacobian(start, omega)
@@ -120,13 +143,22 @@ def test_slopes_are_central_differences() -> None:
 
 def test_a_negative_loss_factor_is_unphysical() -> None:
     response = one_mass(1)
-    (fit,) = identify(replace(response, matrix=response.matrix.conj()), FitSettings("sdof", damping="hysteretic"))
-    assert "eta is negative" in next(finding.message for finding in fit.findings if finding.code == "unphysical")
+    (fit,) = identify(
+        replace(response, matrix=response.matrix.conj()), FitSettings("sdof", damping="hysteretic")
+    )
+    assert "eta is negative" in next(
+        finding.message for finding in fit.findings if finding.code == "unphysical"
+    )
 
 
 def test_a_law_of_another_package_is_one_line() -> None:
     # C = beta K of one mass: beta = c / k, told as well as these are.
-    law = DampingLaw("stiffness-only", (Factor("beta", "s", "stiffness", "damping", lambda stiffness, _: stiffness),), 1, True)
+    law = DampingLaw(
+        "stiffness-only",
+        (Factor("beta", "s", "stiffness", "damping", lambda stiffness, _: stiffness),),
+        1,
+        True,
+    )
     model = law(MODELS["sdof"].model(Setup((DOFS[0],), (FORCES[0],), FitSettings("sdof"))))
     assert model.names == ("k", "m", "beta")
     values = dict(zip(model.names, model.from_linear(np.array([K, 300.0, M])), strict=True))

@@ -1,4 +1,6 @@
-"""iv: against a literal twin line by line, its standard errors against the scatter, its break-down against what it says."""
+"""iv: against a literal twin line by line, its standard errors against the scatter, its break-down against
+what it says.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from labpipe.estimation.settings import FitSettings
 from tests.estimation.literal import literal_iv, literal_ls
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
-# Standard deviation of the complex noise for 1 % of max |H| = 9.430 m/N (its closed form on the 25 lines) on either part.
+# Standard deviation of the complex noise for 1 % of max |H| = 9.430 m/N (its closed form on the 25 lines) on
+# either part.
 PER_CENT = 0.0943 * np.sqrt(2)
 
 
@@ -27,10 +30,15 @@ def test_ls_and_iv_equal_their_literal_twins(three_dof_response, seed: int) -> N
     omega, mass = 2 * np.pi * response.frequency, np.diag([1.0, 2.0, 3.0])
     k, c = literal_ls(response.matrix, omega, mass)
     upper = np.triu_indices(3)
-    np.testing.assert_allclose(coefficients(response, replace(KNOWN, estimator="ls")), [*k[upper], *c[upper]], rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(
+        coefficients(response, replace(KNOWN, estimator="ls")), [*k[upper], *c[upper]], rtol=1e-9, atol=1e-11
+    )
     k, c = literal_iv(response.matrix, omega, mass)
-    # The product stops by the coefficients in units of their columns, the twin by their plain sizes: 1e-4 apart at most.
-    np.testing.assert_allclose(coefficients(response, replace(KNOWN, estimator="iv")), [*k[upper], *c[upper]], atol=5e-4)
+    # The product stops by the coefficients in units of their columns, the twin by their plain sizes: 1e-4
+    # apart at most.
+    np.testing.assert_allclose(
+        coefficients(response, replace(KNOWN, estimator="iv")), [*k[upper], *c[upper]], atol=5e-4
+    )
 
 
 @pytest.mark.long
@@ -39,24 +47,40 @@ def test_sandwich_errors_are_the_scatter(three_dof_response, known: bool) -> Non
     fits = []
     for seed in range(150):
         response = three_dof_response(2 * PER_CENT, np.random.default_rng(seed))
-        fits.append(identify(response if known else replace(response, covariance=None), replace(KNOWN, estimator="iv"))[0])
+        fits.append(
+            identify(
+                response if known else replace(response, covariance=None), replace(KNOWN, estimator="iv")
+            )[0]
+        )
     ratios = []
     for name in ("k_1_1", "k_1_2", "k_3_3", "c_1_1", "c_2_2", "c_2_3"):
         values = [fit.parameter(name).value for fit in fits]
-        ratios.append(np.sqrt(np.mean([fit.parameter(name).std_error ** 2 for fit in fits])) / np.std(values, ddof=1))
+        ratios.append(
+            np.sqrt(np.mean([fit.parameter(name).std_error ** 2 for fit in fits])) / np.std(values, ddof=1)
+        )
     # Six standard deviations of 150 values are known to 5.8 % each.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
 
 
 def test_ls_of_the_same_data_is_overconfident(three_dof_response) -> None:
-    """Its bias stands outside its standard errors; the finding says so, and the intervals include the distance from ml."""
+    """Its bias stands outside its standard errors.
+
+    The finding says so, and the intervals include the distance from ml.
+    """
     response = three_dof_response(3 * PER_CENT, np.random.default_rng(1))
-    (fit,), (right,) = identify(response, replace(KNOWN, estimator="ls")), identify(response, replace(KNOWN, estimator="ml"))
+    (fit,), (right,) = (
+        identify(response, replace(KNOWN, estimator="ls")),
+        identify(response, replace(KNOWN, estimator="ml")),
+    )
     k = fit.parameter("k_3_3")
     assert abs(k.value - 2.0) > 4 * k.std_error
     assert fit.gof.chi2_reduced > 2
-    assert any(finding.code == "model-mismatch" and "ls is biased" in finding.message for finding in fit.findings)
-    assert k.std_error_inflated == pytest.approx(np.hypot(k.std_error, k.value - right.parameter("k_3_3").value), rel=1e-6)
+    assert any(
+        finding.code == "model-mismatch" and "ls is biased" in finding.message for finding in fit.findings
+    )
+    assert k.std_error_inflated == pytest.approx(
+        np.hypot(k.std_error, k.value - right.parameter("k_3_3").value), rel=1e-6
+    )
     assert k.ci95[0] < 2.0 < k.ci95[1]
     assert any("bias" in note for note in fit.notes)
 
@@ -72,7 +96,10 @@ def test_break_downs_are_no_result(three_dof_response) -> None:
         if not by_iv.converged:
             broken += 1
             assert "no-convergence" in [finding.code for finding in by_iv.findings]
-            assert all(parameter.std_error is None and parameter.significant is None for parameter in by_iv.parameters)
+            assert all(
+                parameter.std_error is None and parameter.significant is None
+                for parameter in by_iv.parameters
+            )
             assert any("broke down" in note for note in by_iv.notes)
         else:
             assert not far
@@ -90,7 +117,9 @@ def test_lines_may_weigh_by_their_noise(sdof_response, estimator: str) -> None:
             rng = np.random.default_rng(seed)
             plain = sdof_response()
             noise = std * (rng.normal(size=21) + 1j * rng.normal(size=21)) / np.sqrt(2)
-            response = replace(plain, matrix=plain.matrix + noise[:, None, None], covariance=(std**2)[:, None, None] + 0j)
+            response = replace(
+                plain, matrix=plain.matrix + noise[:, None, None], covariance=(std**2)[:, None, None] + 0j
+            )
             (fit,) = identify(response, FitSettings("sdof", mass=0.79, estimator=estimator, weight=weight))
             errors.append((fit.parameter("k").value - 134.5e3) ** 2)
         return float(np.mean(errors))

@@ -1,4 +1,6 @@
-"""Leakage of random data in the model and in its scatter, against the lag domain, drawn white noise and sums written out."""
+"""Leakage of random data in the model and in its scatter, against the lag domain, drawn white noise and sums
+written out.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def receptance(frequency: np.ndarray) -> np.ndarray:
 
 
 def in_lag_domain(frequency: np.ndarray, length: float, window: str) -> np.ndarray:
-    """Fourier integral of h(t) r(t), h = exp(-c t / 2) sin(w_d t) / w_d and r the window's autocorrelation over its energy."""
+    """Fourier integral of h(t) r(t), h = exp(-c t / 2) sin(w_d t) / w_d and r the window's autocorrelation
+    over its energy.
+    """
     n = 4096
     values = window_values(window, n)
     r = np.correlate(values, values, "full")[n - 1 :] / np.dot(values, values)
@@ -48,7 +52,13 @@ def response(length: float, window: str = "hann", estimator: str = "H1") -> Freq
     matrix = in_lag_domain(frequency, length, window)
     covariance = uncorrelated(np.full(matrix.shape, (0.01 * np.abs(matrix).max()) ** 2))
     blocks = Blocks(length, window, 0.5, 60, estimator)
-    more = {"covariance": covariance, "averages": 57.0, "covariance_dof": 56.0, "line_correlation": (0.45, 0.03), "blocks": blocks}
+    more = {
+        "covariance": covariance,
+        "averages": 57.0,
+        "covariance_dof": 56.0,
+        "line_correlation": (0.45, 0.03),
+        "blocks": blocks,
+    }
     return FrequencyResponse(frequency, matrix, *PORTS, **more)
 
 
@@ -65,7 +75,9 @@ def model() -> object:
 def test_the_expected_response_is_that_of_the_lag_domain(window: str, lines: float) -> None:
     whole = response(lines / WIDTH, window)
     measured = part(whole)
-    smeared = SmearedModel(model(), measured.leakage).receptance(np.array([STIFFNESS, DAMPING]), measured.omega)
+    smeared = SmearedModel(model(), measured.leakage).receptance(
+        np.array([STIFFNESS, DAMPING]), measured.omega
+    )
     size = np.abs(whole.matrix).max()
     np.testing.assert_allclose(smeared, whole.matrix, atol=0.005 * size)
     assert np.abs(receptance(whole.frequency) - whole.matrix).max() > 2 * 0.005 * size
@@ -76,7 +88,9 @@ def test_its_derivatives_are_those_of_differences() -> None:
     smeared, values = SmearedModel(model(), measured.leakage), np.array([STIFFNESS, DAMPING])
     for number, step in enumerate(values * 1e-5):
         moved = np.eye(2)[number] * step
-        difference = smeared.receptance(values + moved, measured.omega) - smeared.receptance(values - moved, measured.omega)
+        difference = smeared.receptance(values + moved, measured.omega) - smeared.receptance(
+            values - moved, measured.omega
+        )
         exact = smeared.jacobian(values, measured.omega)[number]
         np.testing.assert_allclose(difference / (2 * step), exact, atol=1e-5 * np.abs(exact).max())
 
@@ -85,13 +99,18 @@ def test_its_derivatives_are_those_of_differences() -> None:
 def test_damping_is_the_true_one_though_blocks_are_short(form: str) -> None:
     whole = response(2.0 / WIDTH)
     if form == "accelerance":
-        # Leakage of what was measured, not of the receptance: the window multiplies the impulse response of the acceleration.
+        # Leakage of what was measured, not of the receptance: the window multiplies the impulse response of
+        # the acceleration.
         fine = np.arange(-96, 97) / 4
         kernel = kernel_of(whole.blocks)
         points = whole.frequency[:, None] + kernel.offsets / (4 * whole.blocks.length)
         assert kernel.offsets.size <= fine.size
-        accelerance = receptance(points.reshape(-1))[:, 0, 0].reshape(points.shape) * (2j * np.pi * points) ** 2
-        whole = replace(whole, matrix=(accelerance @ kernel.weights)[:, None, None], form=form, covariance=None)
+        accelerance = (
+            receptance(points.reshape(-1))[:, 0, 0].reshape(points.shape) * (2j * np.pi * points) ** 2
+        )
+        whole = replace(
+            whole, matrix=(accelerance @ kernel.weights)[:, None, None], form=form, covariance=None
+        )
     (fit,) = identify(whole, SETTINGS)
     assert fit.parameter("c").value == pytest.approx(DAMPING, rel=2e-3)
     (plain,) = identify(replace(whole, blocks=None), SETTINGS)
@@ -101,7 +120,9 @@ def test_damping_is_the_true_one_though_blocks_are_short(form: str) -> None:
 
 
 def blocks_of_white_noise(rng: np.random.Generator, n: int, n_block: int) -> np.ndarray:
-    """H1 of *n_block* half overlapping Hann blocks of n samples, no noise, mode as in `receptance` at 512 Hz by its sampled response."""
+    """H1 of *n_block* half overlapping Hann blocks of n samples, no noise, mode as in `receptance` at 512 Hz
+    by its sampled response.
+    """
     from scipy import signal
 
     rate = 512.0
@@ -109,7 +130,10 @@ def blocks_of_white_noise(rng: np.random.Generator, n: int, n_block: int) -> np.
     force = rng.normal(size=4096 + n // 2 * (n_block + 1))
     output = signal.lfilter([0.0, pole.imag], [1.0, -2 * pole.real, abs(pole) ** 2], force)
     window = window_values("hann", n)
-    cut = [np.fft.rfft(np.lib.stride_tricks.sliding_window_view(x[4096:], n)[:: n // 2] * window, axis=1) for x in (force, output)]
+    cut = [
+        np.fft.rfft(np.lib.stride_tricks.sliding_window_view(x[4096:], n)[:: n // 2] * window, axis=1)
+        for x in (force, output)
+    ]
     return np.sum(cut[1] * cut[0].conj(), axis=0) / np.sum(np.abs(cut[0]) ** 2, axis=0)
 
 
@@ -119,12 +143,17 @@ def test_leakage_scatters_as_predicted(rng: np.random.Generator) -> None:
     draws = np.array([blocks_of_white_noise(rng, n, n_block) for _ in range(400)])
     length = n / 512.0
     lines = np.arange(int(60 * length) - 4, int(60 * length) + 6)
-    drawn = draws[:, lines] / (np.abs(draws[:, lines].mean(axis=0)).max() / np.abs(in_lag_domain(lines / length, length, "hann")).max())
+    drawn = draws[:, lines] / (
+        np.abs(draws[:, lines].mean(axis=0)).max()
+        / np.abs(in_lag_domain(lines / length, length, "hann")).max()
+    )
     drawn = drawn - drawn.mean(axis=0)
-    # Noise far below the leakage; covariances as a long record would give them, so that those of the model can be read off.
+    # Noise far below the leakage; covariances as a long record would give them, so that those of the model
+    # can be read off.
     matrix = receptance(lines / length)
     whole = FrequencyResponse(
-        lines / length, matrix, *PORTS, covariance=uncorrelated(np.full(matrix.shape, 1e-18)), covariance_dof=37.0, averages=38.0,
+        lines / length, matrix, *PORTS, covariance=uncorrelated(np.full(matrix.shape, 1e-18)),
+        covariance_dof=37.0, averages=38.0,
         line_correlation=(0.45, 0.03), blocks=Blocks(length, "hann", 0.5, n_block, "H1"),
     )  # fmt: skip
     measured = part(whole)
@@ -142,11 +171,19 @@ def test_leakage_scatters_as_predicted(rng: np.random.Generator) -> None:
     assert noise.trace < 0.9 * lines.size
 
 
-FINDING_CASES = [("ml", "H1", 1.0, 1.5), ("ml", "H1", 2.0, 0), ("ls", "H1", 3.0, 10), ("ml", "H2", 3.0, 10), ("ls", "H1", 12.0, 0)]
+FINDING_CASES = [
+    ("ml", "H1", 1.0, 1.5),
+    ("ml", "H1", 2.0, 0),
+    ("ls", "H1", 3.0, 10),
+    ("ml", "H2", 3.0, 10),
+    ("ls", "H1", 12.0, 0),
+]
 
 
 @pytest.mark.parametrize(("estimator", "frf", "lines", "needed"), FINDING_CASES)
-def test_short_blocks_are_said_with_the_length_that_would_do(estimator: str, frf: str, lines: float, needed: float) -> None:
+def test_short_blocks_are_said_with_the_length_that_would_do(
+    estimator: str, frf: str, lines: float, needed: float
+) -> None:
     (fit,) = identify(response(lines / WIDTH, estimator=frf), replace(SETTINGS, estimator=estimator))
     messages = [finding.message for finding in fit.findings if finding.code == "leakage"]
     assert len(messages) == bool(needed)
@@ -162,7 +199,9 @@ def test_a_mismatch_beside_short_blocks_advises_longer_ones() -> None:
     whole = replace(whole, covariance=whole.covariance / 1e4)
     (fit,) = identify(whole, SETTINGS)
     (message,) = [finding.message for finding in fit.findings if finding.code == "model-mismatch"]
-    assert "leakage of the short blocks" in message and "longer blocks" in message and "or narrow" not in message
+    assert (
+        "leakage of the short blocks" in message and "longer blocks" in message and "or narrow" not in message
+    )
     (other,) = identify(replace(whole, blocks=None), SETTINGS)
     assert "or narrow the band" in next(f.message for f in other.findings if f.code == "model-mismatch")
 

@@ -1,4 +1,6 @@
-"""Fits at several levels of excitation: what changes with the level is named, once, where nothing else changed."""
+"""Fits at several levels of excitation: what changes with the level is named, once, where nothing else
+changed.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +44,19 @@ LEVELS = {"quiet": {"level": "5 N"}, "middle": {"level": "10 N"}, "loud": {"leve
 
 
 def named(fits: list[Fit], conditions: dict[str, dict[str, str]] = LEVELS) -> list[str]:
-    return [fit.test for fit in with_level_findings(fits, conditions) for finding in fit.findings if finding.code == "amplitude"]
+    return [
+        fit.test
+        for fit in with_level_findings(fits, conditions)
+        for finding in fit.findings
+        if finding.code == "amplitude"
+    ]
 
 
 def test_three_per_cent_of_stiffness_is_named_at_the_highest_level() -> None:
-    """1500 N/m against sqrt(2) 100 N/m: 3 % +- 0.28 %. The levels are compared as quantities, whatever their unit."""
+    """1500 N/m against sqrt(2) 100 N/m: 3 % +- 0.28 %.
+
+    The levels are compared as quantities, whatever their unit.
+    """
     fits = with_level_findings([fit("loud", 1.03 * K), fit("quiet"), fit("middle", 1.01 * K)], LEVELS)
     assert [len(fit.findings) for fit in fits] == [1, 0, 0]
     message = fits[0].findings[0].message
@@ -55,7 +65,8 @@ def test_three_per_cent_of_stiffness_is_named_at_the_highest_level() -> None:
 
 
 def test_correlated_estimates_are_held_against_their_joint_uncertainty() -> None:
-    """Both a standard error and a half up: along the long axis of a correlation of 0.99 that is chance, across it is not.
+    """Both a standard error and a half up: along the long axis of a correlation of 0.99 that is chance,
+    across it is not.
 
     z^2 of the change (1.5, +-1.5) sqrt(2) standard errors of the difference: 2 * 2.25 / (2 (1 +- 0.99)).
     """
@@ -67,7 +78,10 @@ def test_correlated_estimates_are_held_against_their_joint_uncertainty() -> None
 @pytest.mark.parametrize(
     ("conditions", "said"),
     [
-        ({"quiet": {"level": "5 N", "preload": "1 N"}, "loud": {"level": "20 N", "preload": "1 N"}}, ["loud"]),
+        (
+            {"quiet": {"level": "5 N", "preload": "1 N"}, "loud": {"level": "20 N", "preload": "1 N"}},
+            ["loud"],
+        ),
         ({"quiet": {"level": "5 N", "preload": "1 N"}, "loud": {"level": "20 N", "preload": "2 N"}}, []),
         ({"quiet": {"preload": "1 N"}, "loud": {"preload": "2 N"}}, []),
         ({"quiet": {"level": "20 N"}, "loud": {"level": "20 N"}}, []),

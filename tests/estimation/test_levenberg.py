@@ -1,4 +1,6 @@
-"""Levenberg-Marquardt on test functions of More, Garbow and Hillstrom (1981, ACM TOMS 7:17), and against the full normal equations."""
+"""Levenberg-Marquardt on test functions of More, Garbow and Hillstrom (1981, ACM TOMS 7:17), and against the
+full normal equations.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,10 @@ from labpipe.estimation.descent import minimise, sum_of_squares
 
 @dataclass
 class Rosenbrock:
-    """Test function 1: r = (10 (x2 - x1^2), 1 - x1), from (-1.2, 1) to the minimum 0 at (1, 1). Counts its Jacobians."""
+    """Test function 1: r = (10 (x2 - x1^2), 1 - x1), from (-1.2, 1) to the minimum 0 at (1, 1).
+
+    Counts its Jacobians.
+    """
 
     size: float = 1.0
     jacobians: list[FloatArray] = field(default_factory=list)
@@ -45,7 +50,9 @@ class KowalikOsborne(Rosenbrock):
         self.jacobians.append(parameters)
         a, b, c, d = parameters
         above, below = self.U**2 + self.U * b, self.U**2 + self.U * c + d
-        return -np.stack([above / below, a * self.U / below, -a * above * self.U / below**2, -a * above / below**2], axis=1)
+        return -np.stack(
+            [above / below, a * self.U / below, -a * above * self.U / below**2, -a * above / below**2], axis=1
+        )
 
 
 def test_rosenbrock_reaches_its_minimum() -> None:

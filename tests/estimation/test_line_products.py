@@ -1,4 +1,6 @@
-"""Normal equations from products of small matrices line by line against those of the derivatives written out."""
+"""Normal equations from products of small matrices line by line against those of the derivatives written
+out.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from labpipe.estimation.model import ResponseModel, Setup
 from labpipe.estimation.output_error import OutputError, has_line_products
 from labpipe.estimation.regression import equation_solution, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import ProductWeights, correlation_factors, fit_weights, whitened, whitened_columns, whitener
+from labpipe.estimation.weights import (
+    ProductWeights,
+    correlation_factors,
+    fit_weights,
+    whitened,
+    whitened_columns,
+    whitener,
+)
 from labpipe.records.response import Port
 
 DOFS = tuple(Port(f"x{n}", f"x{n}", f"x{n}") for n in range(3))
@@ -26,8 +35,13 @@ STIFFNESS = np.array([[3.0, -1.0, 0.2], [-1.2, 2.5, -0.7], [0.1, -0.9, 2.0]])
 DAMPING = np.array([[0.05, -0.01, 0.0], [-0.02, 0.06, -0.01], [0.0, -0.01, 0.04]])
 
 
-def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, noise: str = "independent") -> OutputError[ResponseModel]:
-    """Forty lines with 2 % noise of another size at every line and FRF; *noise* with a part in "common", or a "product" as that of H1."""
+def problem_of(
+    settings: FitSettings, n_input: int, rng: np.random.Generator, noise: str = "independent"
+) -> OutputError[ResponseModel]:
+    """Forty lines with 2 % noise of another size at every line and FRF.
+
+    *noise* with a part in "common", or a "product" as that of H1.
+    """
     model = damped(mdof(Setup(DOFS, FORCES[:n_input], settings)), settings)
     omega = np.linspace(0.2, 2.5, 40)
     w = omega[:, None, None]
@@ -39,7 +53,15 @@ def problem_of(settings: FitSettings, n_input: int, rng: np.random.Generator, no
         covariance = std[:, :1, 0, None] ** 2 * product_of(correlations(rng, 3), correlations(rng, n_input))
     elif noise == "common":
         covariance = covariance + 0.5 * std.reshape(40, -1, 1) * std.reshape(40, 1, -1)
-    data = Measured(omega=omega, matrix=h, covariance=covariance, noise_dof=np.inf, noise_lines=1.0, outputs=DOFS, inputs=FORCES[:n_input])
+    data = Measured(
+        omega=omega,
+        matrix=h,
+        covariance=covariance,
+        noise_dof=np.inf,
+        noise_lines=1.0,
+        outputs=DOFS,
+        inputs=FORCES[:n_input],
+    )
     return OutputError(data, model, fit_weights(data))
 
 
@@ -59,7 +81,10 @@ CASES = {
     "symmetric": (FitSettings("mdof", symmetric=True, mass=(1.0, 1.0, 1.0)), 3),
     "with masses": (FitSettings("mdof", symmetric=False, mass="estimate"), 3),
     "a mass factor": (FitSettings("mdof", symmetric=True, mass=(1.0, 1.0, 1.0), scale_mass=True), 3),
-    "proportional damping": (FitSettings("mdof", symmetric=True, mass=(1.0, 1.0, 1.0), damping="proportional"), 3),
+    "proportional damping": (
+        FitSettings("mdof", symmetric=True, mass=(1.0, 1.0, 1.0), damping="proportional"),
+        3,
+    ),
     "two forces": (FitSettings("mdof", symmetric=True, mass=(1.0, 1.0, 1.0)), 2),
 }
 
@@ -74,9 +99,14 @@ def test_products_are_those_of_the_derivatives(case: str, noise: str, rng: np.ra
     np.testing.assert_allclose(ours.scale, plain.scale, rtol=1e-12)
     np.testing.assert_allclose(ours.triangle.T @ ours.triangle, plain.triangle.T @ plain.triangle, atol=1e-11)
     by_jacobian = problem.jacobian(here).T @ problem.residual(here)
-    np.testing.assert_allclose(ours.triangle.T @ ours.projected * ours.scale, by_jacobian, atol=1e-11 * np.abs(by_jacobian).max())
+    np.testing.assert_allclose(
+        ours.triangle.T @ ours.projected * ours.scale, by_jacobian, atol=1e-11 * np.abs(by_jacobian).max()
+    )
     assert ours.chi2 == pytest.approx(float(problem.residual(here) @ problem.residual(here)), rel=1e-13)
-    assert ours.chi2 == pytest.approx(problem.chi2(here), rel=1e-13) and ours.n_equation == problem.residual(here).size
+    assert (
+        ours.chi2 == pytest.approx(problem.chi2(here), rel=1e-13)
+        and ours.n_equation == problem.residual(here).size
+    )
 
 
 @pytest.mark.parametrize("noise", ["independent", "product"])
@@ -87,7 +117,9 @@ def test_starts_are_those_of_the_written_out_regressions(noise: str, rng: np.ran
     first = equation_solution(regression(measured, model, "none"), model)[0]
     np.testing.assert_allclose(found["least squares"], first, rtol=1e-10)
     terms = model.filtered(first, model.equation_terms(measured.matrix, measured.omega), measured.omega)
-    side = model.filtered(first, model.equation_constant(measured.matrix, measured.omega)[None], measured.omega)[0]
+    side = model.filtered(
+        first, model.equation_constant(measured.matrix, measured.omega)[None], measured.omega
+    )[0]
     second = solve_scaled(problem.whitened(terms).T, problem.whitened(side))[0]
     np.testing.assert_allclose(found["reweighted least squares (pass 1)"], second, rtol=1e-10)
 
@@ -112,9 +144,15 @@ def test_factors_of_the_weights_whiten_as_the_whole_whitener(rng: np.random.Gene
     assert isinstance(problem.weights, ProductWeights)
     whole, here = whitener(problem.measured), starts(problem)[0].values
     values = rng.standard_normal((4, 40, 3, 2)) + 1j * rng.standard_normal((4, 40, 3, 2))
-    np.testing.assert_allclose(whitened(problem.weights, values), whitened(whole, values), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(whitened(problem.weights, values[0]), whitened(whole, values[0]), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(whitened_columns(problem.weights, values), whitened_columns(whole, values), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        whitened(problem.weights, values), whitened(whole, values), rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        whitened(problem.weights, values[0]), whitened(whole, values[0]), rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        whitened_columns(problem.weights, values), whitened_columns(whole, values), rtol=1e-9, atol=1e-9
+    )
     plain = OutputError(problem.measured, problem.model, whole)
     np.testing.assert_allclose(problem.jacobian(here), plain.jacobian(here), rtol=1e-8, atol=1e-8)
     assert problem.chi2(here) == pytest.approx(plain.chi2(here), rel=1e-10)
@@ -132,5 +170,7 @@ def test_a_singular_factor_is_refused_with_its_line(rng: np.random.Generator) ->
     outputs, inputs = correlations(rng, 3), correlations(rng, 2)
     outputs[5] = np.ones((3, 3))
     measured = replace(problem_of(*CASES["two forces"], rng).measured, covariance=product_of(outputs, inputs))
-    with pytest.raises(FitError, match=f"the covariance of the 6 FRFs is singular at {measured.omega[5] / (2 * np.pi):g} Hz"):
+    with pytest.raises(
+        FitError, match=f"the covariance of the 6 FRFs is singular at {measured.omega[5] / (2 * np.pi):g} Hz"
+    ):
         fit_weights(measured)

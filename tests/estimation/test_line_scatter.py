@@ -1,4 +1,6 @@
-"""Covariance from the residual's own scatter: its slow twin, and the scatter of repeated fits of a straight line."""
+"""Covariance from the residual's own scatter: its slow twin, and the scatter of repeated fits of a straight
+line.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,11 @@ from labpipe.estimation.residual import line_scatter
 
 
 def slow_twin(jacobian: np.ndarray, residual: np.ndarray, n_line: int, n_neighbour: int) -> np.ndarray:
-    """The same sum, line by line and pair by pair, with the fit repeated without line l in place of the leverages.
+    """The same sum, line by line and pair by pair, with the fit repeated without line l in place of the
+    leverages.
 
-    Leaving line l out moves the estimate by (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l (Cook and Weisberg 1982, eq. 2.2.8).
+    Leaving line l out moves the estimate by (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l (Cook and Weisberg 1982, eq.
+    2.2.8).
     """
     lines = [np.flatnonzero(np.arange(residual.size) % n_line == line) for line in range(n_line)]
     shares = []
@@ -27,18 +31,24 @@ def slow_twin(jacobian: np.ndarray, residual: np.ndarray, n_line: int, n_neighbo
 
 
 def test_it_is_the_weighted_sum_over_pairs_of_lines() -> None:
-    """30 lines have round(30^(1/3)) = 3 neighbours. One element per line: real parts of all lines, then imaginary parts."""
+    """30 lines have round(30^(1/3)) = 3 neighbours. One element per line: real parts of all lines, then
+    imaginary parts.
+    """
     rng = np.random.default_rng(1)
     jacobian, noise = rng.normal(size=(60, 3)), rng.normal(size=60)
     residual = noise - jacobian @ np.linalg.lstsq(jacobian, noise, rcond=None)[0]
-    np.testing.assert_allclose(line_scatter(jacobian, residual, 30).covariance, slow_twin(jacobian, residual, 30, 3), rtol=1e-9)
+    np.testing.assert_allclose(
+        line_scatter(jacobian, residual, 30).covariance, slow_twin(jacobian, residual, 30, 3), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.3])
 def test_it_is_the_scatter_of_repeats_where_neighbours_share_noise_and_noise_grows(shared: float) -> None:
-    """A straight line through 200 lines whose noise grows fivefold and is common to neighbours, 2000 repeats: 10 % in variance.
+    """A straight line through 200 lines whose noise grows fivefold and is common to neighbours, 2000 repeats:
+    10 % in variance.
 
-    Bartlett's weights of 6 neighbours keep 6/7 of the correlation with the next line: a variance 10 % too small at most.
+    Bartlett's weights of 6 neighbours keep 6/7 of the correlation with the next line: a variance 10 % too
+    small at most.
     """
     rng = np.random.default_rng(2)
     f = np.linspace(-1, 1, 200)
@@ -55,7 +65,8 @@ def test_it_is_the_scatter_of_repeats_where_neighbours_share_noise_and_noise_gro
 
 
 def test_degrees_of_freedom_are_those_of_the_lines_that_matter() -> None:
-    """A mean of 1000 lines: 10 neighbours, 1 + 2 sum (1 - d/11)^2 = 1 + 2 * 385/121 lines per degree of freedom.
+    """A mean of 1000 lines: 10 neighbours, 1 + 2 sum (1 - d/11)^2 = 1 + 2 * 385/121 lines per degree of
+    freedom.
 
     A parameter that ten lines alone determine has at most ten over the same.
     """
@@ -70,6 +81,8 @@ def test_degrees_of_freedom_are_those_of_the_lines_that_matter() -> None:
 
 
 def test_a_residual_of_zero_scatters_nothing(rng: np.random.Generator) -> None:
-    """FRFs computed from the model itself: no variance, and the degrees of freedom that the slopes alone give."""
+    """FRFs computed from the model itself: no variance, and the degrees of freedom that the slopes alone
+    give.
+    """
     scatter = line_scatter(rng.normal(size=(80, 3)), np.zeros(80), 20)
     assert not np.any(scatter.covariance) and np.all((scatter.dof > 1) & (scatter.dof <= 20))

@@ -34,7 +34,15 @@ def test_direct_stiffness_below_zero_is_held_by_the_loop(parameters: list[Parame
 
 
 def test_a_force_that_is_fed_back_takes_the_place_of_wrong_causes() -> None:
-    fit = replace(a_fit("test", {"k": (1.0, 0.1)}), findings=(Finding("mass", "m"), Finding("band", "b"), Finding("unphysical", "u")))
-    assert [finding.code for finding in with_feedback(fit, [Finding("feedback", "f")]).findings] == ["feedback", "band"]
+    fit = replace(
+        a_fit("test", {"k": (1.0, 0.1)}),
+        findings=(Finding("mass", "m"), Finding("band", "b"), Finding("unphysical", "u")),
+    )
+    assert [finding.code for finding in with_feedback(fit, [Finding("feedback", "f")]).findings] == [
+        "feedback",
+        "band",
+    ]
     assert with_feedback(fit, [note("feedback", "f"), Finding("noise", "n")]) is fit
-    assert is_of_closed_loop([Finding("noise", "n"), note("closed-loop", "c")]) and not is_of_closed_loop([Finding("noise", "n")])
+    assert is_of_closed_loop([Finding("noise", "n"), note("closed-loop", "c")]) and not is_of_closed_loop(
+        [Finding("noise", "n")]
+    )

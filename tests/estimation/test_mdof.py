@@ -50,7 +50,9 @@ def test_estimated_mass_without_noise(three_dof_response, estimator: str, lumped
     fit = one(three_dof_response(), replace(KNOWN, estimator=estimator, mass="estimate", lumped_mass=lumped))
     np.testing.assert_allclose(matrix(fit, "k"), STIFFNESS, atol=1e-8)
     found = matrix(fit, "m")
-    np.testing.assert_allclose(np.diag(found) if lumped else found, np.diag(MASS) if lumped else MASS, atol=1e-8)
+    np.testing.assert_allclose(
+        np.diag(found) if lumped else found, np.diag(MASS) if lumped else MASS, atol=1e-8
+    )
 
 
 def test_a_mass_known_but_for_a_factor(three_dof_response) -> None:
@@ -89,7 +91,10 @@ def test_the_size_of_the_receptance_does_not_matter(three_dof_response, scale: f
     # H -> s H is K, C, M -> / s: every coefficient and its standard error is divided by s, chi-square stays.
     mass = tuple(np.array([1.0, 2.0, 3.0]) / scale)
     plain = one(three_dof_response(0.05, np.random.default_rng(7)), replace(KNOWN, estimator=estimator))
-    scaled = one(three_dof_response(0.05, np.random.default_rng(7), scale=scale), replace(KNOWN, estimator=estimator, mass=mass))
+    scaled = one(
+        three_dof_response(0.05, np.random.default_rng(7), scale=scale),
+        replace(KNOWN, estimator=estimator, mass=mass),
+    )
     assert plain.converged and scaled.converged
     for own, other in zip(plain.parameters[:12], scaled.parameters[:12], strict=True):
         assert other.value * scale == pytest.approx(own.value, rel=1e-5, abs=1e-7)
@@ -122,12 +127,16 @@ def test_standard_errors_of_modes_are_the_scatter(three_dof_response) -> None:
     for name in ("f_n_1", "zeta_2", "shape_2_1", "participation_1_f2"):
         values = [fit.parameter(name).value for fit in fits]
         # A standard deviation from 60 values is known to 9 %; three of those.
-        assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(np.std(values, ddof=1), rel=0.27)
+        assert np.mean([fit.parameter(name).std_error for fit in fits]) == pytest.approx(
+            np.std(values, ddof=1), rel=0.27
+        )
 
 
 def test_forces_are_found_by_their_dof_not_by_their_order(three_dof_response) -> None:
     response = three_dof_response()
-    turned = replace(response, matrix=response.matrix[:, :, [2, 0, 1]], inputs=tuple(response.inputs[n] for n in (2, 0, 1)))
+    turned = replace(
+        response, matrix=response.matrix[:, :, [2, 0, 1]], inputs=tuple(response.inputs[n] for n in (2, 0, 1))
+    )
     np.testing.assert_allclose(matrix(one(turned, KNOWN), "k"), STIFFNESS, atol=1e-9)
 
 

@@ -1,4 +1,7 @@
-"""What a residual that is not noise does to the intervals; faults and noise are drawn here, truths are known."""
+"""What a residual that is not noise does to the intervals.
+
+Faults and noise are drawn here, truths are known.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,11 @@ def hann(seed: int) -> FrequencyResponse:
 
 def test_lines_that_share_noise_through_a_window_raise_no_alarm_when_the_window_is_known() -> None:
     fits = [
-        [bool(mismatch(identify(r, FitSettings("sdof"))[0])) for r in (hann(n), replace(hann(n), line_correlation=HANN))] for n in range(10)
+        [
+            bool(mismatch(identify(r, FitSettings("sdof"))[0]))
+            for r in (hann(n), replace(hann(n), line_correlation=HANN))
+        ]
+        for n in range(10)
     ]
     without, known = np.sum(fits, axis=0)
     assert without >= 3 and known <= 1
@@ -60,7 +67,10 @@ def test_a_mode_too_few_is_inside_the_interval(estimator: str) -> None:
     assert "include what the model leaves unexplained" in mismatch(fit)
     for name, truth in (("f_n", F0), ("zeta", ZETA)):
         parameter = fit.parameter(name)
-        assert parameter.ci95[0] < truth < parameter.ci95[1] and parameter.interval.discrepancy > parameter.interval.noise
+        assert (
+            parameter.ci95[0] < truth < parameter.ci95[1]
+            and parameter.interval.discrepancy > parameter.interval.noise
+        )
 
 
 def test_scatter_of_gain_gives_every_line_its_own_noise() -> None:
@@ -75,7 +85,8 @@ def test_a_measured_excess_widens_the_intervals_and_says_by_how_much() -> None:
     small = replace(plain, covariance=uncorrelated(np.full(plain.matrix.shape, variance / 9)))
     (fit,) = identify(small, FitSettings("sdof"))
     k = fit.parameter("k")
-    # Noise thrice as large as its covariance says, and nothing else wrong: the factor is at least 3 and far below that of a course.
+    # Noise thrice as large as its covariance says, and nothing else wrong: the factor is at least 3 and far
+    # below that of a course.
     assert 2.5 < k.std_error_inflated / k.std_error < 5
     assert "times as wide as noise alone" in mismatch(fit) and "noise larger than measured" in k.reason
 
@@ -84,12 +95,17 @@ def test_too_few_lines_to_judge_are_said() -> None:
     few = response("", 1)
     chosen = slice(36, 46)
     few = replace(few, frequency=few.frequency[chosen], matrix=few.matrix[chosen])
-    assert "not-judged" in [finding.code for finding in identify(few, FitSettings("sdof", mass=1.0))[0].findings]
+    assert "not-judged" in [
+        finding.code for finding in identify(few, FitSettings("sdof", mass=1.0))[0].findings
+    ]
 
 
 @pytest.mark.parametrize(("scale", "mass", "code"), [(1.3, 1.0, "low-gof"), (0.01, 100.0, "negative-gof")])
 def test_a_fit_that_explains_little_says_so(scale: float, mass: float, code: str) -> None:
-    """Noise larger than the response; and a mass so wrong that the model gives next to nothing, less than the mean of the data."""
+    """Noise larger than the response.
+
+    And a mass so wrong that the model gives next to nothing, less than the mean of the data.
+    """
     plain = response("", 2)
     rng = np.random.default_rng(2)
     size = scale * np.sqrt(np.mean(np.abs(plain.matrix) ** 2) / 2)

@@ -15,7 +15,9 @@ DRIVEN = Port("y", "y", "1")
 UNITS = {"m": "kg", "k": "N/m", "zeta": "1", "f_n": "Hz"}
 
 
-def said(values: dict[str, float], output: Port = DRIVEN, closed_loop: bool = False, mass: float | str = ESTIMATE) -> str:
+def said(
+    values: dict[str, float], output: Port = DRIVEN, closed_loop: bool = False, mass: float | str = ESTIMATE
+) -> str:
     """The message on a mode with these values in the band 10-20 Hz, driven at the point 1; empty for none."""
     setup = Setup((output,), (Port("f", "f", "1"),), FitSettings("sdof", mass=mass), closed_loop)
     parameters = [Parameter(name, value, UNITS[name]) for name, value in values.items()]
@@ -25,7 +27,14 @@ def said(values: dict[str, float], output: Port = DRIVEN, closed_loop: bool = Fa
 
 
 @pytest.mark.parametrize(
-    "values", [{"m": 1.0, "zeta": 0.01, "f_n": 15.0}, {"zeta": 0.0, "f_n": 10.0}, {"f_n": 20.0}, {"k": 1.0, "m": 1.0}, {}]
+    "values",
+    [
+        {"m": 1.0, "zeta": 0.01, "f_n": 15.0},
+        {"zeta": 0.0, "f_n": 10.0},
+        {"f_n": 20.0},
+        {"k": 1.0, "m": 1.0},
+        {},
+    ],
 )
 def test_a_mode_of_a_structure_is_none_of_them(values: dict[str, float]) -> None:
     """Damping of exactly nothing does not grow, and both ends of the band belong to it."""
@@ -48,7 +57,9 @@ def test_what_is_wrong_is_said(values: dict[str, float], what: str) -> None:
 
 
 def test_what_explains_itself_is_not_said() -> None:
-    """A transfer FRF may have a mode of negative size, a loop may hold what does not swing, and a given mass stands for itself."""
+    """A transfer FRF may have a mode of negative size, a loop may hold what does not swing, and a given mass
+    stands for itself.
+    """
     assert said({"m": -0.5, "f_n": 15.0}, output=Port("y", "y", "2")) == ""
     assert said({"k": -1.0, "m": 1.0}, closed_loop=True) == ""
     assert said({"m": -0.5, "zeta": -1.0, "f_n": 5.0}, mass=1.0) == ""

@@ -1,4 +1,6 @@
-"""Rational fits: systems with a known number of modes, derivatives by central differences, normal equations from the Jacobian."""
+"""Rational fits: systems with a known number of modes, derivatives by central differences, normal equations
+from the Jacobian.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def test_slopes_of_the_rational_fit_are_central_differences(three_dof_response, 
     for number in range(fit.n_parameter):
         step = 1e-6 * max(abs(start[number]), 1e-3) * np.eye(fit.n_parameter)[number]
         difference = (fit.residual(start + step) - fit.residual(start - step)) / (2 * step[number])
-        np.testing.assert_allclose(jacobian[:, number], difference, rtol=1e-4, atol=1e-5 * np.max(np.abs(difference)))
+        np.testing.assert_allclose(
+            jacobian[:, number], difference, rtol=1e-4, atol=1e-5 * np.max(np.abs(difference))
+        )
 
 
 def test_normal_equations_are_those_of_the_jacobian(three_dof_response, rng) -> None:
@@ -44,7 +48,9 @@ def test_models_without_a_minimum_are_named(symmetric_response, rng, monkeypatch
     response = symmetric_response(1e-8, rng)
     (fit,) = identify(response, FitSettings("rotor-2dof-direct", mass=0.92, compare=True))
     (note,) = (note for note in fit.notes if "left out" in note)
-    assert "2 modes, any structure" in note and not any("any structure" in candidate.name for candidate in fit.candidates)
+    assert "2 modes, any structure" in note and not any(
+        "any structure" in candidate.name for candidate in fit.candidates
+    )
 
 
 def test_three_dofs_have_three_modes(three_dof_response) -> None:
@@ -56,7 +62,8 @@ def test_three_dofs_have_three_modes(three_dof_response) -> None:
             chi2 = fit.lowest_chi2() or np.inf
             values.append(chi2 + 2 * fit.n_parameter)
             if modes == 3:
-                # 2 n of the denominator, 2 n - 1 of each of nine numerators; chi-square within four of its standard deviations.
+                # 2 n of the denominator, 2 n - 1 of each of nine numerators; chi-square within four of its
+                # standard deviations.
                 assert fit.n_parameter == 6 + 9 * 5
                 assert abs(chi2 - 399) < 4 * np.sqrt(2 * 399)
     assert all(three < two for two, three in zip(aic[2], aic[3], strict=True))
@@ -67,7 +74,9 @@ def test_one_resonance_is_one_mode(sdof_response) -> None:
     (fit,) = identify(sdof_response(1e-7, np.random.default_rng(3)), FitSettings("sdof", compare=True))
     by_name = {candidate.name: candidate for candidate in fit.candidates}
     # k, c, m and the rational fit of one mode are one and the same family.
-    assert by_name["1 mode, any structure"].chi2 == pytest.approx(by_name["this model: sdof, mass estimated"].chi2, rel=1e-6)
+    assert by_name["1 mode, any structure"].chi2 == pytest.approx(
+        by_name["this model: sdof, mass estimated"].chi2, rel=1e-6
+    )
     assert "other-model" not in [finding.code for finding in fit.findings]
 
 

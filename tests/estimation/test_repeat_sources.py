@@ -1,4 +1,6 @@
-"""Scatter between repeats as sources: closed forms of their sums, and what they do to comparisons of tests."""
+"""Scatter between repeats as sources: closed forms of their sums, and what they do to comparisons of
+tests.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,19 @@ DRIFT = RepeatSource("drift", "k", 0.005)
 
 
 def fitted(uncertainties=()) -> Fit:
-    (fit,) = identify(a_response(np.random.default_rng(3), output=uncertainties, force=()), FitSettings("sdof", name="peak", mass=0.79))
+    (fit,) = identify(
+        a_response(np.random.default_rng(3), output=uncertainties, force=()),
+        FitSettings("sdof", name="peak", mass=0.79),
+    )
     return fit
 
 
 @pytest.mark.parametrize("uncertainties", [(), (GAIN_X,)])
 def test_sources_add_in_squares_and_share_their_degrees_of_freedom(uncertainties) -> None:
-    """u_c^2 = u_noise^2 + u_gain^2 + (1 % k)^2 + (0.5 % k)^2; Welch and Satterthwaite with 4 degrees behind the largest."""
+    """u_c^2 = u_noise^2 + u_gain^2 + (1 % k)^2 + (0.5 % k)^2.
+
+    Welch and Satterthwaite with 4 degrees behind the largest.
+    """
     before = fitted(uncertainties)
     fit = with_repeat_sources(before, [REMOUNTING, DRIFT], "a", {"mounting": 3}, 0.95)
     k, was = fit.parameter("k"), before.parameter("k")
@@ -46,15 +54,23 @@ def test_sources_add_in_squares_and_share_their_degrees_of_freedom(uncertainties
 
 
 def test_tests_of_one_mounting_err_together() -> None:
-    """The ratio of two coefficients of one mounting does not carry its error; that of two mountings has both."""
-    fits = [with_repeat_sources(fitted(), [REMOUNTING], name, {"mounting": m}, 0.95) for name, m in (("a", 1), ("b", 1), ("c", 2))]
+    """The ratio of two coefficients of one mounting does not carry its error.
+
+    That of two mountings has both.
+    """
+    fits = [
+        with_repeat_sources(fitted(), [REMOUNTING], name, {"mounting": m}, 0.95)
+        for name, m in (("a", 1), ("b", 1), ("c", 2))
+    ]
     changes = parameter_changes(fits, "k")
     relative = changes / fits[0].parameter("k").value
     np.testing.assert_allclose(relative, [[0.01, 0.01, 0.0], [0.0, 0.0, 0.01]], rtol=1e-9)
 
 
 def test_a_missing_condition_is_named() -> None:
-    with pytest.raises(ConfigError, match="remounting goes by the condition 'mounting', which test a does not have"):
+    with pytest.raises(
+        ConfigError, match="remounting goes by the condition 'mounting', which test a does not have"
+    ):
         with_repeat_sources(fitted(), [REMOUNTING], "a", {}, 0.95)
 
 
@@ -66,7 +82,10 @@ identify: {peak: {model: sdof}}
 uncertainty:
   repeatability:
 """
-RIG = "name: r\nsample_rate: 1 kHz\nchannels:\n  f: {quantity: force, unit: N, dof: x}\n  x: {quantity: displacement, unit: um, dof: x}\n"
+RIG = (
+    "name: r\nsample_rate: 1 kHz\nchannels:\n  f: {quantity: force, unit: N, dof: x}\n  x: {quantity: "
+    "displacement, unit: um, dof: x}\n"
+)
 
 
 def loaded(folder: Path, entry: str) -> tuple[RepeatSource, ...]:
@@ -78,10 +97,18 @@ def loaded(folder: Path, entry: str) -> tuple[RepeatSource, ...]:
 
 
 def test_a_size_and_a_repeatability_test_are_read(tmp_path: Path) -> None:
-    assert loaded(tmp_path, '    remounting: {parameter: k, size: "2 % (k=2, dof=4)", per: mounting}') == (REMOUNTING,)
+    assert loaded(tmp_path, '    remounting: {parameter: k, size: "2 % (k=2, dof=4)", per: mounting}') == (
+        REMOUNTING,
+    )
     amounts = [{"name": "mean", "value": 200.0}, {"name": "between", "value": 3.0}]
     points = [{"group": str(n // 2)} for n in range(6)]
-    comparison = {"name": "stiffness", "kind": "repeatability", "subject": "k, fit axial", "amounts": amounts, "points": points}
+    comparison = {
+        "name": "stiffness",
+        "kind": "repeatability",
+        "subject": "k, fit axial",
+        "amounts": amounts,
+        "points": points,
+    }
     (tmp_path / "repeat.json").write_text(json.dumps({"comparisons": [comparison]}))
     found = loaded(tmp_path, "    day: {file: repeat.json, comparison: stiffness, per: date}")
     assert found == (RepeatSource("day", "k", 0.015, "date", 2.0),)
@@ -90,12 +117,30 @@ def test_a_size_and_a_repeatability_test_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ("    d: {parameter: k, size: 3 N/m}", r"p.yaml:8:\d+: uncertainty.repeatability.d.size: '3 N/m' is not relative"),
-        ("    d: {parameter: k}", r"p.yaml:8:\d+: uncertainty.repeatability.d: 'parameter' and 'size' are needed"),
-        ("    d: {file: rig.yaml, comparison: k}", r"p.yaml:8:\d+: uncertainty.repeatability.d.file: 'rig.yaml' is not a readable"),
-        ("    d: {file: none.json, comparison: k}", r"p.yaml:8:\d+: uncertainty.repeatability.d.file: .*none.json"),
-        ("    d: {file: rig.yaml}", r"p.yaml:8:\d+: uncertainty.repeatability.d.*'file' and 'comparison' go together"),
-        ("    d: {file: rig.yaml, comparison: k, size: 1 %}", r"p.yaml:8:\d+: uncertainty.repeatability.d.*says which parameter scatters"),
+        (
+            "    d: {parameter: k, size: 3 N/m}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d.size: '3 N/m' is not relative",
+        ),
+        (
+            "    d: {parameter: k}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d: 'parameter' and 'size' are needed",
+        ),
+        (
+            "    d: {file: rig.yaml, comparison: k}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d.file: 'rig.yaml' is not a readable",
+        ),
+        (
+            "    d: {file: none.json, comparison: k}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d.file: .*none.json",
+        ),
+        (
+            "    d: {file: rig.yaml}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d.*'file' and 'comparison' go together",
+        ),
+        (
+            "    d: {file: rig.yaml, comparison: k, size: 1 %}",
+            r"p.yaml:8:\d+: uncertainty.repeatability.d.*says which parameter scatters",
+        ),
     ],
 )
 def test_faults_have_their_place(tmp_path: Path, entry: str, message: str) -> None:

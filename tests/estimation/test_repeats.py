@@ -17,9 +17,24 @@ from labpipe.estimation.repeats import (
 )
 from labpipe.estimation.statistics import student_limit
 
-# An independent calculation on simulated FRFs: ln f and ln zeta of six repeats, the last of which is bad, and of eight that rise in order.
-LN_F = [4.603951950006431, 4.605869137290603, 4.605490833065382, 4.604771997120913, 4.606067501454654, 4.617104885703011]
-LN_ZETA = [-4.709137310083918, -4.6561345057187875, -4.605244735553877, -4.559947033856714, -4.509708114486006, -4.469331491311107]
+# An independent calculation on simulated FRFs: ln f and ln zeta of six repeats, the last of which is bad, and
+# of eight that rise in order.
+LN_F = [
+    4.603951950006431,
+    4.605869137290603,
+    4.605490833065382,
+    4.604771997120913,
+    4.606067501454654,
+    4.617104885703011,
+]
+LN_ZETA = [
+    -4.709137310083918,
+    -4.6561345057187875,
+    -4.605244735553877,
+    -4.559947033856714,
+    -4.509708114486006,
+    -4.469331491311107,
+]
 ERROR_F = [1.1224533410016028e-05, 1.1155172484238348e-05, 1.339301203316555e-05]
 ERROR_F += [1.4777017707420146e-05, 1.5423120394926187e-05, 1.6441019415947542e-05]
 ERROR_ZETA = [0.0012453832105044972, 0.0011737894489062544, 0.0013393340896195151]
@@ -61,7 +76,9 @@ def test_the_mean_under_the_prior_as_in_the_reference() -> None:
     damping = repeat_mean(y[:, 1], v[:, 1], 0.3)
     assert damping.value == pytest.approx(-4.656839833366102, abs=1e-9)
     assert damping.half_width == pytest.approx(0.1791293084589256, rel=1e-5)
-    rising = repeat_mean(np.array(RISING[:3]), np.array(RISING_ERROR[:3]) ** 2, 0.3 * np.exp(np.median(RISING_ZETA)))
+    rising = repeat_mean(
+        np.array(RISING[:3]), np.array(RISING_ERROR[:3]) ** 2, 0.3 * np.exp(np.median(RISING_ZETA))
+    )
     assert rising.half_width == pytest.approx(0.0010732245986257993, rel=1e-5)
 
 
@@ -69,8 +86,12 @@ def test_order_in_time_as_in_the_reference() -> None:
     y, v = np.array(RISING), np.array(RISING_ERROR) ** 2
     residual = y - np.mean(y)
     stretch, correlation = order_in_time(residual)
-    assert (stretch, correlation) == (pytest.approx(6.893564771778312, rel=1e-5), pytest.approx(0.7466290506476166, rel=1e-5))
-    # Sorted by time the interval is that of one repeat, and a covariate that is the order takes it away again.
+    assert (stretch, correlation) == (
+        pytest.approx(6.893564771778312, rel=1e-5),
+        pytest.approx(0.7466290506476166, rel=1e-5),
+    )
+    # Sorted by time the interval is that of one repeat, and a covariate that is the order takes it away
+    # again.
     plain, along = repeat_mean(y, v, 0.004), repeat_mean(y, v, 0.004, np.arange(8) - 3.5)
     assert plain.ordered and not along.ordered
     assert along.half_width < 0.02 * plain.half_width
@@ -78,8 +99,13 @@ def test_order_in_time_as_in_the_reference() -> None:
     assert order_in_time(residual[:5]) == (1.0, 0.0)
 
 
-def test_without_noise_of_their_own_many_repeats_have_the_interval_of_student(rng: np.random.Generator) -> None:
-    """A closed form: with a wide prior and 40 repeats the interval is t s / sqrt n; equal repeats weigh alike."""
+def test_without_noise_of_their_own_many_repeats_have_the_interval_of_student(
+    rng: np.random.Generator,
+) -> None:
+    """A closed form: with a wide prior and 40 repeats the interval is t s / sqrt n.
+
+    Equal repeats weigh alike.
+    """
     y = rng.normal(size=40)
     mean = repeat_mean(y, np.full(40, 1e-12), 10.0)
     assert mean.value == pytest.approx(np.mean(y), abs=1e-6)
@@ -91,13 +117,19 @@ def test_a_line_over_a_covariate_is_stated_where_it_is_zero(rng: np.random.Gener
     x = np.linspace(1.0, 3.0, 12)
     y = 2.0 - 0.5 * x + 0.01 * rng.normal(size=12)
     mean = repeat_mean(y, np.full(12, 1e-6), 0.3, x)
-    assert mean.slopes.size == 1 and mean.value == pytest.approx(2.0, abs=mean.half_width) and mean.half_width < 0.05
+    assert (
+        mean.slopes.size == 1
+        and mean.value == pytest.approx(2.0, abs=mean.half_width)
+        and mean.half_width < 0.05
+    )
     curved = repeat_mean(y + x**2, np.full(12, 1e-6), 0.3, x)
     assert curved.slopes.size == 2 and curved.slopes[1] == pytest.approx(1.0, abs=0.05)
 
 
 def test_groups_are_the_repeats(rng: np.random.Generator) -> None:
-    """Two days of ten runs apart by 1: the interval is that of two repeats, twice as wide as that of twenty and more."""
+    """Two days of ten runs apart by 1: the interval is that of two repeats, twice as wide as that of twenty
+    and more.
+    """
     y = np.repeat([0.0, 1.0], 10) + 0.01 * rng.normal(size=20)
     v = np.full(20, 1e-4)
     grouped = mean_of_groups(y, v, ["a"] * 10 + ["b"] * 10, 0.3)
@@ -128,7 +160,10 @@ def test_too_few_repeats_are_refused() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(("n", "least"), [(2, 0.95), (3, 0.94), (5, 0.93), (20, 0.92)])
 def test_the_interval_holds_the_mean(n: int, least: float) -> None:
-    """400 draws: tau 0.02-1, noise log-normal about 0.1, 7 % outliers at 4-20 sigma; an independent calculation held 94-98 %."""
+    """400 draws: tau 0.02-1, noise log-normal about 0.1, 7 % outliers at 4-20 sigma.
+
+    An independent calculation held 94-98 %.
+    """
     rng = np.random.default_rng(3)
     held = 0
     for _ in range(400):

@@ -1,4 +1,7 @@
-"""Structure of a residual of unknown noise: sound fits are left alone, faults of the model named; the noise is drawn here."""
+"""Structure of a residual of unknown noise: sound fits are left alone, faults of the model named.
+
+The noise is drawn here.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ def mode(f: np.ndarray, natural: float, amount: float) -> np.ndarray:
 
 
 def response(fault: str, seed: int, half: float = 4.0) -> FrequencyResponse:
-    """One mode in a band of *half* half-power widths either way, ten lines in each, 1 % noise of unknown size."""
+    """One mode in a band of *half* half-power widths either way, ten lines in each, 1 % noise of unknown
+    size.
+    """
     rng = np.random.default_rng(seed)
     f = np.arange(F0 - half * WIDTH, F0 + half * WIDTH, WIDTH / 10)
     h = mode(f, F0, 1.0)
@@ -61,14 +66,18 @@ def test_faults_are_named(fault: str) -> None:
 
 def test_known_noise_is_for_chi_square() -> None:
     unknown = response("step of gain", 1)
-    known = replace(unknown, covariance=uncorrelated(np.full(unknown.matrix.shape, np.mean(np.abs(unknown.matrix) ** 2))))
+    known = replace(
+        unknown, covariance=uncorrelated(np.full(unknown.matrix.shape, np.mean(np.abs(unknown.matrix) ** 2)))
+    )
     (fit,) = identify(known, FitSettings("sdof"))
     assert "model-mismatch" not in codes(fit)
 
 
 def test_exact_data_have_no_residual_to_judge() -> None:
     f = np.arange(38.0, 42.0, 0.05)
-    exact = FrequencyResponse(f, mode(f, F0, 1.0)[:, None, None], (Port("y", "y", "y"),), (Port("f", "f", "y"),))
+    exact = FrequencyResponse(
+        f, mode(f, F0, 1.0)[:, None, None], (Port("y", "y", "y"),), (Port("f", "f", "y"),)
+    )
     assert "model-mismatch" not in codes(identify(exact, FitSettings("sdof"))[0])
 
 
@@ -83,7 +92,8 @@ def test_p_values_of_noise_are_uniform() -> None:
         structure = residual_structure(noise - basis @ (basis.T @ noise), jacobian, size)
         assert structure is not None
         p_values.append(structure.p_value)
-    # Greatest distance of 100 uniform values from their distribution: below 1.63 / 10 in 99 of 100 cases (Kolmogorov).
+    # Greatest distance of 100 uniform values from their distribution: below 1.63 / 10 in 99 of 100 cases
+    # (Kolmogorov).
     assert np.max(np.abs(np.sort(p_values) - (np.arange(100) + 0.5) / 100)) < 0.163
 
 

@@ -1,4 +1,6 @@
-"""Noise that lines share through gains and a Toeplitz correlation, held against the matrix written out and against drawn noise."""
+"""Noise that lines share through gains and a Toeplitz correlation, held against the matrix written out and
+against drawn noise.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,11 @@ def literal(noise: SharedNoise, element: int) -> np.ndarray:
             for i in range(gains.shape[1]):
                 for j in range(gains.shape[1]):
                     d = (row + i) - (column + j)
-                    r = 1.0 if d == 0 else (noise.correlation[abs(d) - 1] if abs(d) <= noise.correlation.size else 0.0)
+                    r = (
+                        1.0
+                        if d == 0
+                        else (noise.correlation[abs(d) - 1] if abs(d) <= noise.correlation.size else 0.0)
+                    )
                     whole[k, m] += gains[k, i] * (r if d >= 0 else np.conj(r)) * np.conj(gains[m, j])
     return whole
 
@@ -33,12 +39,18 @@ def noise(request: pytest.FixtureRequest, rng: np.random.Generator) -> SharedNoi
 
 
 def test_products_and_power_are_those_of_the_matrix(noise: SharedNoise, rng: np.random.Generator) -> None:
-    columns = rng.normal(size=(NUMBERS.size, N_ELEMENT, 3)) + 1j * rng.normal(size=(NUMBERS.size, N_ELEMENT, 3))
+    columns = rng.normal(size=(NUMBERS.size, N_ELEMENT, 3)) + 1j * rng.normal(
+        size=(NUMBERS.size, N_ELEMENT, 3)
+    )
     products = noise.times(columns)
     matrices = [literal(noise, element) for element in range(N_ELEMENT)]
     for element, matrix in enumerate(matrices):
-        np.testing.assert_allclose(products[:, element], matrix @ columns[:, element], atol=1e-12 * np.abs(products).max())
-    assert noise.power == pytest.approx(np.mean([np.sum(np.abs(matrix) ** 2) for matrix in matrices]), rel=1e-10)
+        np.testing.assert_allclose(
+            products[:, element], matrix @ columns[:, element], atol=1e-12 * np.abs(products).max()
+        )
+    assert noise.power == pytest.approx(
+        np.mean([np.sum(np.abs(matrix) ** 2) for matrix in matrices]), rel=1e-10
+    )
 
 
 def test_drawn_noise_has_the_correlation(noise: SharedNoise, rng: np.random.Generator) -> None:
@@ -52,11 +64,14 @@ def test_drawn_noise_has_the_correlation(noise: SharedNoise, rng: np.random.Gene
 
 
 def test_estimates_and_residual_scatter_as_predicted(rng: np.random.Generator) -> None:
-    # A straight line through real and imaginary parts, 4000 draws of correlated noise by the matrix's own root.
+    # A straight line through real and imaginary parts, 4000 draws of correlated noise by the matrix's own
+    # root.
     noise = SharedNoise(np.arange(12), CORRELATION)
     distance = np.subtract.outer(np.arange(12), np.arange(12))
     whole = np.concatenate([[1.0], CORRELATION, np.zeros(8)])
-    root = np.linalg.cholesky(np.where(distance >= 0, whole[np.abs(distance)], whole[np.abs(distance)].conj()))
+    root = np.linalg.cholesky(
+        np.where(distance >= 0, whole[np.abs(distance)], whole[np.abs(distance)].conj())
+    )
     design = np.column_stack([np.ones(12), np.arange(12) * (1 + 1j)])
     jacobian = np.sqrt(2) * design[:, None, :]
     real = np.concatenate([jacobian[:, 0].real, jacobian[:, 0].imag])
@@ -67,18 +82,25 @@ def test_estimates_and_residual_scatter_as_predicted(rng: np.random.Generator) -
     estimates = inverse @ (real.T @ stacked)
     residual = np.sum((stacked - real @ estimates) ** 2, axis=0)
     # 4000 draws: 2.2 % on a variance, less on a mean.
-    np.testing.assert_allclose(np.cov(estimates), predicted.covariance, rtol=0.1, atol=0.03 * predicted.covariance.max())
+    np.testing.assert_allclose(
+        np.cov(estimates), predicted.covariance, rtol=0.1, atol=0.03 * predicted.covariance.max()
+    )
     assert residual.mean() == pytest.approx(predicted.mean, rel=0.03)
     assert 2 * residual.mean() ** 2 / residual.var() == pytest.approx(predicted.dof, rel=0.1)
     # Independent lines would be 22 degrees of freedom, and a standard error too small.
     assert predicted.dof < 15 and np.all(np.diag(predicted.covariance) > 1.3 * np.diag(inverse))
 
 
-def test_blocks_of_near_lines_are_the_covariance_of_real_and_imaginary_parts(rng: np.random.Generator) -> None:
-    # Lines 0, 1, 3, 4 with two elements: noise mixed of the own and the next number's draws, real parts more than imaginary ones.
+def test_blocks_of_near_lines_are_the_covariance_of_real_and_imaginary_parts(
+    rng: np.random.Generator,
+) -> None:
+    # Lines 0, 1, 3, 4 with two elements: noise mixed of the own and the next number's draws, real parts more
+    # than imaginary ones.
     numbers = np.array([0, 1, 3, 4])
     mixing = rng.normal(size=(8, 12)) + 1j * rng.normal(size=(8, 12))
-    shares = np.repeat((np.arange(6) == numbers[:, None]) | (np.arange(6) == numbers[:, None] + 1), 2, axis=0).repeat(2, axis=1)
+    shares = np.repeat(
+        (np.arange(6) == numbers[:, None]) | (np.arange(6) == numbers[:, None] + 1), 2, axis=0
+    ).repeat(2, axis=1)
     mixing = mixing * shares
     correlation, turned = mixing @ mixing.conj().T, 0.3 * mixing @ mixing.T
     pairs = []
@@ -86,16 +108,23 @@ def test_blocks_of_near_lines_are_the_covariance_of_real_and_imaginary_parts(rng
         first = np.array([k for k in range(4) if numbers[k] + distance in numbers], int)
         second = np.searchsorted(numbers, numbers[first] + distance)
         blocks = [
-            np.array([m[2 * k : 2 * k + 2, 2 * j : 2 * j + 2] for k, j in zip(first, second, strict=True)]) for m in (correlation, turned)
+            np.array([m[2 * k : 2 * k + 2, 2 * j : 2 * j + 2] for k, j in zip(first, second, strict=True)])
+            for m in (correlation, turned)
         ]
         pairs.append(LinePairs(first, second, *blocks))
     noise = LineBlocks(4, tuple(pairs))
     columns = rng.normal(size=(4, 2, 3)) + 1j * rng.normal(size=(4, 2, 3))
     flat = columns.reshape(8, 3)
-    np.testing.assert_allclose(noise.times(columns).reshape(8, 3), correlation @ flat + turned @ flat.conj(), rtol=1e-10)
+    np.testing.assert_allclose(
+        noise.times(columns).reshape(8, 3), correlation @ flat + turned @ flat.conj(), rtol=1e-10
+    )
     assert noise.trace == pytest.approx(np.trace(correlation).real / 2)
-    # Of real and imaginary parts, scaled to the variance 1 each: their covariance has the trace 2 tr(R), its square 2 tr(R^2) + 2 tr(T T*).
+    # Of real and imaginary parts, scaled to the variance 1 each: their covariance has the trace 2 tr(R), its
+    # square 2 tr(R^2) + 2 tr(T T*).
     real = np.block(
-        [[(correlation + turned).real, (turned - correlation).imag], [(correlation + turned).imag, (correlation - turned).real]]
+        [
+            [(correlation + turned).real, (turned - correlation).imag],
+            [(correlation + turned).imag, (correlation - turned).real],
+        ]
     )
     assert np.sum(real**2) == pytest.approx(2 * 2 * noise.power)

@@ -1,4 +1,6 @@
-"""Blocks of random data too short for a mode of 20 Hz with a damping ratio of 0.05, whose half-power width is 2 Hz."""
+"""Blocks of random data too short for a mode of 20 Hz with a damping ratio of 0.05, whose half-power width is
+2 Hz.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,19 @@ ONE = np.ones((1, 1))
 MODE = Matrices(OMEGA_N**2 * ONE, 0.1 * OMEGA_N * ONE, ONE, ONE)
 
 
-def said(length: float, degree: int = 0, *, modelled: bool = False, by: str = "H1", band: tuple[float, float] = (10.0, 30.0)) -> str:
+def said(
+    length: float,
+    degree: int = 0,
+    *,
+    modelled: bool = False,
+    by: str = "H1",
+    band: tuple[float, float] = (10.0, 30.0),
+) -> str:
     """The message on blocks of a *length* [s]; empty for none."""
     blocks = Blocks(length, "hann", 0.5, 20, by, degree, 0)
     measured = Measured(
-        omega=2 * np.pi * np.linspace(*band, 50), matrix=np.ones((50, 1, 1), complex), covariance=None, noise_dof=np.inf, noise_lines=1.0,
+        omega=2 * np.pi * np.linspace(*band, 50), matrix=np.ones((50, 1, 1), complex), covariance=None,
+        noise_dof=np.inf, noise_lines=1.0,
         outputs=(), inputs=(), blocks=blocks, leakage=cast("Any", object()) if modelled else None,
     )  # fmt: skip
     return "".join(finding.message for finding in leakage_findings(measured, MODE, ML))
@@ -32,7 +42,8 @@ def said(length: float, degree: int = 0, *, modelled: bool = False, by: str = "H
 @pytest.mark.parametrize(
     ("enough", "needed", "keys"),
     [
-        # Ten lines of a window, one and a half where the leakage is part of the model, 30 over the degree of polynomials.
+        # Ten lines of a window, one and a half where the leakage is part of the model, 30 over the degree of
+        # polynomials.
         (5.0, "5 s", {}),
         (0.75, "0.75 s", {"modelled": True}),
         (7.5, "7.5 s", {"degree": 2}),
@@ -45,10 +56,14 @@ def test_the_width_in_lines_decides(enough: float, needed: str, keys: dict[str, 
 
 
 def test_the_message_says_what_the_bias_is() -> None:
-    """14 % at one line in the width, less by the power of 1.6 of their number: 4.6 % at two, one block of 1 s."""
+    """14 % at one line in the width, less by the power of 1.6 of their number: 4.6 % at two, one block of 1
+    s.
+    """
     assert "its damping comes out up to 5 % too large" in said(1.0)
     assert "2 lines of blocks of 1 s" in said(1.0) and "the mode at 20 Hz is 2 Hz wide" in said(1.0)
-    assert "do not follow its peak" in said(1.0, 2) and "more than from the measurement" in said(0.5, modelled=True)
+    assert "do not follow its peak" in said(1.0, 2) and "more than from the measurement" in said(
+        0.5, modelled=True
+    )
 
 
 def test_what_no_window_smears_is_not_said() -> None:

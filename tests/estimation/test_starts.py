@@ -1,4 +1,6 @@
-"""Start values of an output-error fit: near its minimum where plain least squares and one pass of reweighting are far."""
+"""Start values of an output-error fit: near its minimum where plain least squares and one pass of reweighting
+are far.
+"""
 
 from __future__ import annotations
 
@@ -37,4 +39,7 @@ def test_reweighting_goes_on_as_long_as_it_is_worth_while() -> None:
     best = next(iter(found.values()))
     assert best.chi2 == pytest.approx(problem.chi2(best.values)) and best.chi2 < 1.2 * lowest
     assert best.chi2 == min(start.chi2 for start in found.values())
-    assert found["least squares"].chi2 > 5 * lowest and found["reweighted least squares (pass 1)"].chi2 > 1.3 * lowest
+    assert (
+        found["least squares"].chi2 > 5 * lowest
+        and found["reweighted least squares (pass 1)"].chi2 > 1.3 * lowest
+    )

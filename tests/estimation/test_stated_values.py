@@ -1,4 +1,5 @@
-"""Fits whose gains, delay, phase, directions and mass are stated with uncertainties: worlds that obey these, and a mass that does not.
+"""Fits whose gains, delay, phase, directions and mass are stated with uncertainties: worlds that obey these,
+and a mass that does not.
 
 Worlds are drawn here from closed forms of H, so that truth, errors and noise are all known.
 """
@@ -25,13 +26,19 @@ def stated(effect: str, name: str, size: float, unit: str = "1") -> ChannelUncer
     return ChannelUncertainty(effect, Uncertainty(f"{name}.{effect}", size, unit))
 
 
-def noisy(rng: np.random.Generator, f: np.ndarray, h: np.ndarray, ports: tuple, noise: float, *, known: bool) -> FrequencyResponse:
+def noisy(
+    rng: np.random.Generator, f: np.ndarray, h: np.ndarray, ports: tuple, noise: float, *, known: bool
+) -> FrequencyResponse:
     std = noise * np.max(np.abs(h))
     drawn = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    return FrequencyResponse(f, drawn, *ports, covariance=uncorrelated(np.full(h.shape, std**2)) if known else None)
+    return FrequencyResponse(
+        f, drawn, *ports, covariance=uncorrelated(np.full(h.shape, std**2)) if known else None
+    )
 
 
-def support(seed: int, off: float = 0.0, noise: float = 2e-4, *, known: bool = True) -> tuple[Fit, dict[str, float]]:
+def support(
+    seed: int, off: float = 0.0, noise: float = 2e-4, *, known: bool = True
+) -> tuple[Fit, dict[str, float]]:
     """2.3 kg at 41 Hz, damping ratio .03; the mass *off* by a share beside its draw."""
     rng = np.random.default_rng(seed)
     f = np.arange(25.0, 60.0, 0.25)
@@ -64,21 +71,31 @@ def rotor(seed: int, noise: float = 2e-4, *, known: bool = True) -> tuple[Fit, d
     of_motion = [(stated("gain", name, GAIN), stated("phase", name, PHASE, "rad")) for name in "xy"]
     of_force = [(stated("gain", name, GAIN), stated("direction", name, TURN, "rad")) for name in ("fx", "fy")]
     ports = (
-        tuple(Port(name, name, name, angle, uncertainties) for name, angle, uncertainties in zip("xy", angles, of_motion, strict=True)),
+        tuple(
+            Port(name, name, name, angle, uncertainties)
+            for name, angle, uncertainties in zip("xy", angles, of_motion, strict=True)
+        ),
         tuple(
             Port(f"f{name}", f"f{name}", name, angle, uncertainties)
             for name, angle, uncertainties in zip("xy", angles, of_force, strict=True)
         ),
     )
     settings = FitSettings("rotor-2dof", name="p", mass=f"0.92 kg +- {100 * MASS:g} %")
-    truth = {f"{letter}_{'xy'[i]}{'xy'[j]}": m[i, j] for letter, m in (("k", k), ("c", c)) for i in (0, 1) for j in (0, 1)}
+    truth = {
+        f"{letter}_{'xy'[i]}{'xy'[j]}": m[i, j]
+        for letter, m in (("k", k), ("c", c))
+        for i in (0, 1)
+        for j in (0, 1)
+    }
     return identify(noisy(rng, f, h, ports, noise, known=known), settings)[0], truth
 
 
 @pytest.mark.parametrize("world", [support, rotor])
 @pytest.mark.parametrize(("noise", "known"), [(2e-4, True), (2e-6, True), (2e-4, False)])
 def test_worlds_within_what_was_stated_are_no_mismatch(world, noise: float, known: bool) -> None:
-    """Also where noise is so far below the stated uncertainties that these do not act linearly, and where it is not known."""
+    """Also where noise is so far below the stated uncertainties that these do not act linearly, and where it
+    is not known.
+    """
     reduced, wrong, held = [], 0, []
     for seed in range(N_WORLD):
         fit, truth = world(seed, noise=noise, known=known)
@@ -93,7 +110,10 @@ def test_worlds_within_what_was_stated_are_no_mismatch(world, noise: float, know
 
 
 def test_a_mass_far_from_what_was_stated_is_named_with_what_the_data_ask_for() -> None:
-    """6 % off where 0.5 % was stated: 12 of its uncertainties, 9 of all that the data know with it; the intervals hold the distance."""
+    """6 % off where 0.5 % was stated: 12 of its uncertainties, 9 of all that the data know with it.
+
+    The intervals hold the distance.
+    """
     for seed in range(6):
         fit, truth = support(seed, off=0.06)
         (finding,) = [one for one in fit.findings if one.code == "mass"]
@@ -109,7 +129,12 @@ def test_a_mass_far_from_what_was_stated_is_named_with_what_the_data_ask_for() -
 def test_pulls_against_a_joint_least_squares() -> None:
     """Twin: the parameters and the numbers fitted together, with a row for each statement."""
     rng = np.random.default_rng(3)
-    slopes, changes, residual, noise = rng.standard_normal((50, 4)), 5 * rng.standard_normal((3, 50)), rng.standard_normal(50), 1.7
+    slopes, changes, residual, noise = (
+        rng.standard_normal((50, 4)),
+        5 * rng.standard_normal((3, 50)),
+        rng.standard_normal(50),
+        1.7,
+    )
     inverse = np.linalg.inv(slopes.T @ slopes)
     residual -= slopes @ (inverse @ (slopes.T @ residual))
     at = np.array([0.5, 0.0, -1.0])
@@ -129,4 +154,9 @@ def test_pulls_against_a_joint_least_squares() -> None:
 
 
 def test_without_stated_numbers_nothing_changes() -> None:
-    assert dataclasses.astuple(pulls_of(np.ones(3), Stated.of(np.zeros((0, 3))), np.ones((3, 1)), np.eye(1) / 3))[-1] == 0.0
+    assert (
+        dataclasses.astuple(
+            pulls_of(np.ones(3), Stated.of(np.zeros((0, 3))), np.ones((3, 1)), np.eye(1) / 3)
+        )[-1]
+        == 0.0
+    )

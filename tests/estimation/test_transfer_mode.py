@@ -18,8 +18,12 @@ F0, ZETA, CONSTANT = 40.0, 0.01, 0.8
 FREQUENCY = np.arange(36.0, 44.0, 0.08)
 
 
-def transfer(factor: complex | np.ndarray = 1.0, seed: int = 0, noise: float = 0.01, dof: str = "2") -> FrequencyResponse:
-    """A mode of modal constant 0.8 1/kg times *factor*, driven at 1 and seen at *dof*, with noise of unknown size."""
+def transfer(
+    factor: complex | np.ndarray = 1.0, seed: int = 0, noise: float = 0.01, dof: str = "2"
+) -> FrequencyResponse:
+    """A mode of modal constant 0.8 1/kg times *factor*, driven at 1 and seen at *dof*, with noise of unknown
+    size.
+    """
     rng = np.random.default_rng(seed)
     w, w0 = 2 * np.pi * FREQUENCY, 2 * np.pi * F0
     h = factor * CONSTANT / (w0**2 - w**2 + 2j * ZETA * w0 * w)
@@ -33,7 +37,9 @@ def test_the_start_is_the_mode_itself_without_noise(natural: float) -> None:
     """Of a slow oscillation too, whose square of the frequency is below one in (rad/s)^2."""
     w, w0 = 2 * np.pi * np.linspace(0.83, 1.2, 41) * natural, 2 * np.pi * natural
     h = (CONSTANT - 0.1j) / (w0**2 - w**2 + 0.06j * w0 * w) + (0.3 + 0.2j) / w0**2
-    response = FrequencyResponse(w / (2 * np.pi), h[:, None, None], (Port("y", "y", "2"),), (Port("f", "f", "1"),))
+    response = FrequencyResponse(
+        w / (2 * np.pi), h[:, None, None], (Port("y", "y", "2"),), (Port("f", "f", "1"),)
+    )
     start = transfer_start(measured(response))
     np.testing.assert_allclose(start, [natural, 0.03, CONSTANT, -0.1, 0.3 / w0**2, 0.2 / w0**2], rtol=1e-6)
 
@@ -44,7 +50,9 @@ def codes(fit: Fit) -> list[str]:
 
 @pytest.mark.parametrize("estimator", ["ml", "ls", "iv"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_residue_of_either_sign_gives_frequency_damping_and_signed_constant(estimator: str, sign: float) -> None:
+def test_a_residue_of_either_sign_gives_frequency_damping_and_signed_constant(
+    estimator: str, sign: float
+) -> None:
     (fit,) = identify(transfer(sign), FitSettings("sdof", estimator=estimator))
     assert fit.parameter("f_n").value == pytest.approx(F0, rel=5e-4)
     assert fit.parameter("zeta").value == pytest.approx(ZETA, rel=0.05)
@@ -60,7 +68,9 @@ def test_the_same_data_at_a_driving_point_have_an_impossible_mass() -> None:
 
 @pytest.mark.parametrize("shape", ["delay", "gain", "both"])
 def test_what_only_turns_the_residue_is_not_cried_over(shape: str) -> None:
-    """exp(-j w t) and 1 + a (w - w0), over s - lambda, are constants over s - lambda beside what is smooth: the pole stays."""
+    """exp(-j w t) and 1 + a (w - w0), over s - lambda, are constants over s - lambda beside what is smooth:
+    the pole stays.
+    """
     w, w0 = 2 * np.pi * FREQUENCY, 2 * np.pi * F0
     factor = np.ones(w.size, complex)
     if shape != "gain":
@@ -69,8 +79,22 @@ def test_what_only_turns_the_residue_is_not_cried_over(shape: str) -> None:
         factor *= 1 + 0.5 * (w - w0) / w0
     fits = [identify(transfer(factor, seed), FitSettings("sdof"))[0] for seed in range(8)]
     assert sum("model-mismatch" in codes(fit) for fit in fits) <= 1
-    assert sum(fit.parameter("f_n").ci95[0] < F0 < fit.parameter("f_n").ci95[1] for fit in fits if fit.parameter("f_n").ci95) >= 7
-    assert sum(fit.parameter("zeta").ci95[0] < ZETA < fit.parameter("zeta").ci95[1] for fit in fits if fit.parameter("zeta").ci95) >= 7
+    assert (
+        sum(
+            fit.parameter("f_n").ci95[0] < F0 < fit.parameter("f_n").ci95[1]
+            for fit in fits
+            if fit.parameter("f_n").ci95
+        )
+        >= 7
+    )
+    assert (
+        sum(
+            fit.parameter("zeta").ci95[0] < ZETA < fit.parameter("zeta").ci95[1]
+            for fit in fits
+            if fit.parameter("zeta").ci95
+        )
+        >= 7
+    )
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -78,11 +102,18 @@ def test_negative_damping_and_a_pole_beside_the_band_are_said(known: bool) -> No
     growing = transfer()
     growing = replace(growing, matrix=growing.matrix.conj())
     if known:
-        growing = replace(growing, covariance=uncorrelated(np.full(growing.matrix.shape, 1e-4 * np.mean(np.abs(growing.matrix) ** 2))))
+        growing = replace(
+            growing,
+            covariance=uncorrelated(
+                np.full(growing.matrix.shape, 1e-4 * np.mean(np.abs(growing.matrix) ** 2))
+            ),
+        )
     (fit,) = identify(growing, FitSettings("sdof"))
     assert any(finding.code == "unphysical" and "zeta = -0.0" in finding.message for finding in fit.findings)
     (beside,) = identify(transfer(noise=1e-4), FitSettings("sdof", band=(36.0, 39.0)))
-    assert any(finding.code == "unphysical" and "outside the band" in finding.message for finding in beside.findings)
+    assert any(
+        finding.code == "unphysical" and "outside the band" in finding.message for finding in beside.findings
+    )
 
 
 def test_a_transfer_is_told_by_its_dofs() -> None:

@@ -1,7 +1,9 @@
-"""Fits of FRFs whose noise is not known: how often a warning comes with a fault and without, and what its intervals are worth.
+"""Fits of FRFs whose noise is not known: how often a warning comes with a fault and without, and what its
+intervals are worth.
 
-One mode (40 Hz, 1 %, 1 kg) in bands of four and of eight half-power widths either way, ten lines in each, noise of 1 % of the response's
-root mean square. Truth and faults are closed forms, the noise is drawn here; the table of the statistics page is held to what is counted.
+One mode (40 Hz, 1 %, 1 kg) in bands of four and of eight half-power widths either way, ten lines in each,
+noise of 1 % of the response's root mean square. Truth and faults are closed forms, the noise is drawn here;
+the table of the statistics page is held to what is counted.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ def right(f: np.ndarray, _half: int, _rng: np.random.Generator) -> np.ndarray:
 
 def mode_too_few(f: np.ndarray, _half: int, rng: np.random.Generator) -> np.ndarray:
     """Another mode .4 to 1 half-power width away, .3 to 1 as strong."""
-    return mode(f, F0, 1.0) + mode(f, F0 + rng.choice([-1, 1]) * rng.uniform(0.4, 1.0) * WIDTH, rng.uniform(0.3, 1.0))
+    return mode(f, F0, 1.0) + mode(
+        f, F0 + rng.choice([-1, 1]) * rng.uniform(0.4, 1.0) * WIDTH, rng.uniform(0.3, 1.0)
+    )
 
 
 def neighbour(f: np.ndarray, half: int, rng: np.random.Generator) -> np.ndarray:
@@ -62,7 +66,9 @@ def step_of_gain(f: np.ndarray, _half: int, rng: np.random.Generator) -> np.ndar
 
 @dataclass(frozen=True)
 class Case:
-    """What is measured, in words; True where a warning is right; *hann*: noise as a Hann window leaves it, which is known."""
+    """What is measured, in words; True where a warning is right; *hann*: noise as a Hann window leaves it,
+    which is known.
+    """
 
     name: str
     fault: Fault
@@ -95,7 +101,9 @@ def fitted(case: Case, half: int, seed: int) -> Fit:
 
 @dataclass(frozen=True)
 class Counted:
-    """Share of fits warned, share without interval, and coverage of f_n and zeta where there is one [1], nan without any."""
+    """Share of fits warned, share without interval, and coverage of f_n and zeta where there is one [1], nan
+    without any.
+    """
 
     warned: float
     refused: float
@@ -106,7 +114,9 @@ def counted(case: Case, half: int, seeds: range) -> Counted:
     fits = [fitted(case, half, seed) for seed in seeds]
     warned = np.mean(["model-mismatch" in {finding.code for finding in fit.findings} for fit in fits])
     given = [fit for fit in fits if fit.parameters[0].ci95 is not None]
-    covered = tuple(float(np.mean([covers(fit, name) for fit in given])) if given else np.nan for name in ("f_n", "zeta"))
+    covered = tuple(
+        float(np.mean([covers(fit, name) for fit in given])) if given else np.nan for name in ("f_n", "zeta")
+    )
     return Counted(float(warned), 1 - len(given) / len(fits), covered)
 
 
@@ -125,7 +135,10 @@ def on_page() -> dict[tuple[str, int], float]:
 @pytest.mark.parametrize("half", HALVES)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_fault_is_warned_of_and_a_right_fit_is_not(case: Case, half: int) -> None:
-    """All 200 right fits, at most 5 % warned (6 % with the window); every fifth faulty one, at least 95 % warned."""
+    """All 200 right fits, at most 5 % warned (6 % with the window).
+
+    Every fifth faulty one, at least 95 % warned.
+    """
     seeds = range(0, EVERY, FAULTY_STEP if case.faulty else SOUND_STEP)
     found = counted(case, half, seeds)
     if case.faulty:
@@ -156,5 +169,7 @@ if __name__ == "__main__":
         for width in HALVES:
             of_all = counted(row, width, range(EVERY))
             shares = " | ".join(f"{100 * share:.1f} %" for share in (of_all.warned, of_all.refused))
-            intervals = ", ".join("none" if np.isnan(share) else f"{100 * share:.0f} %" for share in of_all.covered)
+            intervals = ", ".join(
+                "none" if np.isnan(share) else f"{100 * share:.0f} %" for share in of_all.covered
+            )
             print(f"| {row.name} | {width} | {shares} | {intervals} |", flush=True)

@@ -7,13 +7,18 @@ import re
 
 # What readers stumble over: ends of ranges, lengths that lie, marks of formats, text that acts.
 BYTES = (
-    b"\x00", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f", b"\xff\xfe", b"\xef\xbb\xbf",
-    b"nan", b"inf", b"-1", b"1e999", b"-0", b"\x1b[31m", b"\xe2\x80\xae", b"\n", b"\r\n", b",,,,", b'"', b"'", b"[", b"{", b"PAR1",
+    b"\x00", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x00\x00\x00\x80", b"\xff\xff\xff\x7f",
+    b"\xff\xfe", b"\xef\xbb\xbf",
+    b"nan", b"inf", b"-1", b"1e999", b"-0", b"\x1b[31m", b"\xe2\x80\xae", b"\n", b"\r\n", b",,,,", b'"', b"'",
+    b"[", b"{", b"PAR1",
 )  # fmt: skip
 WORDS = (
-    "null", "~", "true", "[]", "{}", "-1", "0", "1e300 kg", "1 kg^(1/0)", "km^999", "1e-300", "10**30", "nan", ".inf", "0 Hz", "-5 s",
-    "1e7 s", "1000000000000000000000", "50 %", "150 %", "x", "=cmd|calc", '"\\e[31m"', '"\\u202e"', "../../etc/passwd", "1-250 Hz",
-    "250-1 Hz", "[1, [2, [3]]]", "{a: {b: c}}", "&a [*a]", "!!python/object:os.system", "|", ">", "*", "@", "a: b: c", "'", "90 deg",
+    "null", "~", "true", "[]", "{}", "-1", "0", "1e300 kg", "1 kg^(1/0)", "km^999", "1e-300", "10**30", "nan",
+    ".inf", "0 Hz", "-5 s",
+    "1e7 s", "1000000000000000000000", "50 %", "150 %", "x", "=cmd|calc", '"\\e[31m"', '"\\u202e"',
+    "../../etc/passwd", "1-250 Hz",
+    "250-1 Hz", "[1, [2, [3]]]", "{a: {b: c}}", "&a [*a]", "!!python/object:os.system", "|", ">", "*", "@",
+    "a: b: c", "'", "90 deg",
     "1 N +- -1 N",
 )  # fmt: skip
 # Of numbers that stand in YAML with or without a unit, not within a word.
@@ -34,7 +39,13 @@ def _place(content: bytearray, rng: random.Random) -> int:
     """Any place; half of them near an end, where headers and feet stand."""
     size = len(content)
     near = min(size, 256)
-    return rng.choice((rng.randrange(size), rng.randrange(near), size - 1 - rng.randrange(near), rng.randrange(size))) if size else 0
+    return (
+        rng.choice(
+            (rng.randrange(size), rng.randrange(near), size - 1 - rng.randrange(near), rng.randrange(size))
+        )
+        if size
+        else 0
+    )
 
 
 def _flip(content: bytearray, rng: random.Random) -> None:
@@ -71,7 +82,9 @@ def _number(content: bytearray, rng: random.Random) -> None:
     numbers = list(_NUMBER.finditer(bytes(content[:4096])))
     if numbers:
         match = rng.choice(numbers)
-        content[match.start() : match.end()] = rng.choice((b"0", b"-1", b"99999999999", b"1e400", b"nan", b"", b"1_0"))
+        content[match.start() : match.end()] = rng.choice(
+            (b"0", b"-1", b"99999999999", b"1e400", b"nan", b"", b"1_0")
+        )
 
 
 _CHANGES = (_flip, _flip, _overwrite, _insert, _cut, _repeat, _invert, _number)
@@ -86,7 +99,9 @@ def mutated_yaml(text: str, rng: random.Random) -> str:
 
 
 def mutated_amounts(text: str, rng: random.Random) -> str:
-    """YAML of which one to three numbers have another size or sign: what is still understood, and must be made or refused."""
+    """YAML of which one to three numbers have another size or sign: what is still understood, and must be
+    made or refused.
+    """
     places = list(_AMOUNT.finditer(text))
     for place in sorted(rng.sample(places, rng.choice((1, 1, 2, 3))), key=lambda one: -one.start()):
         number = f"{float(place[0]) * rng.choice(FACTORS):.6g}"

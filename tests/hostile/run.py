@@ -1,7 +1,9 @@
-"""python -m tests.hostile.run [--seconds S] [--start SEED] [--kinds a.csv ...]: mutated inputs for as long as you like.
+"""python -m tests.hostile.run [--seconds S] [--start SEED] [--kinds a.csv ...]: mutated inputs for as long as
+you like.
 
-Every kind of file is read in processes of its own, each with a limit of memory; one that takes ten seconds of the processor counts as
-hung, is ended, and the next seed follows. Prints a table and what must not be; exit code 1 if there is any of that.
+Every kind of file is read in processes of its own, each with a limit of memory; one that takes ten seconds of
+the processor counts as hung, is ended, and the next seed follows. Prints a table and what must not be; exit
+code 1 if there is any of that.
 """
 
 from __future__ import annotations
@@ -57,7 +59,9 @@ def _trial(kind: str, folder: Path, scratch: Path) -> Callable[[int, Tally], Non
         write_scenario(kind, scratch)
         return lambda seed, tally: trial_of_yaml(kind, scratch, seed, tally)
     if kind == INDEX:
-        (scratch / "identification.json").write_bytes((folder / "laboratory/out/identification.json").read_bytes())
+        (scratch / "identification.json").write_bytes(
+            (folder / "laboratory/out/identification.json").read_bytes()
+        )
     (scratch / kind).write_bytes((folder / kind).read_bytes())
     whole = READS[kind](scratch / kind)[0]
     return lambda seed, tally: trial_of_file(kind, folder, scratch, seed, tally, whole)

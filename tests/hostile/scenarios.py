@@ -1,4 +1,6 @@
-"""Every kind of YAML file that labpipe reads, each in a small folder with the command that reads it: SCENARIOS by name."""
+"""Every kind of YAML file that labpipe reads, each in a small folder with the command that reads it:
+SCENARIOS by name.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,12 @@ SIMULATE = ("simulate", "virtual.yaml", "-q", "-o", "out")
 
 @dataclass(frozen=True)
 class Scenario:
-    """The *files* of a folder by name, which of them is *mutated*, and the *command* that is given in the folder.
+    """The *files* of a folder by name, which of them is *mutated*, and the *command* that is given in the
+    folder.
 
-    *moves*: the command puts files of the folder aside, so that they and its results are made anew for every trial. *amounts*: of every
-    second trial numbers alone are changed, since other changes are refused before anything is computed.
+    *moves*: the command puts files of the folder aside, so that they and its results are made anew for every
+    trial. *amounts*: of every second trial numbers alone are changed, since other changes are refused before
+    anything is computed.
     """
 
     mutated: str
@@ -44,7 +48,12 @@ def heavy(stiffness: float, seed: int) -> str:
     """A recording of 5000 times the force and mass, as stiff as a ball bearing."""
     head, *rows = recording(stiffness, seed).splitlines()
     cells = (row.split(",") for row in rows)
-    return "\n".join([head.replace("[N]", "[kN]"), *(f"{t},{5 * float(force):.9g},{y}" for t, force, y in cells)]) + "\n"
+    return (
+        "\n".join(
+            [head.replace("[N]", "[kN]"), *(f"{t},{5 * float(force):.9g},{y}" for t, force, y in cells)]
+        )
+        + "\n"
+    )
 
 
 CAMPAIGN = {
@@ -52,7 +61,9 @@ CAMPAIGN = {
     "bearing.yaml": shown("bearings/nsk-6208.yaml"),
     "sensor.csv": SENSOR,
     "line.csv": CALIBRATION,
-    "rig.yaml": RIG.replace("role: output, dof: y", "role: output, dof: x, response: sensor.csv, uncertainty: {gain: 1 %}")
+    "rig.yaml": RIG.replace(
+        "role: output, dof: y", "role: output, dof: x, response: sensor.csv, uncertainty: {gain: 1 %}"
+    )
     .replace("dof: y", "dof: x")
     .replace("unit: N", "unit: kN")
     .replace("[N]", "[kN]")
@@ -79,7 +90,8 @@ report: {formats: []}
 }
 RUN_UP_ROTOR = {
     "rotor.yaml": shown("rotors/falah.yaml"),
-    "virtual.yaml": "kind: virtual-unbalance-rig\nrotor: rotor.yaml\ntruth: outside\nviscosity_error: -15 %\nclearance_error: 5 %\n"
+    "virtual.yaml": "kind: virtual-unbalance-rig\nrotor: rotor.yaml\ntruth: outside\nviscosity_error: -15 "
+    "%\nclearance_error: 5 %\n"
     "groove_width: 30 deg\nheating: 10 %\nloads: [1.3 lbf]\nspeeds: 400-3000 rpm\ncount: 3\n"
     "noise: {amplitude: 1 %, phase: 1 deg, threshold: 0.2 %}\n",
 }
@@ -133,11 +145,21 @@ WATCHED = {
     "rig.yaml": RIG,
     "runs/100N-1.csv": recording(STIFFNESS["soft"]),
     "pipeline.yaml": ALONE.replace(
-        "recordings: soft.csv\n", "tests:\n  - {each: 'runs/*.csv', pattern: '{preload}-{serial}', conditions: {speed: 0 rpm}}\n"
+        "recordings: soft.csv\n",
+        "tests:\n  - {each: 'runs/*.csv', pattern: '{preload}-{serial}', conditions: {speed: 0 rpm}}\n",
     ),
 }
 WATCH = ("watch", "runs", "-c", "pipeline.yaml", "-o", "out", "--once", "--settle", "0 s", "-j", "1", "-q")
-BEARINGS = ("skf-6205", "mendes-journal", "hmb-magnetic", "nu209", "rpf-7208", "levitated", "hmb-geometry", "floating-journal")
+BEARINGS = (
+    "skf-6205",
+    "mendes-journal",
+    "hmb-magnetic",
+    "nu209",
+    "rpf-7208",
+    "levitated",
+    "hmb-geometry",
+    "floating-journal",
+)
 VIRTUAL_RIGS = ("base", "decay", "hmb", "sweep", "white-noise", "floating", "ball-bearing")
 # Of a virtual rig with many runs one is enough.
 RUNS = {"ball-bearing": ("--run", "6208-701N-up-x")}
@@ -148,13 +170,21 @@ SCENARIOS: dict[str, Scenario] = {
     "campaign": Scenario("pipeline.yaml", RUN, CAMPAIGN),
     "campaign, rig": Scenario("rig.yaml", RUN, CAMPAIGN),
     "campaign, bearing": Scenario("bearing.yaml", RUN, CAMPAIGN),
-    "dataset": Scenario("pipeline.yaml", RUN, {**LABORATORY, "hard.csv": recording(STIFFNESS["hard"]), "pipeline.yaml": DATASET}),
+    "dataset": Scenario(
+        "pipeline.yaml",
+        RUN,
+        {**LABORATORY, "hard.csv": recording(STIFFNESS["hard"]), "pipeline.yaml": DATASET},
+    ),
     "ready FRFs": Scenario("pipeline.yaml", RUN, FRFS),
-    "calibrate": Scenario("pipeline.yaml", ("calibrate", "-c", "pipeline.yaml", "-o", "out", "-q"), SECTIONS["calibrate"]),
+    "calibrate": Scenario(
+        "pipeline.yaml", ("calibrate", "-c", "pipeline.yaml", "-o", "out", "-q"), SECTIONS["calibrate"]
+    ),
     "unbalance": Scenario("pipeline.yaml", RUN, SECTIONS["unbalance"]),
     "rotor": Scenario("rotor.yaml", RUN, SECTIONS["unbalance"]),
     "study": Scenario("pipeline.yaml", ("study", "pipeline.yaml", "-j", "1", *RUN[2:]), SECTIONS["study"]),
-    "study, virtual rig": Scenario("virtual.yaml", ("study", "pipeline.yaml", "-j", "1", *RUN[2:]), SECTIONS["study"]),
+    "study, virtual rig": Scenario(
+        "virtual.yaml", ("study", "pipeline.yaml", "-j", "1", *RUN[2:]), SECTIONS["study"]
+    ),
     "ring-down": Scenario("pipeline.yaml", RUN, RING_DOWN),
     "floating": Scenario("pipeline.yaml", RUN, FLOATING),
     "levitated": Scenario("pipeline.yaml", RUN, LEVITATED),
@@ -162,17 +192,32 @@ SCENARIOS: dict[str, Scenario] = {
     "run-ups, virtual rig": Scenario("virtual.yaml", SIMULATE, RUN_UP_ROTOR),
     "plan": Scenario("plan.yaml", PLANS, {"plan.yaml": PLAN}),
     "plan, run-ups": Scenario(
-        "plan.yaml", PLANS, {"plan.yaml": PLANNED["run-ups"], "rotor.yaml": shown("rotors/falah.yaml")}, amounts=True
+        "plan.yaml",
+        PLANS,
+        {"plan.yaml": PLANNED["run-ups"], "rotor.yaml": shown("rotors/falah.yaml")},
+        amounts=True,
     ),
-    "plan, wear": Scenario("plan.yaml", PLANS, {"plan.yaml": PLANNED["wear"], "rotor.yaml": shown("rotors/mendes.yaml")}, amounts=True),
+    "plan, wear": Scenario(
+        "plan.yaml",
+        PLANS,
+        {"plan.yaml": PLANNED["wear"], "rotor.yaml": shown("rotors/mendes.yaml")},
+        amounts=True,
+    ),
     "watch": Scenario("pipeline.yaml", WATCH, WATCHED, moves=True),
     "watched recording": Scenario("runs/100N-1.csv", WATCH, WATCHED, moves=True),
     "virtual journal": Scenario(
-        "virtual.yaml", SIMULATE, {"virtual.yaml": shown("virtual-journal.yaml"), "rotors/mendes.yaml": shown("rotors/mendes.yaml")}
+        "virtual.yaml",
+        SIMULATE,
+        {"virtual.yaml": shown("virtual-journal.yaml"), "rotors/mendes.yaml": shown("rotors/mendes.yaml")},
     ),
-    **{f"bearing {name}": Scenario("bearing.yaml", BEARING, {"bearing.yaml": shown(f"bearings/{name}.yaml")}) for name in BEARINGS},
     **{
-        f"virtual {name}": Scenario("virtual.yaml", (*SIMULATE, *RUNS.get(name, ())), {"virtual.yaml": shown(f"virtual-{name}.yaml")})
+        f"bearing {name}": Scenario("bearing.yaml", BEARING, {"bearing.yaml": shown(f"bearings/{name}.yaml")})
+        for name in BEARINGS
+    },
+    **{
+        f"virtual {name}": Scenario(
+            "virtual.yaml", (*SIMULATE, *RUNS.get(name, ())), {"virtual.yaml": shown(f"virtual-{name}.yaml")}
+        )
         for name in VIRTUAL_RIGS
     },
 }

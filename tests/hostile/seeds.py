@@ -1,4 +1,6 @@
-"""A small valid file of every kind that labpipe reads, by the name that it has on disk, and how it is read to numbers."""
+"""A small valid file of every kind that labpipe reads, by the name that it has on disk, and how it is read to
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -51,16 +53,23 @@ def table_content(path: Path) -> Content:
         chunks.append(chunk)
     values_of = np.concatenate(chunks) if chunks else np.empty((0, len(names)))
     columns = {name: values_of[:, number].tobytes() for number, name in enumerate(names)}
-    return {**columns, "rate": table.sample_rate, "units": dict(table.units)}, tuple(finding.code for finding in screen.findings())
+    return {**columns, "rate": table.sample_rate, "units": dict(table.units)}, tuple(
+        finding.code for finding in screen.findings()
+    )
 
 
 def response_content(path: Path) -> Content:
     """The numbers of a response."""
     response = load_response(path)
-    numbers = {name: getattr(response, name) for name in ("frequency", "matrix", "coherence", "multiple_coherence", "covariance")}
+    numbers = {
+        name: getattr(response, name)
+        for name in ("frequency", "matrix", "coherence", "multiple_coherence", "covariance")
+    }
     labels = [port.label for port in (*response.outputs, *response.inputs)]
     content = {name: None if array is None else array.tobytes() for name, array in numbers.items()}
-    return {**content, "labels": labels, "form": response.form}, tuple(finding.code for finding in response.findings)
+    return {**content, "labels": labels, "form": response.form}, tuple(
+        finding.code for finding in response.findings
+    )
 
 
 def whole(read: Callable[[Path], Any]) -> Read:
@@ -110,7 +119,8 @@ ARTEFACTS: dict[str, Read] = {
 RESPONSES: dict[str, Read] = dict.fromkeys(("frf.csv", "frf.uff", "frf-b.uff", "frf.mat"), response_content)
 TABLES: dict[str, Read] = dict.fromkeys(
     (
-        "a.csv", "blanks.txt", "wide.csv", "a.csv.gz", "a.parquet", "a.uff", "b.uff", "a.mat", "a.h5", "a.wav", "b.wav", "a.npy", "a.npz",
+        "a.csv", "blanks.txt", "wide.csv", "a.csv.gz", "a.parquet", "a.uff", "b.uff", "a.mat", "a.h5",
+        "a.wav", "b.wav", "a.npy", "a.npz",
         "a.lvm", "a.tdms", "a.xlsx", "a.mf4",
     ),
     table_content,
@@ -191,7 +201,10 @@ plan:
   force_limit: 1 N
   duration: 4 s
 """
-DATASET = PIPELINE.replace("title: Small", "title: Small\nresults: dataset").split("accept:")[0] + "report: {formats: []}\n"
+DATASET = (
+    PIPELINE.replace("title: Small", "title: Small\nresults: dataset").split("accept:")[0]
+    + "report: {formats: []}\n"
+)
 CALIBRATION = "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n40,0.33\n"
 SENSOR = "frequency_hz,gain,phase_deg\n0,1,0\n20,1.005,-0.4\n50,1.01,-1\n"
 
@@ -206,16 +219,21 @@ def write_seeds(folder: Path) -> None:
 
 
 def _write_texts(folder: Path, rows: np.ndarray) -> None:
-    text = "t [s],force [N],y [um]\n" + "".join(",".join(f"{number:.6g}" for number in row) + "\n" for row in rows)
+    text = "t [s],force [N],y [um]\n" + "".join(
+        ",".join(f"{number:.6g}" for number in row) + "\n" for row in rows
+    )
     (folder / "a.csv").write_text(text)
     (folder / "blanks.txt").write_text("# made by hand\n" + text.replace(",", "   ").replace(" [", "["))
     (folder / "wide.csv").write_bytes(text.replace(",", ";").encode("utf-16"))
     (folder / "a.csv.gz").write_bytes(gzip.compress(text.encode(), mtime=0))
     for name, content in {
-        "run-up.csv": RUN_UP, "geometry.csv": GEOMETRY, "geometry.uff": GEOMETRY_UFF, "calibration.csv": CALIBRATION, "sensor.csv": SENSOR,
+        "run-up.csv": RUN_UP, "geometry.csv": GEOMETRY, "geometry.uff": GEOMETRY_UFF,
+        "calibration.csv": CALIBRATION, "sensor.csv": SENSOR,
     }.items():  # fmt: skip
         (folder / name).write_text(content)
-    (folder / "a.lvm").write_text(LVM + "".join("\t".join(f"{number:.6f}" for number in row) + "\t\n" for row in rows))
+    (folder / "a.lvm").write_text(
+        LVM + "".join("\t".join(f"{number:.6f}" for number in row) + "\t\n" for row in rows)
+    )
 
 
 def _write_binaries(folder: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray) -> None:
@@ -241,7 +259,9 @@ def _write_tdms(path: Path, force: np.ndarray, y: np.ndarray) -> None:
 
     with TdmsWriter(str(path)) as writer:
         steps = {"wf_increment": 0.01}
-        writer.write_segment([ChannelObject("run", name, column, steps) for name, column in (("force", force), ("y", y))])
+        writer.write_segment(
+            [ChannelObject("run", name, column, steps) for name, column in (("force", force), ("y", y))]
+        )
 
 
 def _write_mdf(path: Path, t: np.ndarray, force: np.ndarray, y: np.ndarray) -> None:
@@ -292,7 +312,12 @@ def _write_artefacts(folder: Path) -> None:
     with open_index(lab / "out"):
         (folder / INDEX).write_bytes((lab / "out" / INDEX).read_bytes())
     frf, recording = folder / "a.frf.parquet", folder / "a.recording.parquet"
-    for name, write in {"frf.csv": write_csv, "frf.uff": write_uff, "frf-b.uff": write_uff58b, "frf.mat": write_mat}.items():
+    for name, write in {
+        "frf.csv": write_csv,
+        "frf.uff": write_uff,
+        "frf-b.uff": write_uff58b,
+        "frf.mat": write_mat,
+    }.items():
         write(frf, folder / name)
     for name, write in {"a.uff": write_uff, "b.uff": write_uff58b}.items():
         write(recording, folder / name)

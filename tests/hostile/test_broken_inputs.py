@@ -1,4 +1,6 @@
-"""Trying to break it: every faulty input ends with exit code 2, at most three lines, no traceback, nothing written."""
+"""Trying to break it: every faulty input ends with exit code 2, at most three lines, no traceback, nothing
+written.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,18 @@ def table(change: Callable[[np.ndarray], np.ndarray] | None = None) -> str:
     t = np.arange(1000) / 200
     force = sum(np.cos(2 * np.pi * line * t - np.pi * line * (line - 1) / 50) for line in range(1, 51))
     y = sum(
-        (10 / (1 - (line / 25) ** 2 + 0.1j * line / 25) * np.exp(1j * (2 * np.pi * line * t - np.pi * line * (line - 1) / 50))).real
+        (
+            10
+            / (1 - (line / 25) ** 2 + 0.1j * line / 25)
+            * np.exp(1j * (2 * np.pi * line * t - np.pi * line * (line - 1) / 50))
+        ).real
         for line in range(1, 51)
     )
     columns = np.column_stack([t, force + 0.01 * rng.normal(size=t.size), y + 0.1 * rng.normal(size=t.size)])
     columns = columns if change is None else change(columns)
-    return "t [s],force [N],y [um]\n" + "".join(f"{row[0]:.6g},{row[1]:.6g},{row[2]:.6g}\n" for row in columns)
+    return "t [s],force [N],y [um]\n" + "".join(
+        f"{row[0]:.6g},{row[1]:.6g},{row[2]:.6g}\n" for row in columns
+    )
 
 
 def replaced(column: int, rows: slice, value: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -72,13 +80,25 @@ def assert_refused(project: Path, ended, *fragments: str) -> None:  # type: igno
     assert all(line.startswith("error: ") for line in lines), ended.err
     for fragment in fragments:
         assert fragment in ended.err, ended.err
-    assert sorted(p.name for p in project.iterdir() if p.name not in ("rig.yaml", "pipeline.yaml", "run.csv", "other")) == []
+    assert (
+        sorted(
+            p.name
+            for p in project.iterdir()
+            if p.name not in ("rig.yaml", "pipeline.yaml", "run.csv", "other")
+        )
+        == []
+    )
 
 
 def test_the_sound_project_runs(project: Path, labpipe) -> None:
     ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--set", "report.formats=[html]")
     assert ended.code == 0, ended.err
-    assert sorted(p.name for p in (project / "out").iterdir()) == ["frf.frf.parquet", "identification.json", "recordings", "report.html"]
+    assert sorted(p.name for p in (project / "out").iterdir()) == [
+        "frf.frf.parquet",
+        "identification.json",
+        "recordings",
+        "report.html",
+    ]
 
 
 CSV = table()
@@ -130,8 +150,15 @@ def test_other_dialects_give_the_same_result(project: Path, labpipe, text: str) 
 
 
 def test_a_clipped_channel_is_used_and_the_warning_travels_to_the_result(project: Path, labpipe) -> None:
-    (project / "run.csv").write_text(table(lambda c: np.column_stack([c[:, :2], np.clip(c[:, 2], -200, 200)])))
-    assert labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--set", "report.formats=[html]").code == 0
+    (project / "run.csv").write_text(
+        table(lambda c: np.column_stack([c[:, :2], np.clip(c[:, 2], -200, 200)]))
+    )
+    assert (
+        labpipe(
+            "run", project / "pipeline.yaml", "-o", project / "out", "--set", "report.formats=[html]"
+        ).code
+        == 0
+    )
     assert '"code": "clipped"' in (project / "out" / "identification.json").read_text()
     assert "peaks are cut off" in (project / "out" / "report.html").read_text()
 
@@ -139,30 +166,92 @@ def test_a_clipped_channel_is_used_and_the_warning_travels_to_the_result(project
 @pytest.mark.parametrize(
     ("file", "old", "new", "fragments"),
     [
-        ("rig.yaml", "unit: um", "unit: umm", ["rig.yaml:5:", "channels.y.unit: unknown unit 'umm'; did you mean 'um'?"]),
+        (
+            "rig.yaml",
+            "unit: um",
+            "unit: umm",
+            ["rig.yaml:5:", "channels.y.unit: unknown unit 'umm'; did you mean 'um'?"],
+        ),
         ("rig.yaml", "unit: um", "unit: N", ["channels.y.unit: 'N' has the wrong dimension, m is needed"]),
-        ("rig.yaml", "role: input", "rolle: input", ["rig.yaml:4:", "channels.f.rolle: unknown key; did you mean 'role'?"]),
+        (
+            "rig.yaml",
+            "role: input",
+            "rolle: input",
+            ["rig.yaml:4:", "channels.f.rolle: unknown key; did you mean 'role'?"],
+        ),
         ("rig.yaml", "mass: 0.79 kg", "mass: 0.79", ["rig.yaml:6:1: mass: '0.79' has no unit"]),
         ("rig.yaml", 'time: "t [s]"\n', "", ["one of sample_rate and time is needed"]),
-        ("rig.yaml", "quantity: force", "quantity: farce", ["channels.f.quantity: unknown choice 'farce'; did you mean 'force'?"]),
-        ("pipeline.yaml", "model: sdof", "model: sdoff", ["pipeline.yaml:6:", "identify.direct.model: unknown choice 'sdoff'"]),
-        ("pipeline.yaml", "band: 10-40 Hz", "band: 40-10 Hz", ["identify.direct.band: the band '40-10 Hz' is empty"]),
-        ("pipeline.yaml", "period: 1 s", "period: 1 Hz", ["frf.period: 'Hz' has the wrong dimension, s is needed"]),
+        (
+            "rig.yaml",
+            "quantity: force",
+            "quantity: farce",
+            ["channels.f.quantity: unknown choice 'farce'; did you mean 'force'?"],
+        ),
+        (
+            "pipeline.yaml",
+            "model: sdof",
+            "model: sdoff",
+            ["pipeline.yaml:6:", "identify.direct.model: unknown choice 'sdoff'"],
+        ),
+        (
+            "pipeline.yaml",
+            "band: 10-40 Hz",
+            "band: 40-10 Hz",
+            ["identify.direct.band: the band '40-10 Hz' is empty"],
+        ),
+        (
+            "pipeline.yaml",
+            "period: 1 s",
+            "period: 1 Hz",
+            ["frf.period: 'Hz' has the wrong dimension, s is needed"],
+        ),
         ("pipeline.yaml", "period: 1 s, ", "", ["frf: 'period' is missing"]),
         ("pipeline.yaml", "period: 1 s", "period: 0.9999 s", ["not a whole number"]),
-        ("pipeline.yaml", "rig: rig.yaml", "rig: rigg.yaml", ["pipeline.yaml:2:1: rig: no such file 'rigg.yaml'"]),
-        ("pipeline.yaml", "recordings: run.csv", "recordings: '*.dat'", ["recordings: no file matches '*.dat'"]),
+        (
+            "pipeline.yaml",
+            "rig: rig.yaml",
+            "rig: rigg.yaml",
+            ["pipeline.yaml:2:1: rig: no such file 'rigg.yaml'"],
+        ),
+        (
+            "pipeline.yaml",
+            "recordings: run.csv",
+            "recordings: '*.dat'",
+            ["recordings: no file matches '*.dat'"],
+        ),
         ("pipeline.yaml", "recordings: run.csv", "recordings: .", ["is a folder"]),
         ("pipeline.yaml", "input: f", "input: q", ["no force 'q' in the FRF"]),
         ("pipeline.yaml", "band: 10-40 Hz", "band: 90-99 Hz", ["no frequency line lies in the band"]),
-        ("pipeline.yaml", "title: Test", "title: Test\ntitle: Again", ["pipeline.yaml:2:1: title: the key appears twice"]),
+        (
+            "pipeline.yaml",
+            "title: Test",
+            "title: Test\ntitle: Again",
+            ["pipeline.yaml:2:1: title: the key appears twice"],
+        ),
         ("pipeline.yaml", "title: Test", "title: [Test", ["pipeline.yaml:", "not valid YAML"]),
-        ("pipeline.yaml", "title: Test", "accept: {direct.kk: '> 0 N/m'}", ["accept.direct.kk: the fit has no 'kk'; did you mean 'k'?"]),
-        ("pipeline.yaml", "title: Test", "accept: {dirct.k: '> 0 N/m'}", ["accept.dirct.k: there is no fit 'dirct'"]),
-        ("pipeline.yaml", "title: Test", "accept: {direct.k: '> 3 um'}", ["accept.direct.k: 'um' has the wrong dimension"]),
+        (
+            "pipeline.yaml",
+            "title: Test",
+            "accept: {direct.kk: '> 0 N/m'}",
+            ["accept.direct.kk: the fit has no 'kk'; did you mean 'k'?"],
+        ),
+        (
+            "pipeline.yaml",
+            "title: Test",
+            "accept: {dirct.k: '> 0 N/m'}",
+            ["accept.dirct.k: there is no fit 'dirct'"],
+        ),
+        (
+            "pipeline.yaml",
+            "title: Test",
+            "accept: {direct.k: '> 3 um'}",
+            ["accept.direct.k: 'um' has the wrong dimension"],
+        ),
     ],
 )
-def test_broken_configuration(project: Path, labpipe, file: str, old: str, new: str, fragments: list[str]) -> None:
+def test_broken_configuration(
+    project: Path, labpipe, file: str, old: str, new: str, fragments: list[str]
+) -> None:
     path = project / file
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
@@ -170,7 +259,9 @@ def test_broken_configuration(project: Path, labpipe, file: str, old: str, new: 
 
 
 def test_all_faults_of_both_files_in_one_pass(project: Path, labpipe) -> None:
-    (project / "rig.yaml").write_text(RIG.replace("unit: um", "unit: umm").replace("mass: 0.79 kg", "mas: 0.79 kg"))
+    (project / "rig.yaml").write_text(
+        RIG.replace("unit: um", "unit: umm").replace("mass: 0.79 kg", "mas: 0.79 kg")
+    )
     (project / "pipeline.yaml").write_text(PIPELINE.replace("model: sdof", "model: sdoff"))
     ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out")
     assert_refused(project, ended, "unknown unit 'umm'", "mas: unknown key; did you mean 'mass'?", "'sdoff'")
@@ -185,7 +276,10 @@ def test_all_faults_of_both_files_in_one_pass(project: Path, labpipe) -> None:
         (["run", "pipeline.yaml"], "Missing option '-o'"),
         (["run", "pipeline.yaml", "-o", "run.csv"], "is a file, a folder is needed"),
         (["rum", "pipeline.yaml"], "no command 'rum'; did you mean 'run'?"),
-        (["run", "pipeline.yaml", "-o", "out", "--set", "identify.direct.bnd=1-2 Hz"], "--set identify.direct.bnd=1-2 Hz"),
+        (
+            ["run", "pipeline.yaml", "-o", "out", "--set", "identify.direct.bnd=1-2 Hz"],
+            "--set identify.direct.bnd=1-2 Hz",
+        ),
         (["run", "pipeline.yaml", "-o", "out", "--set", "frf"], "not an assignment"),
         (["report", "none", "-o", "r.html"], "no such file"),
         (["report", "run.csv", "-o", "r.html"], "is not a readable identification.json"),
@@ -204,7 +298,9 @@ def test_all_faults_of_both_files_in_one_pass(project: Path, labpipe) -> None:
         (["check", "none.yaml"], "no such file"),
     ],
 )
-def test_broken_command_lines(project: Path, labpipe, monkeypatch, arguments: list[str], fragment: str) -> None:
+def test_broken_command_lines(
+    project: Path, labpipe, monkeypatch, arguments: list[str], fragment: str
+) -> None:
     monkeypatch.chdir(project)
     ended = labpipe(*arguments)
     assert ended.code == 2 and fragment in ended.err and len(ended.err.splitlines()) <= 8, ended
@@ -214,10 +310,14 @@ def test_broken_command_lines(project: Path, labpipe, monkeypatch, arguments: li
 
 def test_an_existing_result_survives_a_failed_run(project: Path, labpipe) -> None:
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "other").code == 0
-    before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (project / "other").rglob("*") if p.is_file()}
+    before = {
+        p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (project / "other").rglob("*") if p.is_file()
+    }
     (project / "run.csv").write_text(table(replaced(1, slice(300, 320), np.nan)))
     assert_refused(project, labpipe("run", project / "pipeline.yaml", "-o", project / "other"), "sample 300")
-    assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (project / "other").rglob("*") if p.is_file()} == before
+    assert {
+        p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (project / "other").rglob("*") if p.is_file()
+    } == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
@@ -235,7 +335,9 @@ def test_a_full_disk_is_said(project: Path, labpipe, command: str) -> None:
 def test_a_folder_without_permission(project: Path, labpipe) -> None:
     locked = project / "other"
     locked.mkdir(mode=0o500)
-    assert_refused(project, labpipe("run", project / "pipeline.yaml", "-o", locked / "out"), "permission denied")
+    assert_refused(
+        project, labpipe("run", project / "pipeline.yaml", "-o", locked / "out"), "permission denied"
+    )
 
 
 def test_an_operating_system_error_becomes_one_line(project: Path, labpipe, monkeypatch) -> None:
@@ -243,7 +345,11 @@ def test_an_operating_system_error_becomes_one_line(project: Path, labpipe, monk
         raise PermissionError(13, "Permission denied", str(project))
 
     monkeypatch.setattr("pathlib.Path.mkdir", denied)
-    assert_refused(project, labpipe("run", project / "pipeline.yaml", "-o", project / "out"), f"{project}: permission denied")
+    assert_refused(
+        project,
+        labpipe("run", project / "pipeline.yaml", "-o", project / "out"),
+        f"{project}: permission denied",
+    )
 
 
 def hears_ctrl_c() -> None:
@@ -252,17 +358,26 @@ def hears_ctrl_c() -> None:
 
 
 def test_ctrl_c_within_an_exec_of_text_ends_with_exit_code_2() -> None:
-    """As where a module of dataclasses is imported: Python notes such an interrupt and would end by the signal, though it was caught."""
-    script = "import labpipe.cli.main as m\ndef broken(_): exec('raise KeyboardInterrupt')\nm._run = broken\nm.main()"
+    """As where a module of dataclasses is imported: Python notes such an interrupt and would end by the
+    signal, though it was caught.
+    """
+    script = (
+        "import labpipe.cli.main as m\ndef broken(_): exec('raise KeyboardInterrupt')\nm._run = "
+        "broken\nm.main()"
+    )
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr.strip()) == (2, "error: interrupted; nothing was changed")
 
 
 def test_ctrl_c_leaves_nothing_behind(project: Path) -> None:
     """A long run is interrupted as by Ctrl-C once it is at work."""
-    (project / "run.csv").write_text(LINES[0] + "".join(f"{n / 200:.6g},{n % 7},{n % 11}\n" for n in range(400_000)))
+    (project / "run.csv").write_text(
+        LINES[0] + "".join(f"{n / 200:.6g},{n % 7},{n % 11}\n" for n in range(400_000))
+    )
     command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out"]
-    process = subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c)
+    process = subprocess.Popen(
+        command, cwd=project, stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c
+    )
     deadline = time.monotonic() + 30
     while not list(project.glob(".labpipe-*")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)

@@ -42,7 +42,9 @@ def test_every_reader_of_tables_is_given_mutated_files() -> None:
 def test_no_mutated_file_breaks_its_reader(seeds: Path, tmp_path: Path, kind: str) -> None:
     """Nor does a mutated artefact give another number."""
     if kind == INDEX:
-        (tmp_path / "identification.json").write_bytes((seeds / "laboratory/out/identification.json").read_bytes())
+        (tmp_path / "identification.json").write_bytes(
+            (seeds / "laboratory/out/identification.json").read_bytes()
+        )
     (tmp_path / kind).write_bytes((seeds / kind).read_bytes())
     whole = READS[kind](tmp_path / kind)[0]
     assert whole

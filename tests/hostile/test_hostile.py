@@ -51,7 +51,11 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict:
 def refused(ended, *said: str) -> None:  # type: ignore[no-untyped-def]
     """One message of usual length, in which nothing acts."""
     assert ended.code == 2, ended
-    assert 1 <= len(ended.err.splitlines()) <= 3 and len(ended.err) <= 3 * LONGEST and "Traceback" not in ended.err
+    assert (
+        1 <= len(ended.err.splitlines()) <= 3
+        and len(ended.err) <= 3 * LONGEST
+        and "Traceback" not in ended.err
+    )
     assert printable(ended.err, "\n") == ended.err
     for fragment in said:
         assert fragment in ended.err
@@ -71,13 +75,17 @@ def refused(ended, *said: str) -> None:  # type: ignore[no-untyped-def]
         ("1" * 100000 + " kg", "is not a finite value"),
     ],
 )
-def test_an_impossible_mass_is_refused_at_its_place(lab: Path, labpipe: Command, mass: str, said: str) -> None:
+def test_an_impossible_mass_is_refused_at_its_place(
+    lab: Path, labpipe: Command, mass: str, said: str
+) -> None:
     text = (lab / "rig.yaml").read_text().replace("0.79 kg", mass)
     (lab / "rig.yaml").write_text(text)
     refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), f"{lab}/rig.yaml:6:1: mass: ", said)
 
 
-def test_an_impossible_unit_in_a_condition_of_a_list_is_refused(lab: Path, labpipe: Command, result: dict) -> None:
+def test_an_impossible_unit_in_a_condition_of_a_list_is_refused(
+    lab: Path, labpipe: Command, result: dict
+) -> None:
     result["responses"][0]["conditions"] = {"length": "3 km"}
     write_json(lab / "identification.json", result)
     for unit in ("km^999", "kg^(1/0)"):
@@ -93,7 +101,9 @@ def test_an_impossible_unit_in_a_header_is_no_unit(lab: Path, labpipe: Command, 
 
 def test_no_recordings_and_no_title_is_one_message(lab: Path, labpipe: Command) -> None:
     """It once ended in a KeyError: the place of the fault was that of the title."""
-    (lab / "pipeline.yaml").write_text(ALONE.replace("title: Small\n", "").replace("recordings: soft.csv", "recordings: []"))
+    (lab / "pipeline.yaml").write_text(
+        ALONE.replace("title: Small\n", "").replace("recordings: soft.csv", "recordings: []")
+    )
     ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
     assert ended.code == 2 and "neither recordings nor frfs" in ended.err
 
@@ -119,13 +129,17 @@ def scaled(column: int, factor: float) -> str:
         (0, 1e-9, "a block or period of 1 s is longer than the recording"),
     ],
 )
-def test_numbers_that_nothing_measures_are_refused(lab: Path, labpipe: Command, column: int, factor: float, said: str) -> None:
+def test_numbers_that_nothing_measures_are_refused(
+    lab: Path, labpipe: Command, column: int, factor: float, said: str
+) -> None:
     (lab / "soft.csv").write_text(scaled(column, factor))
     refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), "soft.csv", said)
 
 
 @pytest.mark.parametrize(("column", "factor"), [(2, 1e12), (1, 1e-30)])
-def test_unusual_numbers_give_a_result_or_a_message(lab: Path, labpipe: Command, column: int, factor: float) -> None:
+def test_unusual_numbers_give_a_result_or_a_message(
+    lab: Path, labpipe: Command, column: int, factor: float
+) -> None:
     """A numpy bool once reached the JSON writer."""
     (lab / "soft.csv").write_text(scaled(column, factor))
     ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out")
@@ -133,7 +147,10 @@ def test_unusual_numbers_give_a_result_or_a_message(lab: Path, labpipe: Command,
 
 
 def test_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
-    write_json(tmp_path / "a.json", {"a": np.bool_(True), "b": [np.float64(2.5), np.int64(3)], "c": {"d": np.float32(np.nan)}})
+    write_json(
+        tmp_path / "a.json",
+        {"a": np.bool_(True), "b": [np.float64(2.5), np.int64(3)], "c": {"d": np.float32(np.nan)}},
+    )
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": True, "b": [2.5, 3], "c": {"d": None}}
     with pytest.raises(TypeError, match="a set has no place in JSON"):
         write_json(tmp_path / "a.json", {"a": {1}})
@@ -184,10 +201,18 @@ def archive(tmp_path: Path, result: dict) -> Path:
 
 @pytest.mark.parametrize(
     "command",
-    [("list",), ("list", "-p", "k"), ("trend", "-p", "k", "--over", "date"), ("verify",), ("report", "-o", "r.md")],
+    [
+        ("list",),
+        ("list", "-p", "k"),
+        ("trend", "-p", "k", "--over", "date"),
+        ("verify",),
+        ("report", "-o", "r.md"),
+    ],
     ids=["list", "values", "trend", "verify", "report"],
 )
-def test_one_bad_result_does_not_stop_a_folder(archive: Path, labpipe: Command, command: tuple[str, ...]) -> None:
+def test_one_bad_result_does_not_stop_a_folder(
+    archive: Path, labpipe: Command, command: tuple[str, ...]
+) -> None:
     began = time.monotonic()
     arguments = [str(archive / "r.md") if argument == "r.md" else argument for argument in command[1:]]
     ended = labpipe(command[0], archive, *arguments)
@@ -225,22 +250,33 @@ def test_aliases_of_aliases_are_counted(tmp_path: Path, labpipe: Command) -> Non
     refused(labpipe("run", tmp_path / "deep.yaml", "-o", tmp_path / "out"), "nested too deeply")
 
 
-@pytest.mark.parametrize("header", ["[" * DEEP, "(" * DEEP + "m", "#" * DEEP, "/" * DEEP, " " * DEEP + "x", "'" * DEEP])
+@pytest.mark.parametrize(
+    "header", ["[" * DEEP, "(" * DEEP + "m", "#" * DEEP, "/" * DEEP, " " * DEEP + "x", "'" * DEEP]
+)
 def test_a_long_header_takes_no_long_time(tmp_path: Path, labpipe: Command, header: str) -> None:
-    (tmp_path / "a.csv").write_text(f"t [s],force [N],{header}\n" + "".join(f"{n / 100},{n % 7},{n % 5}\n" for n in range(50)))
+    (tmp_path / "a.csv").write_text(
+        f"t [s],force [N],{header}\n" + "".join(f"{n / 100},{n % 7},{n % 5}\n" for n in range(50))
+    )
     began = time.monotonic()
     assert labpipe("inspect", tmp_path / "a.csv").code in (0, 2)
     assert time.monotonic() - began < SECONDS
 
 
 def test_a_sound_file_that_claims_4_gigabytes_is_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
-    content = b"RIFF" + struct.pack("<I", 0xFFFFFFF0) + b"WAVEfmt " + struct.pack("<IHHIIHH", 16, 1, 1, 48000, 144000, 3, 24)
+    content = (
+        b"RIFF"
+        + struct.pack("<I", 0xFFFFFFF0)
+        + b"WAVEfmt "
+        + struct.pack("<IHHIIHH", 16, 1, 1, 48000, 144000, 3, 24)
+    )
     (tmp_path / "a.wav").write_bytes(content + b"data" + struct.pack("<I", 0xFFFFFFD0) + bytes(3000))
     with pytest.raises(DataError, match="ends before its last sample"):
         open_table(tmp_path / "a.wav")
 
 
-def test_a_file_that_loops_inside_the_library_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_loops_inside_the_library_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In the child process only: a loop in place of the library's."""
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
@@ -270,10 +306,15 @@ def test_a_pipe_is_no_file(tmp_path: Path, labpipe: Command, suffix: str) -> Non
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_pages_of_a_foreign_parquet_file(tmp_path: Path, labpipe: Command, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    pq.write_table(pa.table({"t [s]": np.arange(500) / 100, "force [N]": rng.normal(size=500)}), tmp_path / "whole.parquet")
+    pq.write_table(
+        pa.table({"t [s]": np.arange(500) / 100, "force [N]": rng.normal(size=500)}),
+        tmp_path / "whole.parquet",
+    )
     content = (tmp_path / "whole.parquet").read_bytes()
     for place in rng.integers(0, len(content), 40):
-        (tmp_path / "a.parquet").write_bytes(content[:place] + bytes([255 - content[place]]) + content[place + 1 :])
+        (tmp_path / "a.parquet").write_bytes(
+            content[:place] + bytes([255 - content[place]]) + content[place + 1 :]
+        )
         ended = labpipe("inspect", tmp_path / "a.parquet")
         if ended.code:
             refused(ended, "a.parquet")
@@ -281,7 +322,10 @@ def test_damaged_pages_of_a_foreign_parquet_file(tmp_path: Path, labpipe: Comman
 
 def test_text_whose_encoding_is_damaged(lab: Path, labpipe: Command) -> None:
     text = recording(18e3)
-    for content in (text.encode("utf-16") + b"\x41", text[:900].encode("utf-16") + b"\x00\xd8\x41\x00" + text[900:].encode("utf-16-le")):
+    for content in (
+        text.encode("utf-16") + b"\x41",
+        text[:900].encode("utf-16") + b"\x00\xd8\x41\x00" + text[900:].encode("utf-16-le"),
+    ):
         (lab / "soft.csv").write_bytes(content)
         refused(labpipe("run", lab / "pipeline.yaml", "-o", lab / "out"), "soft.csv: is not UTF-16 text")
 
@@ -314,12 +358,19 @@ def test_echoes_of_what_stood_in_a_file_are_cut(lab: Path, labpipe: Command) -> 
 
 def test_a_message_keeps_its_place_and_its_cure() -> None:
     line = message_line("error: a.yaml:1:1: " + "x" * 2000 + "; write it as 1 N")
-    assert len(line) <= LONGEST and line.startswith("error: a.yaml:1:1: x") and line.endswith("; write it as 1 N")
+    assert (
+        len(line) <= LONGEST
+        and line.startswith("error: a.yaml:1:1: x")
+        and line.endswith("; write it as 1 N")
+    )
     assert message_line(f"a: '{'y' * 200}' is no number") == f"a: '{'y' * 77}...' is no number"
     assert message_line("µm ± 振動 \x1b") == "µm ± 振動 \\x1b"
 
 
-@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1+2", "-2+3+cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "'quoted", "'=1", "''"])
+@pytest.mark.parametrize(
+    "text",
+    ["=cmd|' /C calc'!A0", "+1+2", "-2+3+cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "'quoted", "'=1", "''"],
+)
 def test_no_cell_is_a_formula_and_every_cell_reads_back(text: str) -> None:
     written = cell(text)
     assert isinstance(written, str) and written.startswith("'") and text_of(written) == text
@@ -331,13 +382,17 @@ def test_amounts_and_names_stay_as_they_are(text: object) -> None:
 
 
 def test_formulas_in_names_do_not_reach_an_exported_table(lab: Path, labpipe: Command) -> None:
-    (lab / "pipeline.yaml").write_text(ALONE.replace("  direct:", "  '=cmd|calc':").replace("direct.gof", "'=cmd|calc.gof'"))
+    (lab / "pipeline.yaml").write_text(
+        ALONE.replace("  direct:", "  '=cmd|calc':").replace("direct.gof", "'=cmd|calc.gof'")
+    )
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
     assert labpipe("export", lab / "out/identification.json", "--to", "csv", "-o", lab / "a.csv").code == 0
     assert labpipe("list", lab, "-p", "k", "--csv", lab / "b.csv").code == 0
     for name in ("a.csv", "b.csv"):
         text = (lab / name).read_text()
-        assert "'=cmd|calc" in text and not any(field.startswith("=") for line in text.splitlines() for field in line.split(","))
+        assert "'=cmd|calc" in text and not any(
+            field.startswith("=") for line in text.splitlines() for field in line.split(",")
+        )
 
 
 def test_nothing_is_left_of_what_was_refused(lab: Path, labpipe: Command) -> None:
@@ -351,7 +406,10 @@ def test_nothing_is_left_of_what_was_refused(lab: Path, labpipe: Command) -> Non
 
 
 def bench(folder: Path, noise: float) -> Path:
-    """A mass on a spring, 77 Hz, under six periods of an odd multisine with lines 4 Hz apart; *noise* [1] over the motion."""
+    """A mass on a spring, 77 Hz, under six periods of an odd multisine with lines 4 Hz apart.
+
+    *noise* [1] over the motion.
+    """
     rng, n_sample = np.random.default_rng(3), 512
     lines = np.arange(11, 100, 2)
     force = np.zeros(n_sample // 2 + 1, complex)
@@ -360,38 +418,46 @@ def bench(folder: Path, noise: float) -> Path:
     motion = np.fft.irfft(force / ((2 * np.pi * 77) ** 2 * (1 + 0.02j) - omega**2), n_sample)
     whole = np.tile(motion, 6)
     whole = whole + noise * np.std(motion) * rng.normal(size=whole.size)
-    pq.write_table(pa.table({"f [N]": np.tile(np.fft.irfft(force, n_sample), 6), "y [m]": whole}), folder / "odd.parquet")
+    pq.write_table(
+        pa.table({"f [N]": np.tile(np.fft.irfft(force, n_sample), 6), "y [m]": whole}), folder / "odd.parquet"
+    )
     channels = "".join(
         f"  {name}: {{column: '{name} [{unit}]', quantity: {quantity}, unit: {unit}, role: {role}, dof: y}}\n"
         for name, unit, quantity, role in (("f", "N", "force", "input"), ("y", "m", "displacement", "output"))
     )
     (folder / "odd-rig.yaml").write_text(f"name: bench\nsample_rate: 1024 Hz\nchannels:\n{channels}")
     (folder / "odd.yaml").write_text(
-        "title: odd\nrig: odd-rig.yaml\nrecordings: odd.parquet\nfrf: {excitation: periodic, period: 500 ms, band: 20-200 Hz}\n"
+        "title: odd\nrig: odd-rig.yaml\nrecordings: odd.parquet\nfrf: {excitation: periodic, period: 500 "
+        "ms, band: 20-200 Hz}\n"
         "identify: {modes: {model: modal, modal: {poles: [77 Hz]}}}\nreport: {formats: []}\n"
     )
     return folder / "odd.yaml"
 
 
 def test_a_pole_by_hand_in_data_without_one(labpipe: Command, tmp_path: Path) -> None:
-    # The highest order has no pole in what is mostly noise: lower ones are asked, and where none has any, that is said.
+    # The highest order has no pole in what is mostly noise: lower ones are asked, and where none has any,
+    # that is said.
     ended = labpipe("run", bench(tmp_path, 0.01), "-o", tmp_path / "out")
     assert ended.code == 0, ended.err
     (fit,) = json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["fits"]
     (frequency,) = (p for p in fit["parameters"] if p["name"] == "f_n_1")
     assert abs(frequency["value"] - 77.0) < 4 * frequency["std_error"] + 0.01
     refused(
-        labpipe("run", bench(tmp_path, 30.0), "-o", tmp_path / "other"), "odd.yaml: identify.modes: no order up to ", "choose another band"
+        labpipe("run", bench(tmp_path, 30.0), "-o", tmp_path / "other"),
+        "odd.yaml: identify.modes: no order up to ",
+        "choose another band",
     )
 
 
 def test_two_periods_of_all_channels(labpipe: Command, tmp_path: Path, root: Path) -> None:
-    # One degree of freedom: a line that exceeds its neighbours' noise had a covariance without an inverse, which no descent survives.
+    # One degree of freedom: a line that exceeds its neighbours' noise had a covariance without an inverse,
+    # which no descent survives.
     recording = pq.read_table(root / "sample_data/floating/dry-zipper.parquet").slice(0, 1500)
     pq.write_table(recording, tmp_path / "dry.parquet")
     fit = "{model: dynamic-stiffness, motion: absolute, form: kcm, stator_mass: 60 kg}"
     (tmp_path / "pipeline.yaml").write_text(
-        f"title: dry\nrig: {root}/configs/floating.yaml\nrecordings: dry.parquet\nidentify: {{hoses: {fit}}}\nreport: {{formats: []}}\n"
+        f"title: dry\nrig: {root}/configs/floating.yaml\nrecordings: dry.parquet\nidentify: {{hoses: "
+        f"{fit}}}\nreport: {{formats: []}}\n"
         "frf: {excitation: periodic, period: 500 ms, result: spectra, band: 20-200 Hz}\n"
     )
     ended = labpipe("run", tmp_path / "pipeline.yaml", "-o", tmp_path / "out")
@@ -404,7 +470,11 @@ def test_two_periods_of_all_channels(labpipe: Command, tmp_path: Path, root: Pat
 
 
 @pytest.mark.parametrize(
-    ("place", "said"), [("estimation.fitting.identify", "pipeline.yaml: identify.direct"), ("spectra.measurement.measure", ".csv: ")]
+    ("place", "said"),
+    [
+        ("estimation.fitting.identify", "pipeline.yaml: identify.direct"),
+        ("spectra.measurement.measure", ".csv: "),
+    ],
 )
 def test_a_matrix_without_a_solution_is_a_refusal(
     lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch, place: str, said: str
@@ -422,9 +492,16 @@ def test_a_matrix_without_a_solution_is_a_refusal(
 
 
 @pytest.mark.parametrize("debug", [False, True])
-@pytest.mark.parametrize(("command", "place"), [("run", "estimation.fitting.identify"), ("check", "cli.run.run_pipeline")])
+@pytest.mark.parametrize(
+    ("command", "place"), [("run", "estimation.fitting.identify"), ("check", "cli.run.run_pipeline")]
+)
 def test_a_fault_of_ours_says_so(
-    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, place: str, debug: bool
+    lab: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    place: str,
+    debug: bool,
 ) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by nothing")
@@ -440,11 +517,19 @@ def test_a_fault_of_ours_says_so(
         main()
     assert ended.value.code == 3 and not (lab / "out").exists()
     *before, line = capsys.readouterr().err.splitlines()
-    assert line.startswith("error: this is a fault of labpipe, not of your files (ZeroDivisionError: by nothing")
+    assert line.startswith(
+        "error: this is a fault of labpipe, not of your files (ZeroDivisionError: by nothing"
+    )
     written = list(lab.glob("labpipe-fault-*.txt"))
     if debug:
-        assert any(row.startswith("Traceback") for row in before) and line.endswith("please report it with the traceback above")
+        assert any(row.startswith("Traceback") for row in before) and line.endswith(
+            "please report it with the traceback above"
+        )
         assert not written
     else:
         assert before == [] and line.endswith(f"please report it with {written[0]}")
-        assert "Traceback" in (text := written[0].read_text("utf-8")) and "broken" in text and str(arguments[1]) in text
+        assert (
+            "Traceback" in (text := written[0].read_text("utf-8"))
+            and "broken" in text
+            and str(arguments[1]) in text
+        )

@@ -1,4 +1,6 @@
-"""One mutated input after the other, each judged: refused in one message, read as it was, or read as something else."""
+"""One mutated input after the other, each judged: refused in one message, read as it was, or read as
+something else.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def trial_of_yaml(name: str, folder: Path, seed: int, tally: Tally) -> None:
     if path.suffix != ".yaml":
         path.write_bytes(mutated_bytes(text.encode(), rng))
     else:
-        path.write_text((mutated_amounts if scenario.amounts and seed % 2 else mutated_yaml)(text, rng), "utf-8")
+        path.write_text(
+            (mutated_amounts if scenario.amounts and seed % 2 else mutated_yaml)(text, rng), "utf-8"
+        )
     out, err = io.StringIO(), io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -106,5 +110,10 @@ def _said_amiss(code: int, said: str) -> str:
 
 def _left_behind(folder: Path) -> str:
     # The file of a watch's lock stays; the lock itself goes with the process.
-    left = [path.name for home in (folder, folder / "out") for path in home.glob(f"{STAGING}*") if path.name != LOCK]
+    left = [
+        path.name
+        for home in (folder, folder / "out")
+        for path in home.glob(f"{STAGING}*")
+        if path.name != LOCK
+    ]
     return f"left behind: {', '.join(left)}" if left else ""

@@ -1,4 +1,6 @@
-"""A Dask scheduler and workers on loopback, as people start them: each a process that can be measured, or killed."""
+"""A Dask scheduler and workers on loopback, as people start them: each a process that can be measured, or
+killed.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ START_SECONDS, END_SECONDS = 60.0, 30.0
 
 @dataclass(frozen=True)
 class DaskCluster:
-    """Where the scheduler answers, its process, and those of the workers' keepers, which start a worker again that has ended."""
+    """Where the scheduler answers, its process, and those of the workers' keepers, which start a worker again
+    that has ended.
+    """
 
     address: str
     scheduler: subprocess.Popen[bytes]
@@ -37,7 +41,9 @@ class DaskCluster:
 
 @contextmanager
 def dask_cluster(folder: Path, count: int, mark: dict[str, str] | None = None) -> Iterator[DaskCluster]:
-    """A scheduler and *count* workers, none of which is left at the end; *mark*: further variables of their environment."""
+    """A scheduler and *count* workers, none of which is left at the end; *mark*: further variables of their
+    environment.
+    """
     file = folder / "scheduler.json"
     file.unlink(missing_ok=True)
     with (folder / "dask.log").open("ab") as log:
@@ -54,17 +60,25 @@ def dask_cluster(folder: Path, count: int, mark: dict[str, str] | None = None) -
                 *arguments,
             ]
             environment = {**os.environ, **(mark or {})}
-            return subprocess.Popen([*command, "--scheduler-file", str(file)], stdout=log, stderr=log, env=environment, cwd=folder)
+            return subprocess.Popen(
+                [*command, "--scheduler-file", str(file)], stdout=log, stderr=log, env=environment, cwd=folder
+            )
 
         scheduler = start("dask_scheduler", "--port", "0")
         processes = [scheduler]
         try:
             end = time.monotonic() + START_SECONDS
-            # The scheduler writes the file in place: for a moment it is there and empty, and "}" alone may end a part of it.
-            while not (text := file.read_text() if file.exists() else "").endswith("\n}") and time.monotonic() < end:
+            # The scheduler writes the file in place: for a moment it is there and empty, and "}" alone may
+            # end a part of it.
+            while (
+                not (text := file.read_text() if file.exists() else "").endswith("\n}")
+                and time.monotonic() < end
+            ):
                 time.sleep(0.05)
             address = json.loads(text)["address"]
-            keepers = tuple(start("dask_worker", "--nthreads", "1", "--death-timeout", "20") for _ in range(count))
+            keepers = tuple(
+                start("dask_worker", "--nthreads", "1", "--death-timeout", "20") for _ in range(count)
+            )
             processes.extend(keepers)
             yield DaskCluster(address, scheduler, keepers)
         finally:

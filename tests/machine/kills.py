@@ -1,10 +1,12 @@
-"""A run over several recordings, killed at a random moment, then finished: the same bytes as an undisturbed one, and nothing left behind.
+"""A run over several recordings, killed at a random moment, then finished: the same bytes as an undisturbed
+one, and nothing left behind.
 
 python -m tests.machine.kills [--count N] [--processes J | --cluster] [--worker | --scheduler] [--dataset]
 
-With --cluster the tests run on a Dask scheduler with two workers on loopback, which are started and stopped here. With --worker it is a
-worker that is killed; the run goes on and ends as if nothing had been. With --scheduler it is the scheduler: the run says so, and the
-same command with another one finishes it. With --dataset the results are kept as a dataset.
+With --cluster the tests run on a Dask scheduler with two workers on loopback, which are started and stopped
+here. With --worker it is a worker that is killed; the run goes on and ends as if nothing had been. With
+--scheduler it is the scheduler: the run says so, and the same command with another one finishes it. With
+--dataset the results are kept as a dataset.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ report: {{formats: [md]}}
 results: {results}
 """
 MARK = "LABPIPE_KILL_TEST"
-# So long processes may take to see that their parent is no more, and a cluster's workers to end a task that nobody waits for.
+# So long processes may take to see that their parent is no more, and a cluster's workers to end a task that
+# nobody waits for.
 GONE_SECONDS, TASK_SECONDS = 10.0, 0.5
 # From the first worker to the end of a run on a cluster, on a busy machine.
 SCHEDULER_SECONDS = 6.0
@@ -48,7 +51,9 @@ RUN_SECONDS = 120.0
 
 @dataclass(frozen=True)
 class Way:
-    """How runs are done: the *options* of the command, and the *workers* of a run that are there now, by its mark."""
+    """How runs are done: the *options* of the command, and the *workers* of a run that are there now, by its
+    mark.
+    """
 
     options: tuple[str, ...]
     workers: Callable[[Path], list[int]]
@@ -79,11 +84,16 @@ def killed(folder: Path, name: str, way: Way, seconds: float) -> list[str]:
         time.sleep(0.05)
     faults = [f"processes {left} outlive their parent"] if left else []
     code = _begun(folder, name, way.options).wait()
-    return [f"killed after {seconds:.3f} s, {way.name}: {fault}" for fault in (*faults, *_amiss(folder, name, code, way))]
+    return [
+        f"killed after {seconds:.3f} s, {way.name}: {fault}"
+        for fault in (*faults, *_amiss(folder, name, code, way))
+    ]
 
 
 def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random.Random) -> list[str]:
-    """Kill a worker of a run *seconds* after the first one is there, and name what is not as it should be at the run's end."""
+    """Kill a worker of a run *seconds* after the first one is there, and name what is not as it should be at
+    the run's end.
+    """
     run = _begun(folder, name, way.options)
     while not way.workers(folder / name) and run.poll() is None:
         time.sleep(0.005)
@@ -97,17 +107,29 @@ def worker_killed(folder: Path, name: str, way: Way, seconds: float, rng: random
     except subprocess.TimeoutExpired:
         run.kill()
         code = run.wait()
-    return [f"worker killed after {seconds:.3f} s, {way.name}: {fault}" for fault in _amiss(folder, name, code, way)]
+    return [
+        f"worker killed after {seconds:.3f} s, {way.name}: {fault}"
+        for fault in _amiss(folder, name, code, way)
+    ]
 
 
 def _working(cluster: Any) -> list[int]:
-    """The workers that have begun: Dask gives one up that is killed while it starts, and those of a run would come to an end."""
-    keepers = [keeper for keeper in cluster.workers.values() if keeper.process is not None and keeper.process.status.name == "running"]
+    """The workers that have begun: Dask gives one up that is killed while it starts, and those of a run would
+    come to an end.
+    """
+    keepers = [
+        keeper
+        for keeper in cluster.workers.values()
+        if keeper.process is not None and keeper.process.status.name == "running"
+    ]
     return [keeper.pid for keeper in keepers if keeper.pid]
 
 
 def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
-    """Kill the scheduler of a run *seconds* after its first worker is there, finish by another one; what is not as it should be."""
+    """Kill the scheduler of a run *seconds* after its first worker is there, finish by another one.
+
+    What is not as it should be.
+    """
     faults = []
     with dask_cluster(folder, 2) as first, (folder / f"{name}.err").open("w+") as said:
         run = _begun(folder, name, ("--cluster", first.address), said)
@@ -127,25 +149,36 @@ def scheduler_killed(folder: Path, name: str, seconds: float) -> list[str]:
     with dask_cluster(folder, 2) as second:
         way = Way(("--cluster", second.address), lambda _: second.workers())
         code = _begun(folder, name, way.options).wait()
-        return [f"scheduler killed after {seconds:.3f} s: {fault}" for fault in (*faults, *_amiss(folder, name, code, way))]
+        return [
+            f"scheduler killed after {seconds:.3f} s: {fault}"
+            for fault in (*faults, *_amiss(folder, name, code, way))
+        ]
 
 
 def _amiss(folder: Path, name: str, code: int, way: Way) -> Iterator[str]:
-    """What is not as after an undisturbed run; on a cluster also when the tasks of the killed run have ended."""
+    """What is not as after an undisturbed run.
+
+    On a cluster also when the tasks of the killed run have ended.
+    """
     if code != 0:
         yield f"the finished run ends with {code}"
     for pause in (0.0, TASK_SECONDS) if "--cluster" in way.options else (0.0,):
         time.sleep(pause)
         if (found := contents(folder / name)) != (whole := contents(folder / "whole")):
-            yield f"other bytes: {', '.join(sorted(key for key in found.keys() | whole.keys() if found.get(key) != whole.get(key)))}"
+            other = sorted(key for key in found.keys() | whole.keys() if found.get(key) != whole.get(key))
+            yield f"other bytes: {', '.join(other)}"
         if staging := [path.name for path in (folder / name).glob(".labpipe-*")]:
             yield f"left behind: {staging}"
 
 
-def _begun(folder: Path, name: str, options: tuple[str, ...], said: IO[str] | int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+def _begun(
+    folder: Path, name: str, options: tuple[str, ...], said: IO[str] | int = subprocess.DEVNULL
+) -> subprocess.Popen[bytes]:
     arguments = ["run", str(folder / "pipeline.yaml"), "-o", str(folder / name), "-q", *options]
     environment = {**os.environ, MARK: str(folder / name)}
-    return subprocess.Popen([sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=said)
+    return subprocess.Popen(
+        [sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=said
+    )
 
 
 def _processes(mark: Path, words: bytes = b"") -> list[int]:
@@ -153,7 +186,10 @@ def _processes(mark: Path, words: bytes = b"") -> list[int]:
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
-            marked = f"{MARK}={mark}\0".encode() in (entry / "environ").read_bytes() and words in (entry / "cmdline").read_bytes()
+            marked = (
+                f"{MARK}={mark}\0".encode() in (entry / "environ").read_bytes()
+                and words in (entry / "cmdline").read_bytes()
+            )
             if marked and (entry / "stat").read_bytes().rpartition(b")")[2].split()[0] != b"Z":
                 found.append(int(entry.name))
         except OSError:
@@ -174,7 +210,9 @@ def cluster(folder: Path) -> Iterator[Way]:
     mark = folder / "cluster"
     os.environ[MARK] = str(mark)
     try:
-        with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as scheduler:
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        ) as scheduler:
             yield Way(("--cluster", scheduler.scheduler_address), lambda _: _working(scheduler))
     finally:
         del os.environ[MARK]
@@ -185,9 +223,15 @@ def cluster(folder: Path) -> Iterator[Way]:
 
 
 def scheduler_kills(count: int, folder: Path, seed: int = 0) -> list[str]:
-    """What went wrong in *count* kills of schedulers at random moments of the first seconds of work, in a prepared *folder*."""
+    """What went wrong in *count* kills of schedulers at random moments of the first seconds of work, in a
+    prepared *folder*.
+    """
     rng = random.Random(seed)
-    return [fault for number in range(count) for fault in scheduler_killed(folder, f"out{number}", rng.uniform(0, SCHEDULER_SECONDS))]
+    return [
+        fault
+        for number in range(count)
+        for fault in scheduler_killed(folder, f"out{number}", rng.uniform(0, SCHEDULER_SECONDS))
+    ]
 
 
 def kills(count: int, way: Way, folder: Path, *, worker: bool = False, seed: int = 0) -> list[str]:

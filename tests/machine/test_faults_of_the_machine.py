@@ -1,4 +1,6 @@
-"""What a machine does to a run: it is killed, its disk is full, its folder is read-only, its inputs change, its clock goes back."""
+"""What a machine does to a run: it is killed, its disk is full, its folder is read-only, its inputs change,
+its clock goes back.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from tests.hostile.seeds import READS, write_seeds
 from tests.machine.kills import alone, cluster, kills, prepared, scheduler_kills
 from tests.project.laboratory import ALONE, contents, done, laboratory, recording
 
-needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
+needs_proc = pytest.mark.skipif(
+    not Path("/proc/self/environ").exists(), reason="processes are found by /proc"
+)
 
 
 @pytest.fixture
@@ -41,7 +45,9 @@ def test_a_killed_run_is_finished_to_the_same_bytes(tmp_path: Path, processes: i
 @pytest.mark.long
 @needs_proc
 def test_a_run_whose_worker_is_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
-    """As when the machine is short of memory: `python -m tests.machine.kills --processes 2 --worker` does more of them."""
+    """As when the machine is short of memory: `python -m tests.machine.kills --processes 2 --worker` does
+    more of them.
+    """
     prepared(tmp_path)
     assert kills(2, alone(2), tmp_path, worker=True) == []
 
@@ -49,7 +55,9 @@ def test_a_run_whose_worker_is_killed_ends_as_an_undisturbed_one(tmp_path: Path)
 @pytest.mark.long
 @needs_proc
 @pytest.mark.parametrize("worker", [False, True])
-def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(tmp_path: Path, worker: bool) -> None:
+def test_a_run_on_a_cluster_that_is_killed_is_finished_to_the_same_bytes(
+    tmp_path: Path, worker: bool
+) -> None:
     """`python -m tests.machine.kills --cluster` does more of them."""
     pytest.importorskip("distributed")
     prepared(tmp_path)
@@ -85,7 +93,9 @@ with output_folder(Path(sys.argv[1])) as folder:
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
-def test_the_staging_folder_of_a_run_that_was_killed_before_it_was_locked_goes_as_well(tmp_path: Path) -> None:
+def test_the_staging_folder_of_a_run_that_was_killed_before_it_was_locked_goes_as_well(
+    tmp_path: Path,
+) -> None:
     """One in fifty kills of a watch met this moment."""
     code = """
 import os, sys
@@ -110,13 +120,17 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 200 kB."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)], capture_output=True, check=False
+    ).returncode:
         pytest.skip("a file system can be mounted by the superuser only")
     yield disk
     subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_a_full_disk_is_said_and_leaves_nothing_half_written(lab: Path, small_disk: Path, labpipe: Command) -> None:
+def test_a_full_disk_is_said_and_leaves_nothing_half_written(
+    lab: Path, small_disk: Path, labpipe: Command
+) -> None:
     """At every amount of free space from none on, until the run has enough."""
     filler = small_disk / "filler"
     ended = None
@@ -127,17 +141,23 @@ def test_a_full_disk_is_said_and_leaves_nothing_half_written(lab: Path, small_di
             filler.write_bytes(bytes(used << 10))
         except OSError:
             filler.write_bytes(bytes(max(used - 12, 0) << 10))
-        ended = labpipe("run", lab / "pipeline.yaml", "-o", small_disk / "out", "--set", "report.formats=[md]")
+        ended = labpipe(
+            "run", lab / "pipeline.yaml", "-o", small_disk / "out", "--set", "report.formats=[md]"
+        )
         if ended.code == 0:
             break
         refused += 1
-        assert ended.code == 2 and len(ended.err.splitlines()) == 1 and "no space left" in ended.err.lower(), ended.err
+        assert (
+            ended.code == 2 and len(ended.err.splitlines()) == 1 and "no space left" in ended.err.lower()
+        ), ended.err
         assert not [path for path in small_disk.rglob("*") if path.name.startswith(STAGING)]
     assert ended is not None and ended.code == 0 and refused >= 3
     assert labpipe("verify", small_disk / "out").code == 0
 
 
-def test_an_input_that_changes_while_it_is_read_is_refused(lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_input_that_changes_while_it_is_read_is_refused(
+    lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The digest in the header would be of another content than the numbers."""
     from labpipe.project import ingest
 
@@ -170,12 +190,18 @@ def test_a_clock_that_goes_back_changes_nothing(lab: Path, labpipe: Command) -> 
     assert contents(lab / "out") == before
 
 
-def test_files_are_on_the_disk_before_their_names_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_on_the_disk_before_their_names_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Then a cut of power leaves no name without its content; the folder's names follow."""
     done_in_turn: list[str] = []
     sync, replace = writing._sync, os.replace
     monkeypatch.setattr(writing, "_sync", lambda path: (done_in_turn.append(f"sync {path.name}"), sync(path)))
-    monkeypatch.setattr(os, "replace", lambda source, goal: (done_in_turn.append(f"name {Path(goal).name}"), replace(source, goal)))
+    monkeypatch.setattr(
+        os,
+        "replace",
+        lambda source, goal: (done_in_turn.append(f"name {Path(goal).name}"), replace(source, goal)),
+    )
     with output_folder(tmp_path / "out") as folder:
         folder.write_path("a").write_text("a")
         folder.write_path("sub/b").write_text("b")
@@ -198,7 +224,9 @@ def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) 
     command = [sys.executable, "-m", "labpipe.cli.main"]
     run = [*command, "run", str(lab / "pipeline.yaml"), "-o", str(lab / "out"), "-q"]
     # Of the listing only that it ends without a traceback: it may come before the first result.
-    processes = [subprocess.Popen(line, stderr=subprocess.PIPE) for line in (run, run, [*command, "list", str(lab)])]
+    processes = [
+        subprocess.Popen(line, stderr=subprocess.PIPE) for line in (run, run, [*command, "list", str(lab)])
+    ]
     said = [process.communicate()[1] for process in processes]
     assert [process.returncode for process in processes[:2]] == [0, 0] and b"Traceback" not in b"".join(said)
     assert contents(lab / "out") == contents(lab / "whole")
@@ -219,19 +247,39 @@ for kind, read in READS.items():
 
 @pytest.mark.long
 def test_reads_that_return_less_than_was_asked_for_change_nothing(tmp_path: Path) -> None:
-    """As from a network folder: every reader, ours and those of libraries, under a C library that reads half of it."""
+    """As from a network folder: every reader, ours and those of libraries, under a C library that reads half
+    of it.
+    """
     library = tmp_path / "short_reads.so"
-    command = ["cc", "-shared", "-fPIC", "-o", str(library), str(Path(__file__).with_name("short_reads.c")), "-ldl"]
+    command = [
+        "cc",
+        "-shared",
+        "-fPIC",
+        "-o",
+        str(library),
+        str(Path(__file__).with_name("short_reads.c")),
+        "-ldl",
+    ]
     if shutil.which("cc") is None or subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("a C compiler is needed")
     write_seeds(tmp_path)
-    (tmp_path / "identification.json").write_bytes((tmp_path / "laboratory/out/identification.json").read_bytes())
+    (tmp_path / "identification.json").write_bytes(
+        (tmp_path / "laboratory/out/identification.json").read_bytes()
+    )
     said = [
         subprocess.run(
-            [sys.executable, "-c", READ_ALL, str(tmp_path)], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+            [sys.executable, "-c", READ_ALL, str(tmp_path)],
+            env=environment,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         for environment in (dict(os.environ), {**os.environ, "LD_PRELOAD": str(library)})
     ]
     (at_once, *whole), (less_at_once, *short) = (process.stdout.splitlines() for process in said)
-    assert at_once == f"at once {(tmp_path / 'a.recording.parquet').stat().st_size}" and less_at_once == "at once 4099"
+    assert (
+        at_once == f"at once {(tmp_path / 'a.recording.parquet').stat().st_size}"
+        and less_at_once == "at once 4099"
+    )
     assert short == whole and len(whole) == len(READS)

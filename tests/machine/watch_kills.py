@@ -1,4 +1,5 @@
-"""A watch over arriving recordings, killed at random moments, then finished: every recording has its rows once, with the same numbers.
+"""A watch over arriving recordings, killed at random moments, then finished: every recording has its rows
+once, with the same numbers.
 
 python -m tests.machine.watch_kills [--count N] [--seed S] [--s3]
 
@@ -111,7 +112,9 @@ def kills(count: int, seed: int) -> list[str]:
 
 
 def _numbers(row: dict[str, object]) -> dict[str, object]:
-    """A row without the folder of its trial, which stands in the reasons, and in URLs, which a recording's digest counts in."""
+    """A row without the folder of its trial, which stands in the reasons, and in URLs, which a recording's
+    digest counts in.
+    """
     where = {"digest": ""} if "AWS_ENDPOINT_URL" in os.environ else {}
     return {**row, **where, "failed": row["failed"] is not None}
 

@@ -2,10 +2,11 @@
 
 python -m tests.mutants.run [--count N] [--seed S] [--modules labpipe/stages/judging.py ...]
 
-A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then those that import it, then
-those of its package, up to the first that fails, in a process that has the libraries from its parent: a few seconds each. With --whole
-the short suite follows where all of them pass. Prints every mutant with its outcome; a survivor is a missing test, or a change without
-effect. The same seed makes the same mutants of the same code; --skip goes on where a run was interrupted.
+A mutant is made in a copy of the checkout; the tests that are named after its module run on it first, then
+those that import it, then those of its package, up to the first that fails, in a process that has the
+libraries from its parent: a few seconds each. With --whole the short suite follows where all of them pass.
+Prints every mutant with its outcome; a survivor is a missing test, or a change without effect. The same seed
+makes the same mutants of the same code; --skip goes on where a run was interrupted.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ SECONDS, ONE_TEST_SECONDS = 300.0, 60.0
 SURVIVES, HANGS, LATE = "survives", "hangs", "not within its time"
 # What the tests import; a mutant's process has it from its parent. Nothing of labpipe.
 HEAVY = (
-    "numpy", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "scipy.fft", "scipy.special", "scipy.interpolate", "pandas",
+    "numpy", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.stats", "scipy.fft", "scipy.special",
+    "scipy.interpolate", "pandas",
     "pyarrow.parquet", "pyarrow.csv", "h5py", "yaml", "click", "matplotlib.figure", "nptdms", "fpdf",
 )  # fmt: skip
 # Tests beside those of a module's own package.
@@ -56,13 +58,33 @@ ALSO = {
     "stages": ("tests/project/test_run.py", "tests/cli/test_commands.py"),
     "signals": ("tests/unit/stages", "tests/hostile/test_broken_inputs.py"),
 }
-_COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.In: ast.NotIn}
-_COMPUTED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr}
+_COMPARED = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn,
+}
+_COMPUTED = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+}
 
 
 def changes(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
     """Nodes that can be changed, with what is done to them."""
-    constants = {id(child) for node in ast.walk(tree) if isinstance(node, (ast.JoinedStr, ast.AnnAssign)) for child in ast.walk(node)}
+    constants = {
+        id(child)
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.JoinedStr, ast.AnnAssign))
+        for child in ast.walk(node)
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.Compare) and type(node.ops[0]) in _COMPARED:
             yield node, "comparison"
@@ -72,7 +94,9 @@ def changes(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
             yield node, "and/or"
         elif isinstance(node, (ast.If, ast.IfExp)):
             yield node, "condition"
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float) and id(node) not in constants:
+        elif (
+            isinstance(node, ast.Constant) and type(node.value) in (int, float) and id(node) not in constants
+        ):
             yield node, "number"
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.Not, ast.USub)):
             yield node, "sign"
@@ -111,7 +135,9 @@ def mutant(source: str, rng: random.Random) -> tuple[str, str] | None:
 
 
 def tests_of(module: str) -> Iterator[list[str]]:
-    """The tests that look at a module, the closest first: files named after it, those that import it, others of its package, ALSO."""
+    """The tests that look at a module, the closest first: files named after it, those that import it, others
+    of its package, ALSO.
+    """
     package, stem = Path(module).parent.name, Path(module).stem
     folder = f"tests/unit/{package}/"
     every = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "tests").rglob("test_*.py"))}
@@ -133,7 +159,9 @@ def tests_of(module: str) -> Iterator[list[str]]:
 
 
 def noticed(copy: Path, tests: Sequence[str], seconds: float = SECONDS) -> str:
-    """What a process of its own says of the tests on the copy: the first that failed, HANGS, LATE, or nothing where all passed."""
+    """What a process of its own says of the tests on the copy: the first that failed, HANGS, LATE, or nothing
+    where all passed.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -193,7 +221,9 @@ def _tested(copy: Path, tests: Sequence[str], pipe: int) -> int:
 
 
 def outcome_of(copy: Path, module: str, seconds: float, whole: bool) -> str:
-    """The first test that notices the change of a module of the copy, HANGS, LATE where *seconds* end before the tests, or SURVIVES."""
+    """The first test that notices the change of a module of the copy, HANGS, LATE where *seconds* end before
+    the tests, or SURVIVES.
+    """
     end = time.monotonic() + seconds
     for tests in (*tests_of(module), *([["tests"]] if whole else [])):
         if said := noticed(copy, tests, end - time.monotonic()):
@@ -204,7 +234,11 @@ def outcome_of(copy: Path, module: str, seconds: float, whole: bool) -> str:
 def copied(folder: Path) -> Path:
     """A copy of the checkout, compiled, so that a mutant costs one module's compilation."""
     copy = folder / "labpipe-mutant"
-    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "*.egg-info", "__pycache__", ".mypy_cache", ".ruff_cache"))
+    shutil.copytree(
+        ROOT,
+        copy,
+        ignore=shutil.ignore_patterns(".git", "*.egg-info", "__pycache__", ".mypy_cache", ".ruff_cache"),
+    )
     compileall.compile_dir(copy, quiet=2)
     for name in HEAVY:
         importlib.import_module(name)
@@ -218,16 +252,25 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--skip", type=int, default=0, help="mutants of the seed that were made before")
     parser.add_argument("--modules", nargs="*", default=[])
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="for each mutant: tests that take longer are told apart")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=SECONDS,
+        help="for each mutant: tests that take longer are told apart",
+    )
     parser.add_argument("--whole", action="store_true")
     arguments = parser.parse_args()
     modules = arguments.modules or [
-        path.relative_to(ROOT).as_posix() for package in PACKAGES for path in sorted((ROOT / "labpipe" / package).glob("*.py"))
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in sorted((ROOT / "labpipe" / package).glob("*.py"))
     ]
     outcomes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         copy = copied(Path(name))
-        for number, (module, source, place) in enumerate(mutants(modules, random.Random(arguments.seed), arguments.count)):
+        for number, (module, source, place) in enumerate(
+            mutants(modules, random.Random(arguments.seed), arguments.count)
+        ):
             if number < arguments.skip:
                 continue
             path, stamp = copy / module, (copy / module).stat()
@@ -241,7 +284,10 @@ def main() -> int:
             print(f"{number} {module}:{place}\n    {outcome} ({time.monotonic() - began:.0f} s)", flush=True)
         uncertain = noticed(copy, sorted(outcomes.keys() - {SURVIVES, HANGS, LATE}), 20 * SECONDS)
     missed = outcomes[SURVIVES] + outcomes[LATE]
-    print(f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since they hang")
+    print(
+        f"{outcomes.total() - missed} of {outcomes.total()} mutants are noticed, {outcomes[HANGS]} since "
+        "they hang"
+    )
     print(f"{outcomes[SURVIVES]} survive; {outcomes[LATE]} were not noticed within their time")
     if uncertain:
         print(f"{uncertain} fails on the code as it is: what it noticed does not count")

@@ -1,7 +1,8 @@
-"""What is built from the checkout and installed elsewhere: the wheel, the source distribution, and the command that they bring.
+"""What is built from the checkout and installed elsewhere: the wheel, the source distribution, and the
+command that they bring.
 
-Built by the hooks of PEP 517 in a copy of the checkout, without a network; the environment that the wheel is installed in takes numpy and
-the others from that of the tests.
+Built by the hooks of PEP 517 in a copy of the checkout, without a network; the environment that the wheel is
+installed in takes numpy and the others from that of the tests.
 """
 
 from __future__ import annotations
@@ -23,14 +24,27 @@ from tests.packaging.test_dockerfile import BUILD, copied
 pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
 # What a checkout holds beside what is committed, and what no build looks at.
-ASIDE = (".git", ".venv*", "*.egg-info", "build", "out", "__pycache__", ".*_cache", ".hypothesis", "docs", "tests")
+ASIDE = (
+    ".git",
+    ".venv*",
+    "*.egg-info",
+    "build",
+    "out",
+    "__pycache__",
+    ".*_cache",
+    ".hypothesis",
+    "docs",
+    "tests",
+)
 
 
 def hook(name: str, source: Path, target: Path) -> Path:
     """What a hook of the build backend makes of a folder with sources."""
     target.mkdir()
     code = f"from setuptools import build_meta; print(build_meta.{name}({str(target)!r}))"
-    ended = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=source, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], cwd=source, capture_output=True, text=True, check=False
+    )
     assert ended.returncode == 0, ended.stderr
     return target / ended.stdout.strip().splitlines()[-1]
 
@@ -42,7 +56,9 @@ def files(wheel: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return shutil.copytree(ROOT, tmp_path_factory.mktemp("source") / "labpipe", ignore=shutil.ignore_patterns(*ASIDE))
+    return shutil.copytree(
+        ROOT, tmp_path_factory.mktemp("source") / "labpipe", ignore=shutil.ignore_patterns(*ASIDE)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +74,11 @@ def wheel(checkout: Path, sdist: Path, tmp_path_factory: pytest.TempPathFactory)
 
 def test_the_wheel_holds_every_module_and_every_example(wheel: Path) -> None:
     held = set(files(wheel))
-    package = {path.relative_to(ROOT).as_posix() for path in (ROOT / "labpipe").rglob("*") if path.is_file() and path.suffix != ".pyc"}
+    package = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "labpipe").rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
     assert package <= held
     (data,) = {name.split("/")[0] for name in held if ".data/" in name}
     examples = {
@@ -93,11 +113,25 @@ def test_what_the_dockerfile_copies_builds_the_same_wheel(wheel: Path, tmp_path:
 
 
 def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
-    """As `pipx install` does: an environment of its own; then the version, an example, and its first pipeline."""
+    """As `pipx install` does: an environment of its own.
+
+    Then the version, an example, and its first pipeline.
+    """
     environment = tmp_path / "environment"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
     python = environment / "bin/python"
-    pip = [sys.executable, "-m", "pip", "--python", python, "--quiet", "--disable-pip-version-check", "install", "--no-deps", "--no-index"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        python,
+        "--quiet",
+        "--disable-pip-version-check",
+        "install",
+        "--no-deps",
+        "--no-index",
+    ]
     subprocess.run([*pip, wheel], check=True)
     # After the wheel: pip must not take the labpipe of the tests for an earlier one.
     (site,) = environment.glob("lib/python3*/site-packages")
@@ -106,7 +140,9 @@ def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> Non
 
     def labpipe(*arguments: str) -> str:
         command = [environment / "bin/labpipe", *arguments]
-        ended = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False)
+        ended = subprocess.run(
+            command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
+        )
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
 

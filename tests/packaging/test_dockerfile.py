@@ -1,4 +1,7 @@
-"""The Dockerfile, read: what can be said of it without building. It must agree with the project's metadata, the README and the checkout."""
+"""The Dockerfile, read: what can be said of it without building.
+
+It must agree with the project's metadata, the README and the checkout.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,9 @@ def of(stage: list[Instruction], name: str) -> list[str]:
 
 def copied(stage: list[Instruction]) -> list[str]:
     """What is copied from the checkout."""
-    return [source for rest in of(stage, "COPY") if not rest.startswith("--from") for source in rest.split()[:-1]]
+    return [
+        source for rest in of(stage, "COPY") if not rest.startswith("--from") for source in rest.split()[:-1]
+    ]
 
 
 BUILD, FINAL = stages()
@@ -49,7 +54,10 @@ def test_every_instruction_is_one() -> None:
 
 
 def test_the_base_has_a_python_that_labpipe_supports() -> None:
-    """Both stages the same one, since the environment is copied from one to the other; a public image by its plain name."""
+    """Both stages the same one, since the environment is copied from one to the other.
+
+    A public image by its plain name.
+    """
     images = {rest.split()[0] for stage in (BUILD, FINAL) for rest in of(stage, "FROM")}
     (image,) = images
     match = re.fullmatch(r"python:(\d+)\.(\d+)-slim", image)
@@ -70,7 +78,11 @@ def test_what_is_copied_is_there_and_reaches_the_builder(source: str) -> None:
 
 
 def test_what_the_builder_gets_is_copied() -> None:
-    kept = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line.startswith("!")}
+    kept = {
+        line[1:]
+        for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
+        if line.startswith("!")
+    }
     assert kept == set(copied(BUILD))
 
 

@@ -1,4 +1,7 @@
-"""A small laboratory on disk: a rig file, recordings of a mass on a spring, pipelines over them; what a run leaves behind."""
+"""A small laboratory on disk: a rig file, recordings of a mass on a spring, pipelines over them.
+
+What a run leaves behind.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,9 @@ def laboratory(folder: Path, pipeline: str = PIPELINE) -> Path:
     return folder / "pipeline.yaml"
 
 
-def done(pipeline: Path, out: Path, overrides: Iterable[str] = (), manner: Manner | None = None) -> Identification:
+def done(
+    pipeline: Path, out: Path, overrides: Iterable[str] = (), manner: Manner | None = None
+) -> Identification:
     """Run the pipeline into a folder, as the command does."""
     with output_folder(out) as output:
         return run(load_pipeline(pipeline, overrides), output, manner or Manner())
@@ -70,18 +75,28 @@ def done(pipeline: Path, out: Path, overrides: Iterable[str] = (), manner: Manne
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below a folder."""
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 class Witness:
-    """What was made again since a moment: files are replaced when they are made, so their number on the disk changes."""
+    """What was made again since a moment: files are replaced when they are made, so their number on the disk
+    changes.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._before = self._numbers()
 
     def _numbers(self) -> dict[str, int]:
-        return {path.relative_to(self._folder).as_posix(): path.stat().st_ino for path in self._folder.rglob("*") if path.is_file()}
+        return {
+            path.relative_to(self._folder).as_posix(): path.stat().st_ino
+            for path in self._folder.rglob("*")
+            if path.is_file()
+        }
 
     def made(self) -> set[str]:
         """The files that are new or were made again."""

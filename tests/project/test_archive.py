@@ -1,7 +1,9 @@
-"""labpipe archive and the verification of what it wrote: round trips, what RO-Crate 1.1 demands, and everything that can be wrong with it.
+"""labpipe archive and the verification of what it wrote: round trips, what RO-Crate 1.1 demands, and
+everything that can be wrong with it.
 
-Digests and sizes are computed here by hashlib from what unzipping gives; the demands on the metadata are those of the sections "Root Data
-Entity", "Data Entities" and "Provenance" of RO-Crate 1.1, and of the specification of .eln files.
+Digests and sizes are computed here by hashlib from what unzipping gives; the demands on the metadata are
+those of the sections "Root Data Entity", "Data Entities" and "Provenance" of RO-Crate 1.1, and of the
+specification of .eln files.
 """
 
 from __future__ import annotations
@@ -72,7 +74,9 @@ def graph(content: bytes) -> dict[str, dict[str, Any]]:
 
 
 def rewritten(path: Path, files: Members, *, digests: bool = False) -> Path:
-    """The archive with other members; *digests*: the metadata say what is in them, as one would write who wants to deceive."""
+    """The archive with other members; *digests*: the metadata say what is in them, as one would write who
+    wants to deceive.
+    """
     if digests:
         crate = json.loads(files[METADATA])
         for entity in crate["@graph"]:
@@ -86,7 +90,9 @@ def rewritten(path: Path, files: Members, *, digests: bool = False) -> Path:
     return path
 
 
-def test_an_archive_is_verified_far_from_where_it_was_made(packed: Path, tmp_path: Path, labpipe: Command) -> None:
+def test_an_archive_is_verified_far_from_where_it_was_made(
+    packed: Path, tmp_path: Path, labpipe: Command
+) -> None:
     """Nothing but the file itself is left."""
     alone = tmp_path / "elsewhere" / "b.zip"
     alone.parent.mkdir()
@@ -96,7 +102,8 @@ def test_an_archive_is_verified_far_from_where_it_was_made(packed: Path, tmp_pat
     assert ended.code == 0 and ended.err == ""
     assert ended.out.splitlines() == [
         "11 files: 0 do not hold",
-        "7 artefacts: 0 do not hold; 0 without a digest; of the files that they name 10 are the same, 0 are not there",
+        "7 artefacts: 0 do not hold; 0 without a digest; of the files that they name 10 are the same, 0 are "
+        "not there",
         "run again: the same bytes",
     ]
     assert [path.name for path in tmp_path.rglob("*")] == ["elsewhere", "b.zip"]
@@ -105,13 +112,18 @@ def test_an_archive_is_verified_far_from_where_it_was_made(packed: Path, tmp_pat
 def test_the_metadata_are_what_ro_crate_demands(packed: Path, lab: Path) -> None:
     files = members(packed)
     crate = json.loads(files[METADATA])
-    assert crate["@context"] == ["https://w3id.org/ro/crate/1.1/context", {"sha256": "http://schema.org/sha256"}]
+    assert crate["@context"] == [
+        "https://w3id.org/ro/crate/1.1/context",
+        {"sha256": "http://schema.org/sha256"},
+    ]
     entities = graph(files[METADATA])
     assert len(entities) == len(crate["@graph"])
     descriptor, root = entities[METADATA], entities["./"]
     assert descriptor["@type"] == "CreativeWork" and descriptor["about"] == {"@id": "./"}
     assert descriptor["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
-    assert root["@type"] == "Dataset" and root["name"] == "Small" and root["description"].startswith("Small: ")
+    assert (
+        root["@type"] == "Dataset" and root["name"] == "Small" and root["description"].startswith("Small: ")
+    )
     assert datetime.date.fromisoformat(root["datePublished"]).isoformat() == root["datePublished"]
     assert root["license"].startswith("Not stated.")
     # Every file of the ZIP is an entity with its size and digest, and part of the root.
@@ -120,7 +132,11 @@ def test_the_metadata_are_what_ro_crate_demands(packed: Path, lab: Path) -> None
     for name, content in files.items():
         if name != METADATA:
             entity = entities[name]
-            assert entity["@type"] == "File" and entity["contentSize"] == str(len(content)) and "/" in entity["encodingFormat"]
+            assert (
+                entity["@type"] == "File"
+                and entity["contentSize"] == str(len(content))
+                and "/" in entity["encodingFormat"]
+            )
             assert entity["sha256"] == hashlib.sha256(content).hexdigest()
     assert files[PROJECT + "soft.csv"] == (lab / "soft.csv").read_bytes()
     assert files[RESULTS + "identification.json"] == (lab / "out/identification.json").read_bytes()
@@ -132,7 +148,11 @@ def test_the_metadata_name_the_run_and_nobody(packed: Path) -> None:
     entities = graph(text)
     run = entities["#run"]
     software = entities[run["instrument"]["@id"]]
-    assert run["@type"] == "CreateAction" and software["@type"] == "SoftwareApplication" and software["name"] == "labpipe"
+    assert (
+        run["@type"] == "CreateAction"
+        and software["@type"] == "SoftwareApplication"
+        and software["name"] == "labpipe"
+    )
     of, made = ({one["@id"] for one in run[key]} for key in ("object", "result"))
     assert of == {PROJECT + name for name in ("pipeline.yaml", "rig.yaml", "soft.csv", "hard.csv")}
     assert RESULTS + "identification.json" in made and RESULTS + "fits/soft.json" in made
@@ -145,12 +165,19 @@ def test_the_metadata_name_the_run_and_nobody(packed: Path) -> None:
 
     named = {name for entity in entities.values() for entry in entity.values() for name in references(entry)}
     assert named - set(entities) == {"https://w3id.org/ro/crate/1.1"}
-    assert not {"author", "creator", "agent", "publisher", "sdPublisher"} & {key for entity in entities.values() for key in entity}
+    assert not {"author", "creator", "agent", "publisher", "sdPublisher"} & {
+        key for entity in entities.values() for key in entity
+    }
     assert {"Person", "Organization"}.isdisjoint(entity["@type"] for entity in entities.values())
 
 
-def test_the_same_results_give_the_same_bytes(lab: Path, packed: Path, tmp_path: Path, labpipe: Command) -> None:
-    """In another folder, on another day, of files with other times; the result's own day is the date, unless --date states one."""
+def test_the_same_results_give_the_same_bytes(
+    lab: Path, packed: Path, tmp_path: Path, labpipe: Command
+) -> None:
+    """In another folder, on another day, of files with other times.
+
+    The result's own day is the date, unless --date states one.
+    """
     other = shutil.copytree(lab / "out", tmp_path / "other/out")
     for name in ("pipeline.yaml", "rig.yaml", "soft.csv", "hard.csv"):
         shutil.copy(lab / name, tmp_path / "other")
@@ -171,7 +198,9 @@ def test_the_same_results_give_the_same_bytes(lab: Path, packed: Path, tmp_path:
 
 def test_an_eln_holds_the_same_in_one_folder_of_its_name(lab: Path, packed: Path, labpipe: Command) -> None:
     assert labpipe("archive", lab / "out", "-o", lab / "bench 3.eln").code == 0
-    assert members(lab / "bench 3.eln") == {f"bench 3/{name}": content for name, content in members(packed).items()}
+    assert members(lab / "bench 3.eln") == {
+        f"bench 3/{name}": content for name, content in members(packed).items()
+    }
     assert labpipe("verify", lab / "bench 3.eln").code == 0
 
 
@@ -182,17 +211,23 @@ def test_digests_in_place_of_recordings(lab: Path, labpipe: Command) -> None:
     assert not [name for name in files if name.endswith((".csv", ".recording.parquet"))]
     entity = graph(files[METADATA])[f"#left-out/{PROJECT}soft.csv"]
     content = (lab / "soft.csv").read_bytes()
-    assert entity["sha256"] == hashlib.sha256(content).hexdigest() and entity["contentSize"] == str(len(content))
+    assert entity["sha256"] == hashlib.sha256(content).hexdigest() and entity["contentSize"] == str(
+        len(content)
+    )
     assert entity["@type"] == "CreativeWork"
     ended = labpipe("verify", lab / "d.zip")
-    assert ended.code == 0 and ended.out.endswith("not run again: of 4 files the archive holds the digests only\n")
+    assert ended.code == 0 and ended.out.endswith(
+        "not run again: of 4 files the archive holds the digests only\n"
+    )
     ended = labpipe("verify", lab / "d.zip", "-c", lab / "pipeline.yaml", "--again")
     assert ended.code == 0 and ended.out.endswith("run again: the same bytes\n")
 
 
 def test_digests_are_compared_with_recordings_at_hand(lab: Path, labpipe: Command) -> None:
     assert labpipe("archive", lab / "out", "-o", lab / "d.zip", "--digests-only").code == 0
-    assert "6 are the same, 2 are not there" in labpipe("verify", lab / "d.zip", "-c", lab / "pipeline.yaml").out
+    assert (
+        "6 are the same, 2 are not there" in labpipe("verify", lab / "d.zip", "-c", lab / "pipeline.yaml").out
+    )
     (lab / "soft.csv").write_text(recording(18.1e3))
     ended = labpipe("verify", lab / "d.zip", "-c", lab / "pipeline.yaml")
     assert ended.code == 1 and "'soft.csv' is not the file that it was made from" in ended.out
@@ -200,22 +235,37 @@ def test_digests_are_compared_with_recordings_at_hand(lab: Path, labpipe: Comman
 
 @pytest.mark.parametrize("results", ["whole", "dataset"])
 def test_any_folders_and_names(tmp_path: Path, labpipe: Command, results: str) -> None:
-    """Paths that go up and down again, spaces and signs in names; a dataset, whose tests are of the day of their files."""
+    """Paths that go up and down again, spaces and signs in names.
+
+    A dataset, whose tests are of the day of their files.
+    """
     home = tmp_path / "lab of 3 % & more"
     for folder in ("rigs", "raw data", "pipelines"):
         (home / folder).mkdir(parents=True)
     laboratory(home)
-    for name, place in (("rig.yaml", "rigs"), ("soft.csv", "raw data"), ("hard.csv", "raw data"), ("pipeline.yaml", "pipelines")):
+    for name, place in (
+        ("rig.yaml", "rigs"),
+        ("soft.csv", "raw data"),
+        ("hard.csv", "raw data"),
+        ("pipeline.yaml", "pipelines"),
+    ):
         (home / name).rename(home / place / name)
     for name in ("soft.csv", "hard.csv"):
         os.utime(home / "raw data" / name, (1e9, 1e9))
-    text = PIPELINE.replace("rig.yaml", "../rigs/rig.yaml").replace("recordings: ", "recordings: ../raw data/") + f"results: {results}\n"
+    text = (
+        PIPELINE.replace("rig.yaml", "../rigs/rig.yaml").replace("recordings: ", "recordings: ../raw data/")
+        + f"results: {results}\n"
+    )
     (home / "pipelines/pipeline.yaml").write_text(text)
     assert labpipe("run", home / "pipelines/pipeline.yaml", "-o", home / "out", "-q").code == 0
     ended = labpipe("archive", home / "out", "-o", tmp_path / "a.zip", "-c", home / "pipelines/pipeline.yaml")
     assert ended.code == 0, ended.err
     names = set(members(tmp_path / "a.zip"))
-    assert {PROJECT + "raw data/soft.csv", PROJECT + "rigs/rig.yaml", PROJECT + "pipelines/pipeline.yaml"} <= names
+    assert {
+        PROJECT + "raw data/soft.csv",
+        PROJECT + "rigs/rig.yaml",
+        PROJECT + "pipelines/pipeline.yaml",
+    } <= names
     assert any("date=2001-09-09" in name for name in names) is (results == "dataset")
     shutil.rmtree(home)
     ended = labpipe("verify", tmp_path / "a.zip")
@@ -227,7 +277,10 @@ def test_what_is_not_of_the_result_is_left_out(lab: Path, labpipe: Command) -> N
     shutil.copy(lab / "out/soft.frf.parquet", lab / "out/before.frf.parquet")
     (lab / "out/notes.txt").write_text("private")
     ended = labpipe("archive", lab / "out", "-o", lab / "a.zip")
-    assert ended.code == 0 and f"left out: {lab}/out/before.frf.parquet, which is not of this result" in ended.out
+    assert (
+        ended.code == 0
+        and f"left out: {lab}/out/before.frf.parquet, which is not of this result" in ended.out
+    )
     assert not [name for name in members(lab / "a.zip") if "before" in name or "notes" in name]
     assert labpipe("verify", lab / "a.zip").code == 0
 
@@ -247,18 +300,41 @@ def without(name: str) -> Callable[[Members], Members]:
 @pytest.mark.parametrize(
     ("change", "digests", "said"),
     [
-        (changed(PROJECT + "rig.yaml", b"0.79", b"0.97"), False, PROJECT + "rig.yaml: is not the file that the archive lists"),
+        (
+            changed(PROJECT + "rig.yaml", b"0.79", b"0.97"),
+            False,
+            PROJECT + "rig.yaml: is not the file that the archive lists",
+        ),
         (changed(PROJECT + "rig.yaml", b"0.79", b"0.797"), False, "rig.yaml: has 209 bytes in place of 208"),
         (without(PROJECT + "soft.csv"), False, PROJECT + "soft.csv: is missing"),
         (lambda files: {**files, "more.txt": b"?"}, False, "more.txt: is not listed among the metadata"),
-        # Who changes the digests of the archive as well meets those of the artefacts, and who changes the settings another result.
-        (changed(RESULTS + "identification.json", b'"k", "value": ', b'"k", "value": 9'), True, "content does not match its digest"),
-        (changed(PROJECT + "soft.csv", b"\n0.01,", b"\n0.01,1"), True, "'soft.csv' is not the file that it was made from"),
-        (changed(PROJECT + "pipeline.yaml", b"15-35", b"14-36"), True, "identification.json: running again gives another content"),
-        (changed(PROJECT + "rig.yaml", b"mass:", b"mess:"), True, f"{PROJECT}rig.yaml:6:1: mess: unknown key"),
+        # Who changes the digests of the archive as well meets those of the artefacts, and who changes the
+        # settings another result.
+        (
+            changed(RESULTS + "identification.json", b'"k", "value": ', b'"k", "value": 9'),
+            True,
+            "content does not match its digest",
+        ),
+        (
+            changed(PROJECT + "soft.csv", b"\n0.01,", b"\n0.01,1"),
+            True,
+            "'soft.csv' is not the file that it was made from",
+        ),
+        (
+            changed(PROJECT + "pipeline.yaml", b"15-35", b"14-36"),
+            True,
+            "identification.json: running again gives another content",
+        ),
+        (
+            changed(PROJECT + "rig.yaml", b"mass:", b"mess:"),
+            True,
+            f"{PROJECT}rig.yaml:6:1: mess: unknown key",
+        ),
     ],
 )
-def test_what_was_changed_is_named(packed: Path, labpipe: Command, change: Any, digests: bool, said: str) -> None:
+def test_what_was_changed_is_named(
+    packed: Path, labpipe: Command, change: Any, digests: bool, said: str
+) -> None:
     rewritten(packed, change(members(packed)), digests=digests)
     ended = labpipe("verify", packed)
     assert ended.code == 1 and ended.err == ""
@@ -272,7 +348,11 @@ def test_a_damaged_member_is_named(packed: Path, labpipe: Command) -> None:
     place = content.index(b"force [N]")
     packed.write_bytes(content[:place] + b"F" + content[place + 1 :])
     ended = labpipe("verify", packed)
-    assert ended.code == 1 and f"FAILED {packed}: {PROJECT}" in ended.out and "is damaged (Bad CRC-32" in ended.out
+    assert (
+        ended.code == 1
+        and f"FAILED {packed}: {PROJECT}" in ended.out
+        and "is damaged (Bad CRC-32" in ended.out
+    )
 
 
 def linked(files: Members) -> bytes:
@@ -315,9 +395,18 @@ def unsized(crate: dict[str, Any]) -> None:
     [
         (lambda files: zipped(files)[:-40], "a.zip: is no ZIP file, or a damaged one"),
         (lambda files: b"", "a.zip: is no ZIP file, or a damaged one"),
-        (lambda files: zipped({**files, "../../out.txt": b"slipped"}), "'../../out.txt': has a name that leads out of the archive"),
-        (lambda files: zipped({**files, "/etc/x": b"slipped"}), "'/etc/x': has a name that leads out of the archive"),
-        (lambda files: zipped({**files, "C:/x": b"slipped"}), "'C:/x': has a name that leads out of the archive"),
+        (
+            lambda files: zipped({**files, "../../out.txt": b"slipped"}),
+            "'../../out.txt': has a name that leads out of the archive",
+        ),
+        (
+            lambda files: zipped({**files, "/etc/x": b"slipped"}),
+            "'/etc/x': has a name that leads out of the archive",
+        ),
+        (
+            lambda files: zipped({**files, "C:/x": b"slipped"}),
+            "'C:/x': has a name that leads out of the archive",
+        ),
         (lambda files: zipped({**files, "a\\b": b"slipped"}), "has a name that leads out of the archive"),
         (linked, "'link': is no regular file"),
         (lambda files: zipped({**files, "experiment": b"?"}), "'experiment': is a file and a folder"),
@@ -326,8 +415,14 @@ def unsized(crate: dict[str, Any]) -> None:
         (lambda files: zipped({**files, METADATA: b"{"}), f"{METADATA}: is no RO-Crate of labpipe"),
         (lambda files: zipped({**files, METADATA: b"[" * 100_000}), f"{METADATA}: is no RO-Crate of labpipe"),
         (described(lambda crate: crate["@graph"].pop(0)), f"{METADATA}: is no RO-Crate of labpipe"),
-        (described(lambda crate: crate["@graph"][1].pop("mainEntity")), f"{METADATA}: is no RO-Crate of labpipe"),
-        (described(lambda crate: crate["@graph"][1].update(mainEntity={"@id": "x.yaml"})), "names the pipeline 'x.yaml', which is no file"),
+        (
+            described(lambda crate: crate["@graph"][1].pop("mainEntity")),
+            f"{METADATA}: is no RO-Crate of labpipe",
+        ),
+        (
+            described(lambda crate: crate["@graph"][1].update(mainEntity={"@id": "x.yaml"})),
+            "names the pipeline 'x.yaml', which is no file",
+        ),
         (described(unsized), "without its size and digest"),
     ],
 )
@@ -335,7 +430,9 @@ def test_what_is_no_archive_is_refused(packed: Path, labpipe: Command, content: 
     packed.write_bytes(content(members(packed)))
     before = contents(packed.parent.parent)
     ended = labpipe("verify", packed)
-    assert ended.code == 2 and ended.out == "" and ended.err.count("\n") == 1 and ended.err.startswith("error: ")
+    assert (
+        ended.code == 2 and ended.out == "" and ended.err.count("\n") == 1 and ended.err.startswith("error: ")
+    )
     assert said in ended.err
     assert contents(packed.parent.parent) == before
 
@@ -369,18 +466,45 @@ def absolute(lab: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda lab: (lab / "soft.csv").write_text(recording(18.1e3)), "'soft.csv' is not the file that it was made from"),
-        (lambda lab: (lab / "soft.csv").unlink(), "pipeline.yaml:4:18: tests.1.recordings: no such file 'soft.csv'"),
+        (
+            lambda lab: (lab / "soft.csv").write_text(recording(18.1e3)),
+            "'soft.csv' is not the file that it was made from",
+        ),
+        (
+            lambda lab: (lab / "soft.csv").unlink(),
+            "pipeline.yaml:4:18: tests.1.recordings: no such file 'soft.csv'",
+        ),
         (lambda lab: (lab / "rig.yaml").unlink(), "no such file 'rig.yaml'"),
-        (lambda lab: (lab / "pipeline.yaml").unlink(), "out: no pipeline 'pipeline.yaml' is in or above the results; name it with -c"),
-        (lambda lab: (lab / "out/identification.json").unlink(), "out: holds no identification.json; results appear with"),
+        (
+            lambda lab: (lab / "pipeline.yaml").unlink(),
+            "out: no pipeline 'pipeline.yaml' is in or above the results; name it with -c",
+        ),
+        (
+            lambda lab: (lab / "out/identification.json").unlink(),
+            "out: holds no identification.json; results appear with",
+        ),
         (lambda lab: shutil.rmtree(lab / "out"), "out: holds no identification.json"),
-        (edit("out/identification.json", '"k", "value": ', '"k", "value": 9'), "identification.json: content does not match its digest"),
-        (edit("out/fits/soft.json", '"k", "value": ', '"k", "value": 9'), "soft.json: content does not match its digest"),
-        (edit("pipeline.yaml", "15-35 Hz", "14-36 Hz"), "pipeline.yaml: says something else under 'identify' than the result in"),
-        (edit("rig.yaml", "Small rig", "Other rig"), "pipeline.yaml: says something else under 'rig' than the result in"),
+        (
+            edit("out/identification.json", '"k", "value": ', '"k", "value": 9'),
+            "identification.json: content does not match its digest",
+        ),
+        (
+            edit("out/fits/soft.json", '"k", "value": ', '"k", "value": 9'),
+            "soft.json: content does not match its digest",
+        ),
+        (
+            edit("pipeline.yaml", "15-35 Hz", "14-36 Hz"),
+            "pipeline.yaml: says something else under 'identify' than the result in",
+        ),
+        (
+            edit("rig.yaml", "Small rig", "Other rig"),
+            "pipeline.yaml: says something else under 'rig' than the result in",
+        ),
         (absolute, "pipeline.yaml:2:6: '"),
-        (lambda lab: (lab / "out/report.html").write_text("<p>Passed"), "report.html: was not drawn from this result, or edited since"),
+        (
+            lambda lab: (lab / "out/report.html").write_text("<p>Passed"),
+            "report.html: was not drawn from this result, or edited since",
+        ),
         (lambda lab: (lab / "a.zip").write_text("dear"), "a.zip: is there already; name another file"),
         (lambda lab: (lab / "a.zip").mkdir(), "a.zip: is there already"),
     ],
@@ -389,7 +513,9 @@ def test_what_cannot_be_archived_is_refused(lab: Path, labpipe: Command, change:
     change(lab)
     before = contents(lab)
     ended = labpipe("archive", lab / "out", "-o", lab / "a.zip")
-    assert ended.code == 2 and ended.out == "" and ended.err.count("\n") == 1 and ended.err.startswith("error: ")
+    assert (
+        ended.code == 2 and ended.out == "" and ended.err.count("\n") == 1 and ended.err.startswith("error: ")
+    )
     assert said in ended.err
     assert contents(lab) == before and not list(lab.rglob(".labpipe-*"))
 
@@ -398,7 +524,10 @@ def test_what_cannot_be_archived_is_refused(lab: Path, labpipe: Command, change:
     ("arguments", "said"),
     [
         (("out", "-o", "a.tar"), "a.tar: no archive has the ending '.tar'; known: .zip, .eln"),
-        (("out", "-o", "a.zip", "--date", "yesterday"), "--date: 'yesterday' is no day; write it as 2026-11-03"),
+        (
+            ("out", "-o", "a.zip", "--date", "yesterday"),
+            "--date: 'yesterday' is no day; write it as 2026-11-03",
+        ),
         (("s3://bench/out", "-o", "a.zip"), "'s3://bench/out' is no path of this machine"),
         (("out", "-o", "s3://bench/a.zip"), "'s3://bench/a.zip' is no path of this machine"),
         (("rig.yaml", "-o", "a.zip"), "rig.yaml: holds no identification.json"),
@@ -423,12 +552,20 @@ def test_a_file_that_changes_meanwhile_leaves_no_archive(lab: Path) -> None:
 
 def test_an_archive_elsewhere_is_refused(labpipe: Command) -> None:
     ended = labpipe("verify", "s3://bench/a.zip")
-    assert ended.code == 2 and "s3://bench/a.zip: is an archive elsewhere, and is read from this machine only; copy it here" in ended.err
+    assert (
+        ended.code == 2
+        and ("s3://bench/a.zip: is an archive elsewhere, and is read from this machine only; copy it here")
+        in ended.err
+    )
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_mutated_archives_are_refused_or_named(one: bytes, tmp_path: Path, labpipe: Command, seed: int) -> None:
-    """Anywhere in the file, and among the metadata, where mutations of the whole file hardly ever come: never a traceback."""
+def test_mutated_archives_are_refused_or_named(
+    one: bytes, tmp_path: Path, labpipe: Command, seed: int
+) -> None:
+    """Anywhere in the file, and among the metadata, where mutations of the whole file hardly ever come: never
+    a traceback.
+    """
     rng = random.Random(seed)
     path = tmp_path / "a.zip"
     with zipfile.ZipFile(io.BytesIO(one)) as archive:
@@ -441,7 +578,9 @@ def test_mutated_archives_are_refused_or_named(one: bytes, tmp_path: Path, labpi
     assert [found.name for found in tmp_path.rglob("*")] == ["a.zip"]
 
 
-def test_another_build_is_said(packed: Path, lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_build_is_said(
+    packed: Path, lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It makes other bytes, since these name the build; it is asked for by --again."""
     monkeypatch.setattr("labpipe.cli.evidence.code_digest", lambda: "another")
     ended = labpipe("verify", packed)
@@ -449,4 +588,7 @@ def test_another_build_is_said(packed: Path, lab: Path, labpipe: Command, monkey
     assert labpipe("verify", packed, "--again").out.endswith("run again: the same bytes\n")
     monkeypatch.setattr("labpipe.project.archive.code_digest", lambda: "another")
     ended = labpipe("archive", lab / "out", "-o", lab / "b.zip")
-    assert ended.code == 2 and "was made by another build of labpipe (0.1.0); run `labpipe run` again" in ended.err
+    assert (
+        ended.code == 2
+        and "was made by another build of labpipe (0.1.0); run `labpipe run` again" in ended.err
+    )

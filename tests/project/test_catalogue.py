@@ -19,7 +19,15 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.project.catalogue import INDEX, Filter, interval, open_index, results, values
 from labpipe.project.catalogue_search import differences, trends
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Failed, Fit, Goodness, Identification, ListedParameter, RuleOutcome, of_fit
+from labpipe.records.identification import (
+    Failed,
+    Fit,
+    Goodness,
+    Identification,
+    ListedParameter,
+    RuleOutcome,
+    of_fit,
+)
 
 
 def parameter(name: str, value: float, error: float | None, unit: str = "N/m") -> Parameter:
@@ -27,7 +35,9 @@ def parameter(name: str, value: float, error: float | None, unit: str = "N/m") -
     return Parameter(name, value, unit, std_error=error, t_ratio=None, ci95=ci95, significant=True)
 
 
-def fit(test: str, stiffness: float, error: float | None = 10.0, name: str = "direct", codes: tuple[str, ...] = ()) -> Fit:
+def fit(
+    test: str, stiffness: float, error: float | None = 10.0, name: str = "direct", codes: tuple[str, ...] = ()
+) -> Fit:
     return Fit(
         name=name,
         model="sdof",
@@ -45,7 +55,13 @@ def fit(test: str, stiffness: float, error: float | None = 10.0, name: str = "di
     )
 
 
-def store(folder: Path, fits: list[Fit], conditions: dict[str, dict[str, str]], rig: str = "Ball-bearing rig", **more: object) -> None:
+def store(
+    folder: Path,
+    fits: list[Fit],
+    conditions: dict[str, dict[str, str]],
+    rig: str = "Ball-bearing rig",
+    **more: object,
+) -> None:
     folder.mkdir(parents=True)
     settings = {"tests": [{"name": name, "conditions": own} for name, own in conditions.items()]}
     result = Identification(tuple(fits), folder.name, rig={"name": rig}, settings=settings, **more)
@@ -55,10 +71,17 @@ def store(folder: Path, fits: list[Fit], conditions: dict[str, dict[str, str]], 
 @pytest.fixture
 def campaign(tmp_path: Path) -> Path:
     """Three runs: two preloads in one, one of another day with a warning, one of another rig."""
-    both = {"a": {"preload": "400 N", "direction": "up", "date": "2026-11-03"}, "b": {"preload": "0.7 kN", "direction": "down"}}
+    both = {
+        "a": {"preload": "400 N", "direction": "up", "date": "2026-11-03"},
+        "b": {"preload": "0.7 kN", "direction": "down"},
+    }
     held = (RuleOutcome("accept", "direct.gof >= 0.9", 0.99, True),)
     store(tmp_path / "one", [fit("a", 1000.0), fit("b", 1500.0)], both, outcomes=held)
-    store(tmp_path / "sub/two", [fit("c", 1040.0, codes=("model-mismatch",))], {"c": {"preload": "400 N", "date": "2026-11-10"}})
+    store(
+        tmp_path / "sub/two",
+        [fit("c", 1040.0, codes=("model-mismatch",))],
+        {"c": {"preload": "400 N", "date": "2026-11-10"}},
+    )
     store(tmp_path / "three", [fit("", 50.0, name="axial")], {"": {"date": "2026-10-01"}}, rig="Magnetic rig")
     return tmp_path
 
@@ -98,7 +121,9 @@ FILTERS = [
 
 
 @pytest.mark.parametrize(("asked", "tests"), FILTERS)
-def test_values_are_chosen_by_what_is_known_of_them(campaign: Path, asked: dict[str, object], tests: list[str]) -> None:
+def test_values_are_chosen_by_what_is_known_of_them(
+    campaign: Path, asked: dict[str, object], tests: list[str]
+) -> None:
     assert [test for test, _ in found(campaign, **asked)] == tests
 
 
@@ -120,7 +145,9 @@ def test_results_are_chosen_by_the_conditions_of_any_test(campaign: Path) -> Non
         ({"test": "x*"}, "no result has the test 'x*'"),
     ],
 )
-def test_questions_that_cannot_be_meant_are_refused(campaign: Path, asked: dict[str, object], what: str) -> None:
+def test_questions_that_cannot_be_meant_are_refused(
+    campaign: Path, asked: dict[str, object], what: str
+) -> None:
     with pytest.raises(ConfigError) as error:
         found(campaign, **asked)
     assert what in str(error.value)
@@ -143,7 +170,9 @@ def test_the_index_follows_the_files(campaign: Path) -> None:
 
 def test_what_is_up_to_date_is_not_read_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found(campaign)
-    monkeypatch.setattr("labpipe.project.catalogue.read_identification", lambda path: pytest.fail(f"{path} was read again"))
+    monkeypatch.setattr(
+        "labpipe.project.catalogue.read_identification", lambda path: pytest.fail(f"{path} was read again")
+    )
     assert len(found(campaign)) == 4
 
 
@@ -193,11 +222,15 @@ def test_several_processes_build_the_index_at_once(campaign: Path) -> None:
 
 def test_what_another_run_is_making_is_not_listed(campaign: Path) -> None:
     (campaign / ".labpipe-x1").mkdir()
-    (campaign / ".labpipe-x1/identification.json").write_bytes((campaign / "one/identification.json").read_bytes())
+    (campaign / ".labpipe-x1/identification.json").write_bytes(
+        (campaign / "one/identification.json").read_bytes()
+    )
     assert len(found(campaign)) == 4
 
 
-def test_a_folder_that_may_not_be_written_is_indexed_in_memory(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_may_not_be_written_is_indexed_in_memory(
+    campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refusing(path: Path) -> Path:
         raise PermissionError(13, "Permission denied", str(path))
 
@@ -250,21 +283,31 @@ def line(tmp_path: Path) -> Path:
     """k = 1000 N/m + 2 N/m for each newton of preload exactly, errors 10 N/m, one test a day."""
     for day, preload in enumerate((100, 200, 400, 300), 1):
         fits = [fit(f"t{preload}", 1000.0 + 2 * preload)]
-        store(tmp_path / f"r{day}", fits, {f"t{preload}": {"preload": f"{preload} N", "date": f"2026-11-0{day}"}})
+        store(
+            tmp_path / f"r{day}",
+            fits,
+            {f"t{preload}": {"preload": f"{preload} N", "date": f"2026-11-0{day}"}},
+        )
     return tmp_path
 
 
 def test_a_trend_over_a_condition(line: Path) -> None:
-    """Weighted line through exact values: slope 2, standard error 10 / sqrt(sum (x - 250)^2) = 10 / sqrt(50,000)."""
+    """Weighted line through exact values: slope 2, standard error 10 / sqrt(sum (x - 250)^2) = 10 /
+    sqrt(50,000).
+    """
     with open_index(line) as index:
         (series,) = trends(values(index, Filter(parameter="k")), "preload")
     assert list(series.condition) == [100.0, 200.0, 300.0, 400.0] and series.condition_unit == "N"
     assert series.line is not None
-    assert series.line.values[1] == pytest.approx(2.0) and series.line.std_error(1) == pytest.approx(10 / 50_000**0.5)
+    assert series.line.values[1] == pytest.approx(2.0) and series.line.std_error(1) == pytest.approx(
+        10 / 50_000**0.5
+    )
 
 
 def test_a_trend_over_time_and_its_limits(line: Path) -> None:
-    """By date 1200, 1400, 1800, 1600: mean 1500, mean moving range 800 / 3, sigma = that over 2 / sqrt(pi)."""
+    """By date 1200, 1400, 1800, 1600: mean 1500, mean moving range 800 / 3, sigma = that over 2 /
+    sqrt(pi).
+    """
     with open_index(line) as index:
         (series,) = trends(values(index, Filter(parameter="k")), "date")
     assert list(series.condition) == [0.0, 1.0, 2.0, 3.0]
@@ -282,7 +325,9 @@ def test_a_value_out_of_control_is_named(tmp_path: Path, labpipe) -> None:
 
 
 def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> None:
-    ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--csv", line / "t.csv", "-o", line / "t.html")
+    ended = labpipe(
+        "trend", line, "-p", "k", "--over", "preload", "--csv", line / "t.csv", "-o", line / "t.html"
+    )
     assert ended.code == 0, ended.err
     assert "per N (95 %): rising" in ended.out and "control limits" not in ended.out
     assert len((line / "t.csv").read_text().splitlines()) == 5
@@ -333,7 +378,9 @@ def test_tests_are_matched_by_name_where_there_are_several() -> None:
 
 
 def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:
-    ended = labpipe("compare", campaign / "one", campaign / "one/identification.json", "--csv", campaign / "d.csv")
+    ended = labpipe(
+        "compare", campaign / "one", campaign / "one/identification.json", "--csv", campaign / "d.csv"
+    )
     assert ended.code == 0 and "0 of 4 parameters differ" in ended.out
     rows = list(csv.DictReader((campaign / "d.csv").read_text().splitlines()))
     assert len(rows) == 4 and {row["p_value"] for row in rows} == {"1.0"}

@@ -1,4 +1,6 @@
-"""Uncertainties in rig files: short and long form, what each is of, calibration fits that bring theirs, faults at their place."""
+"""Uncertainties in rig files: short and long form, what each is of, calibration fits that bring theirs,
+faults at their place.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +29,18 @@ def uncertainties_of(tmp_path: Path, entry: str) -> tuple[ChannelUncertainty, ..
     [
         (f"{PROBE} +- 1 %", "gain", Uncertainty("x.sensitivity 8 V/mm", 0.01, "1")),
         (f"{PROBE} +- 0.08 V/mm", "gain", Uncertainty("x.sensitivity 8 V/mm", 0.01, "1")),
-        (f'{PROBE}, uncertainty: {{gain: "2 % (k=2, dof=30)"}}', "gain", Uncertainty("x.gain", 0.01, "1", 30.0)),
+        (
+            f'{PROBE}, uncertainty: {{gain: "2 % (k=2, dof=30)"}}',
+            "gain",
+            Uncertainty("x.gain", 0.01, "1", 30.0),
+        ),
         (f"{PROBE}, uncertainty: {{phase: 1 deg}}", "phase", Uncertainty("x.phase", math.pi / 180, "rad")),
         (f"{PROBE}, delay: 10 us +- 2 us", "delay", Uncertainty("x.delay", 2e-6, "s")),
         (f"{PROBE}, dof: 45 deg +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
         (f"{PROBE}, dof: x +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
         (
-            "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limits: 1 %, shape: rectangular, source: calibrator 7}",
+            "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limits: 1 %, shape: rectangular, "
+            "source: calibrator 7}",
             "gain",
             Uncertainty("calibrator 7", 0.01 / math.sqrt(3), "1", None, "rectangular"),
         ),
@@ -44,22 +51,25 @@ def uncertainties_of(tmp_path: Path, entry: str) -> tuple[ChannelUncertainty, ..
         ),
     ],
 )
-def test_a_number_carries_its_uncertainty(tmp_path: Path, entry: str, effect: str, uncertainty: Uncertainty) -> None:
+def test_a_number_carries_its_uncertainty(
+    tmp_path: Path, entry: str, effect: str, uncertainty: Uncertainty
+) -> None:
     (found,) = uncertainties_of(tmp_path, entry)
     assert found.effect == effect
-    assert (found.uncertainty.source, found.uncertainty.unit, found.uncertainty.dof, found.uncertainty.shape) == (
-        uncertainty.source,
-        uncertainty.unit,
-        uncertainty.dof,
-        uncertainty.shape,
-    )
+    assert (
+        found.uncertainty.source,
+        found.uncertainty.unit,
+        found.uncertainty.dof,
+        found.uncertainty.shape,
+    ) == (uncertainty.source, uncertainty.unit, uncertainty.dof, uncertainty.shape)
     assert found.uncertainty.std_error == pytest.approx(uncertainty.std_error)
 
 
 def test_the_number_itself_is_as_without_an_uncertainty(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text(
-        f"sample_rate: 1 kHz\nmass: 2 kg +- 1 %\nchannels:\n  x: {{{PROBE} +- 1 %, dof: 45 deg +- 1 deg, delay: 3 us +- 1 us}}\n"
+        f"sample_rate: 1 kHz\nmass: 2 kg +- 1 %\nchannels:\n  x: {{{PROBE} +- 1 %, dof: 45 deg +- 1 deg, "
+        f"delay: 3 us +- 1 us}}\n"
     )
     rig = load_rig(path)
     (channel,) = rig.channels
@@ -71,9 +81,15 @@ def test_the_number_itself_is_as_without_an_uncertainty(tmp_path: Path) -> None:
 
 def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None:
     slope = {"name": "slope", "value": 8.0, "unit": "V/mm", "std_error": 0.04}
-    (tmp_path / "cal.json").write_text(json.dumps({"fits": [{"name": "probe", "dof": 9, "parameters": [slope]}]}))
+    (tmp_path / "cal.json").write_text(
+        json.dumps({"fits": [{"name": "probe", "dof": 9, "parameters": [slope]}]})
+    )
     (found,) = uncertainties_of(tmp_path, "quantity: displacement, unit: V, sensitivity: cal.json#probe")
-    assert (found.effect, found.uncertainty.dof, found.uncertainty.source) == ("gain", 9, "x.sensitivity cal.json#probe")
+    assert (found.effect, found.uncertainty.dof, found.uncertainty.source) == (
+        "gain",
+        9,
+        "x.sensitivity cal.json#probe",
+    )
     assert found.uncertainty.std_error == pytest.approx(0.005)
 
 
@@ -84,7 +100,10 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
         (f"{PROBE} +- 1 % (rectanglar)", "did you mean 'rectangular'?"),
         (f"{PROBE}, dof: 45 deg +- 1 kg", "channels.x.dof"),
         (f"{PROBE}, uncertainty: {{gian: 1 %}}", "did you mean 'gain'?"),
-        ("quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limit: 1 %}", "channels.x.sensitivity"),
+        (
+            "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limit: 1 %}",
+            "channels.x.sensitivity",
+        ),
     ],
 )
 def test_faults_stand_at_their_place(tmp_path: Path, entry: str, message: str) -> None:
@@ -129,7 +148,9 @@ def test_an_unknown_method_is_named(tmp_path: Path) -> None:
 
 
 def test_the_key_of_the_version_before_is_read_with_a_note(tmp_path: Path) -> None:
-    with pytest.warns(FutureWarning, match=r"rig\.yaml:3:\d+: channels\.x\.doubt is called 'uncertainty' now"):
+    with pytest.warns(
+        FutureWarning, match=r"rig\.yaml:3:\d+: channels\.x\.doubt is called 'uncertainty' now"
+    ):
         (found,) = uncertainties_of(tmp_path, f"{PROBE}, doubt: {{gain: 1 %}}")
     assert found == ChannelUncertainty("gain", Uncertainty("x.gain", 0.01, "1"))
     with pytest.raises(ConfigErrors, match="doubt: unknown key"):

@@ -29,7 +29,9 @@ def test_it_is_asked_again_while_there_are_workers(monkeypatch: pytest.MonkeyPat
         return "done"
 
     client = Client(2, 1)
-    assert cluster._patiently(client, ask) == "done" and asked == [cluster.LOOK_SECONDS] * 3 and not client.looks
+    assert (
+        cluster._patiently(client, ask) == "done" and asked == [cluster.LOOK_SECONDS] * 3 and not client.looks
+    )
 
 
 def test_it_is_given_up_without_them(monkeypatch: pytest.MonkeyPatch) -> None:

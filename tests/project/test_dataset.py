@@ -22,14 +22,19 @@ MANY = PIPELINE.replace("report: {formats: []}", "report: {formats: [html, md]}"
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve tests of one rig that gets stiffer with the preload, run once as a dataset and once in one file."""
+    """Twelve tests of one rig that gets stiffer with the preload, run once as a dataset and once in one
+    file.
+    """
     from labpipe.cli.main import run_command
 
     folder = tmp_path_factory.mktemp("lab")
     laboratory(folder)
     for number in range(TESTS):
         (folder / f"{number}.csv").write_text(recording(18e3 + 400 * number, seed=number))
-    tests = "\n".join(f"  - {{name: t{n:02d}, recordings: {n}.csv, conditions: {{preload: {100 * (n // 2)} N}}}}" for n in range(TESTS))
+    tests = "\n".join(
+        f"  - {{name: t{n:02d}, recordings: {n}.csv, conditions: {{preload: {100 * (n // 2)} N}}}}"
+        for n in range(TESTS)
+    )
     text = MANY[: MANY.index("tests:")] + f"tests:\n{tests}\n" + MANY[MANY.index("frf:") :]
     (folder / "pipeline.yaml").write_text(text)
     for way in ("dataset", "whole"):
@@ -60,15 +65,23 @@ def test_pages_of_one_test_are_drawn_on_demand(lab: Path, labpipe, tmp_path: Pat
     assert labpipe("report", lab / "out/whole", "--test", "t03", "-o", tmp_path / "two.md").code == 0
     # The same pages but for the stamp of the file that they come from.
     one, two = ((tmp_path / name).read_text().splitlines() for name in ("one.md", "two.md"))
-    assert [line for line in one if "t03" in line] == [line for line in two if "t03" in line] and len(one) > 20
+    assert [line for line in one if "t03" in line] == [line for line in two if "t03" in line] and len(
+        one
+    ) > 20
     ended = labpipe("report", lab / "out/dataset", "--test", "t3", "-o", tmp_path / "no.md")
     assert ended.code == 2 and "the result has no test 't3'; did you mean" in ended.err
 
 
 def test_lists_are_those_of_the_whole_result(lab: Path, labpipe, tmp_path: Path) -> None:
     """The same filters on both give the same values, by two ways of finding them."""
-    for filters in (["-p", "k"], ["-p", "k", "--where", "preload >= 300 N"], ["-p", "*", "--fit", "pl*", "--test", "t0*"]):
-        printed = [labpipe("list", lab / "out" / way, *filters).out.splitlines() for way in ("dataset", "whole")]
+    for filters in (
+        ["-p", "k"],
+        ["-p", "k", "--where", "preload >= 300 N"],
+        ["-p", "*", "--fit", "pl*", "--test", "t0*"],
+    ):
+        printed = [
+            labpipe("list", lab / "out" / way, *filters).out.splitlines() for way in ("dataset", "whole")
+        ]
         rows = [sorted(re.split(r"\s{2,}", line)[1:] for line in lines[1:]) for lines in printed]
         assert rows[0] == rows[1] and rows[0]
 
@@ -88,7 +101,10 @@ def test_both_kinds_are_listed_together(lab: Path, labpipe) -> None:
     ("filters", "what"),
     [
         (["-p", "kk"], "no result has the parameter 'kk'; did you mean 'k'?"),
-        (["-p", "k", "--where", "prelod > 1 N"], "no test has the condition 'prelod'; did you mean 'preload'?"),
+        (
+            ["-p", "k", "--where", "prelod > 1 N"],
+            "no test has the condition 'prelod'; did you mean 'preload'?",
+        ),
         (["-p", "k", "--where", "preload > 1 mm"], "the condition 'preload' is in N, not in m"),
     ],
 )
@@ -98,7 +114,10 @@ def test_what_no_test_has_is_said(lab: Path, labpipe, filters: list[str], what: 
 
 
 def test_trends_are_those_of_the_whole_result(lab: Path, labpipe) -> None:
-    printed = [labpipe("trend", lab / "out" / way, "-p", "k", "--over", "preload", "--fit", "direct").out for way in ("dataset", "whole")]
+    printed = [
+        labpipe("trend", lab / "out" / way, "-p", "k", "--over", "preload", "--fit", "direct").out
+        for way in ("dataset", "whole")
+    ]
     slopes = [re.findall(r"slope .*", text) for text in printed]
     assert slopes[0] == slopes[1] and "rising" in slopes[0][0]
 
@@ -108,13 +127,20 @@ def test_a_dataset_does_not_differ_from_the_same_numbers(lab: Path, labpipe) -> 
     assert ended.code == 0 and re.search(r"^0 of \d+ parameters differ", ended.out, re.MULTILINE)
 
 
-def test_the_query_of_the_docs_gives_the_same_numbers(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
-    """DuckDB, which knows nothing of labpipe, runs the query that the page prints; numpy takes the medians of `labpipe list --csv`."""
+def test_the_query_of_the_docs_gives_the_same_numbers(
+    lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """DuckDB, which knows nothing of labpipe, runs the query that the page prints.
+
+    Numpy takes the medians of `labpipe list --csv`.
+    """
     query = re.search(r"```sql\n(.*?)```", (ROOT / "docs/pages/how-to/many.md").read_text(), re.DOTALL)
     assert query is not None
     monkeypatch.chdir(lab / "out/dataset")
     shown = duckdb.sql(query[1].replace("out/dataset/", "dataset/")).fetchall()
-    assert labpipe("list", lab / "out/dataset", "-p", "k", "--fit", "direct", "--csv", lab / "k.csv").code == 0
+    assert (
+        labpipe("list", lab / "out/dataset", "-p", "k", "--fit", "direct", "--csv", lab / "k.csv").code == 0
+    )
     frame = pd.read_csv(lab / "k.csv")
     expected = frame.groupby("condition:preload")["value"].median()
     assert {row[0]: row[2] for row in shown} == pytest.approx(expected.to_dict(), rel=1e-12)
@@ -130,7 +156,9 @@ def test_verify_checks_the_parts(lab: Path, labpipe) -> None:
 def test_the_script_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """The script that the page prints, on twelve tests and in one process."""
     page = (ROOT / "docs/pages/how-to/many.md").read_text()
-    script = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "labpipe.run" in block)
+    script = next(
+        block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "labpipe.run" in block
+    )
     exec(script.replace("jobs=2", "jobs=1"), {"__name__": "__main__"})
     assert capsys.readouterr().out.startswith("12 tests, 0 not accepted")
 
@@ -150,19 +178,31 @@ def test_tests_are_run_one_by_one_and_collected(lab: Path, jobs: Path, labpipe) 
     assert names == [f"t{number:02d}" for number in range(TESTS)]
     for name in names[3:5]:
         assert labpipe("run", "fleet.yaml", "-o", "out", "--only", name, "-q").code == 0
-    assert sorted(path.name for path in (jobs / "out/fits").iterdir()) == ["t03.json", "t04.json"] and not (jobs / "out/dataset").exists()
+    assert (
+        sorted(path.name for path in (jobs / "out/fits").iterdir()) == ["t03.json", "t04.json"]
+        and not (jobs / "out/dataset").exists()
+    )
     before = (jobs / "out/fits/t03.json").stat().st_mtime_ns
     assert labpipe("run", "fleet.yaml", "-o", "out", "-q").code == 0
     assert (jobs / "out/fits/t03.json").stat().st_mtime_ns == before
-    here, there = (next((folder / "dataset").rglob("*.parquet")).read_bytes() for folder in (jobs / "out", lab / "out/dataset"))
+    here, there = (
+        next((folder / "dataset").rglob("*.parquet")).read_bytes()
+        for folder in (jobs / "out", lab / "out/dataset")
+    )
     assert here == there
 
 
 def test_fits_by_themselves_give_the_same_dataset(lab: Path, jobs: Path, labpipe) -> None:
-    """`labpipe frf`, then `labpipe identify`: the rows of one run; one whose response is missing is named, the others are done."""
+    """`labpipe frf`, then `labpipe identify`: the rows of one run.
+
+    One whose response is missing is named, the others are done.
+    """
     assert labpipe("frf", "-c", "fleet.yaml", "-o", "out", "-q").code == 0
     assert labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q").code == 0
-    here, there = (next((folder / "dataset").rglob("*.parquet")).read_bytes() for folder in (jobs / "out", lab / "out/dataset"))
+    here, there = (
+        next((folder / "dataset").rglob("*.parquet")).read_bytes()
+        for folder in (jobs / "out", lab / "out/dataset")
+    )
     assert here == there
     (jobs / "out/t03.frf.parquet").unlink()
     ended = labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q")
@@ -182,15 +222,20 @@ def test_a_test_that_fails_or_is_not_there_ends_with_2(jobs: Path, labpipe) -> N
 def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     """As Snakemake runs it, two jobs at a time, of three tests: the bytes of one run.
 
-    Snakemake is not installed with the tests, since it brings more than fifty packages; the recipe ran with version 9.27.
+    Snakemake is not installed with the tests, since it brings more than fifty packages; the recipe ran with
+    version 9.27.
     """
     pytest.importorskip("snakemake")
     text = (jobs / "fleet.yaml").read_text()
     (jobs / "fleet.yaml").write_text(re.sub(r"  - \{name: t(0[3-9]|1).*\n", "", text))
     page = (ROOT / "docs/pages/how-to/many.md").read_text()
-    (jobs / "Snakefile").write_text(next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Snakefile" in block))
+    (jobs / "Snakefile").write_text(
+        next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "Snakefile" in block)
+    )
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    subprocess.run([sys.executable, "-m", "snakemake", "-c", "2", "-q"], check=True, env=environment, cwd=jobs)
+    subprocess.run(
+        [sys.executable, "-m", "snakemake", "-c", "2", "-q"], check=True, env=environment, cwd=jobs
+    )
     assert sorted(path.name for path in (jobs / "done").iterdir()) == ["t00", "t01", "t02"]
     assert labpipe("run", "fleet.yaml", "-o", "again", "-q").code == 0
     assert contents(jobs / "out") == contents(jobs / "again")

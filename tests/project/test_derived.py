@@ -1,4 +1,6 @@
-"""Sums of channels in the rig file: what is read, what is refused and where, and that they reach recordings and FRFs."""
+"""Sums of channels in the rig file: what is read, what is refused and where, and that they reach recordings
+and FRFs.
+"""
 
 from __future__ import annotations
 
@@ -51,12 +53,18 @@ def terms(folder: Path, quantity: str, text: str) -> dict[str, Term]:
         ("displacement", "x1 - x2", {"x1": 1, "x2": -1}),
         ("displacement", "half * x1 + 0.5 * x2", {"x1": 0.5, "x2": 0.5}),
         ("displacement", "0.7071 * x1 - 0.7071 * x2", {"x1": 0.7071, "x2": -0.7071}),
-        ("displacement", "cos(45 deg) * x1 - sin(45 deg) * x2", {"x1": math.sqrt(0.5), "x2": -math.sqrt(0.5)}),
+        (
+            "displacement",
+            "cos(45 deg) * x1 - sin(45 deg) * x2",
+            {"x1": math.sqrt(0.5), "x2": -math.sqrt(0.5)},
+        ),
         ("displacement", "x1 - 0.2 * x1 + 2 mm/N * f", {"x1": 0.8, "f": 2e-3}),
         ("acceleration", "-1 * a", {"a": -1}),
     ],
 )
-def test_a_sum_is_read_as_an_engineer_writes_it(tmp_path: Path, quantity: str, text: str, factors: dict[str, float]) -> None:
+def test_a_sum_is_read_as_an_engineer_writes_it(
+    tmp_path: Path, quantity: str, text: str, factors: dict[str, float]
+) -> None:
     found = terms(tmp_path, quantity, text)
     assert {name: term.factor for name, term in found.items()} == pytest.approx(factors)
 
@@ -67,7 +75,12 @@ def test_a_sum_is_read_as_an_engineer_writes_it(tmp_path: Path, quantity: str, t
         ("f - m_s * a", "m_s", 0.1, -1.0),
         ("f - half * m_s * a", "m_s", 0.1, -0.5),
         ("f - 30 kg ± 1 % * a", "30 kg in s", 0.3, -1.0),
-        ("f - cos(60 deg +- 2 deg) * 30 kg * a", "cos(60 deg in s", math.radians(2), 30 * math.sin(math.radians(60))),
+        (
+            "f - cos(60 deg +- 2 deg) * 30 kg * a",
+            "cos(60 deg in s",
+            math.radians(2),
+            30 * math.sin(math.radians(60)),
+        ),
     ],
 )
 def test_the_uncertainty_of_a_number_is_kept_with_its_derivative(
@@ -83,10 +96,14 @@ def test_the_uncertainty_of_a_number_is_kept_with_its_derivative(
 def test_sums_of_sums_are_written_out(tmp_path: Path) -> None:
     """d = x1 - x2, e = 3 m_s a + 2 kN/mm d: the uncertainty of m_s is in a, once."""
     derived = rig(
-        tmp_path, "d: {quantity: displacement, derived: x1 - x2}", "e: {quantity: force, derived: '3 * m_s * a + 2 kN/mm * d', dof: x}"
+        tmp_path,
+        "d: {quantity: displacement, derived: x1 - x2}",
+        "e: {quantity: force, derived: '3 * m_s * a + 2 kN/mm * d', dof: x}",
     ).derived
     found = {term.channel: term for term in derived[1].terms}
-    assert {name: term.factor for name, term in found.items()} == pytest.approx({"a": 90, "x1": 2e6, "x2": -2e6})
+    assert {name: term.factor for name, term in found.items()} == pytest.approx(
+        {"a": 90, "x1": 2e6, "x2": -2e6}
+    )
     assert found["a"].derivatives == pytest.approx((3.0,)) and found["x1"].numbers == ()
     assert [channel.role for channel in derived] == ["reference", "input"]
 
@@ -107,7 +124,11 @@ def test_members_are_references_unless_the_file_says_otherwise(tmp_path: Path) -
             "'m_z' is neither a channel nor one of the constants; did you mean 'm_s'?",
         ),
         ("e: {quantity: force, derived: 'f-m_s*a'}", "8:24", "between blanks"),
-        ("e: {quantity: force, derived: 'f - a'}", "8:24", "'a' is in m/s^2, N is needed for a force; the factor of a is in kg"),
+        (
+            "e: {quantity: force, derived: 'f - a'}",
+            "8:24",
+            "'a' is in m/s^2, N is needed for a force; the factor of a is in kg",
+        ),
         ("e: {quantity: displacement, derived: 'm_s * x1'}", "8:31", "the factor of x1 is a pure number"),
         ("e: {quantity: force, derived: 'm_s * f * a'}", "8:24", "holds 2 channels"),
         ("e: {quantity: force, derived: 'f - 3 N'}", "8:24", "holds no channel"),
@@ -126,16 +147,23 @@ def test_faults_have_their_place(tmp_path: Path, entry: str, place: str, message
 
 
 def test_sums_may_be_listed_by_themselves(tmp_path: Path) -> None:
-    """`derived: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}}}` is the same as the text, and its faults have their place."""
+    """`derived: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}}}` is the same as the text, and its faults have their
+    place.
+    """
     text = HEAD + "derived:\n  e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, role: input, dof: x}\n"
     (tmp_path / "rig.yaml").write_text(text)
     (listed,) = load_rig(tmp_path / "rig.yaml").derived
     written = rig(tmp_path, "e: {quantity: force, derived: 1 * f - 30 kg +- 0.1 kg * a, dof: x}").derived[0]
-    assert [(term.channel, term.factor) for term in listed.terms] == [(term.channel, term.factor) for term in written.terms]
+    assert [(term.channel, term.factor) for term in listed.terms] == [
+        (term.channel, term.factor) for term in written.terms
+    ]
     assert listed.terms[1].numbers[0].std_error == 0.1 and (listed.role, listed.dof) == ("input", "x")
     for broken, message in (
         (text.replace("sum: {f: 1,", "sum: {g: 1,"), r"rig.yaml:9:7: channels.e.derived: 'g' is neither"),
-        (text.replace("sum: {f: 1, a: -30 kg +- 0.1 kg}", "sum: f"), r"rig.yaml:9:7: derived.e.sum: a mapping of channels"),
+        (
+            text.replace("sum: {f: 1, a: -30 kg +- 0.1 kg}", "sum: f"),
+            r"rig.yaml:9:7: derived.e.sum: a mapping of channels",
+        ),
         (text.replace("\n  e: {sum", "\n  f: {sum"), r"rig.yaml:9:3: derived.f: is a channel already"),
         (text.replace("role: input", "rolle: input"), r"channels.e.rolle: unknown key; did you mean 'role'"),
     ):
@@ -155,7 +183,11 @@ def test_a_ring_of_sums_and_a_constant_without_unit_are_refused(tmp_path: Path) 
 def test_sums_stand_in_the_recording_and_follow_the_rig_file(tmp_path: Path) -> None:
     """Made from the calibrated members, and made again when a constant changes."""
     (tmp_path / "r.csv").write_text("f,a,x1,x2\n1,2,3,4\n5,6,7,9\n2,0,1,1\n")
-    found = rig(tmp_path, "e: {quantity: force, derived: f - m_s * a, dof: x}", "d: {quantity: displacement, derived: x1 - x2}")
+    found = rig(
+        tmp_path,
+        "e: {quantity: force, derived: f - m_s * a, dof: x}",
+        "d: {quantity: displacement, derived: x1 - x2}",
+    )
     for loaded, mass in ((found, 30.0), (load_rig(tmp_path / "rig.yaml", ["constants.m_s=31 kg"]), 31.0)):
         with output_folder(tmp_path / "out") as output:
             recording = ingest(tmp_path / "r.csv", loaded, output, "r", tmp_path).in_memory()
@@ -163,44 +195,75 @@ def test_sums_stand_in_the_recording_and_follow_the_rig_file(tmp_path: Path) -> 
             f, a, x1, x2, e, d = recording.samples.T
         np.testing.assert_allclose(e, f - mass * a)
         np.testing.assert_allclose(d, x1 - x2)
-        assert recording.channels[4].terms[1] == Term("a", -mass, *(((loaded.derived[0].terms[1].numbers), (-1.0,)) if mass == 30 else ()))
+        assert recording.channels[4].terms[1] == Term(
+            "a", -mass, *(((loaded.derived[0].terms[1].numbers), (-1.0,)) if mass == 30 else ())
+        )
 
 
 def seal_recordings(**changes: object) -> list[Recording]:
-    """The virtual seal without baseline and noise; in the recordings f_eff = f - 60 kg a, and accelerations as references."""
+    """The virtual seal without baseline and noise.
+
+    In the recordings f_eff = f - 60 kg a, and accelerations as references.
+    """
     virtual = load_virtual_rig(CONFIGS / "virtual-floating.yaml")
     assert isinstance(virtual, FloatingRig)
     none = ((0.0, 0.0), (0.0, 0.0))
-    virtual = replace(virtual, baseline_stiffness=none, baseline_damping=none, noise=FloatingNoise(0, 0, 0, 0), runout=(), unbalance=0.0)
+    virtual = replace(
+        virtual,
+        baseline_stiffness=none,
+        baseline_damping=none,
+        noise=FloatingNoise(0, 0, 0, 0),
+        runout=(),
+        unbalance=0.0,
+    )
     uncertainty = Number("m_s", 60.0, 0.5, "kg")
     made = []
     for run in recordings(virtual, 1, ["seal-plus", "seal-minus"]):
-        kept = [replace(channel, role="reference", **changes) if channel.name[0] in "fa" else channel for channel in run.channels]
+        kept = [
+            replace(channel, role="reference", **changes) if channel.name[0] in "fa" else channel
+            for channel in run.channels
+        ]
         sums = [
-            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))))
+            Channel(
+                f"e_{axis}",
+                "force",
+                "input",
+                axis,
+                terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
+            )
             for axis in "xy"
         ]
         forces = run.samples[:, :2] - 60 * run.samples[:, 4:6]
-        made.append(Recording((*kept, *sums), np.column_stack([run.samples, forces]), run.sample_rate, run.name))
+        made.append(
+            Recording((*kept, *sums), np.column_stack([run.samples, forces]), run.sample_rate, run.name)
+        )
     return made
 
 
 def test_an_acceleration_of_a_moving_mass_serves_as_a_force() -> None:
-    """Of a stator without hoses H^-1 is the film's K + j w C - w^2 M, with the printed coefficients of Kanki and Kawakami."""
+    """Of a stator without hoses H^-1 is the film's K + j w C - w^2 M, with the printed coefficients of Kanki
+    and Kawakami.
+    """
     response = measure(seal_recordings(), FrfSettings("periodic", period="1 s", skip=0, band="10-100 Hz"))
     jw = 2j * np.pi * response.frequency[:, None, None]
     k, c = np.array([[3.30e6, 11.3e6], [-10.3e6, 3.89e6]]), np.array([[147e3, 52.9e3], [-57.7e3, 147e3]])
     film = k + jw * c + jw**2 * np.array([[229.0, 16.0], [32.0, 214.0]])
     np.testing.assert_allclose(np.linalg.inv(response.matrix), film, rtol=1e-6)
-    # A mass of the stator that is off by d leaves -d (j w)^2 of its own motion, which is that of the film less the shaft's.
+    # A mass of the stator that is off by d leaves -d (j w)^2 of its own motion, which is that of the film
+    # less the shaft's.
     (error,) = response.errors
     assert (error.uncertainty.source, error.uncertainty.std_error) == ("m_s, 60 kg", 0.5)
 
 
 def test_a_sum_in_time_of_channels_with_different_delays_is_refused() -> None:
     recordings = seal_recordings()
-    late = [replace(channel, delay=1e-4) if channel.name == "a_x" else channel for channel in recordings[0].channels]
-    with pytest.raises(DataError, match=r"'e_x' is a sum of channels with different delays .*f_x: 0 us, a_x: 100 us"):
+    late = [
+        replace(channel, delay=1e-4) if channel.name == "a_x" else channel
+        for channel in recordings[0].channels
+    ]
+    with pytest.raises(
+        DataError, match=r"'e_x' is a sum of channels with different delays .*f_x: 0 us, a_x: 100 us"
+    ):
         measure([replace(recordings[0], channels=tuple(late))], FrfSettings("periodic", period="1 s"))
 
 

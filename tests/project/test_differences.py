@@ -1,4 +1,6 @@
-"""Two results held against each other, and a value over many: p-values by hand, Holm's correction, order of the conditions."""
+"""Two results held against each other, and a value over many: p-values by hand, Holm's correction, order of
+the conditions.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +35,18 @@ FIT = Fit(
 )
 
 
-def result(test: str = "a", error: float | None = 10.0, name: str = "direct", term: str = "", **values: float) -> Identification:
+def result(
+    test: str = "a", error: float | None = 10.0, name: str = "direct", term: str = "", **values: float
+) -> Identification:
     parameters = tuple(Parameter(key, value, "N/m", std_error=error) for key, value in values.items())
     return Identification((replace(FIT, name=name, term=term, parameters=parameters, test=test),))
 
 
 def differences(first: Identification, second: Identification) -> list[Difference]:
     """The differences of all parameters of all fits."""
-    return compared.differences(*([listed for fit in side.fits for listed in of_fit(fit)] for side in (first, second)))
+    return compared.differences(
+        *([listed for fit in side.fits for listed in of_fit(fit)] for side in (first, second))
+    )
 
 
 def test_the_p_value_of_a_single_difference() -> None:
@@ -54,7 +60,11 @@ def test_the_p_value_of_a_single_difference() -> None:
 def test_the_order_of_the_two_does_not_matter(shift: float, first: float, second: float) -> None:
     one, other = result(k=1000.0, error=first), result(k=1000.0 + shift, error=second)
     (ours,), (theirs,) = differences(one, other), differences(other, one)
-    assert ours.p_value == theirs.p_value == pytest.approx(2 * stats.norm.sf(abs(shift) / np.hypot(first, second)), rel=1e-6, abs=1e-300)
+    assert (
+        ours.p_value
+        == theirs.p_value
+        == pytest.approx(2 * stats.norm.sf(abs(shift) / np.hypot(first, second)), rel=1e-6, abs=1e-300)
+    )
 
 
 def test_many_parameters_are_corrected_by_holm() -> None:
@@ -75,7 +85,12 @@ def test_an_error_that_was_enlarged_counts() -> None:
     """Twice the error on both sides: z halves."""
     sides = [result(k=value) for value in (1000.0, 1030.0)]
     wide = [
-        replace(side, fits=tuple(replace(f, parameters=(replace(f.parameters[0], std_error_inflated=20.0),)) for f in side.fits))
+        replace(
+            side,
+            fits=tuple(
+                replace(f, parameters=(replace(f.parameters[0], std_error_inflated=20.0),)) for f in side.fits
+            ),
+        )
         for side in sides
     ]
     (found,) = differences(*wide)
@@ -92,7 +107,10 @@ def test_of_several_tests_each_is_held_against_its_namesake() -> None:
     for values in ((1.0, 2.0), (3.0, 4.0)):
         parts = [result(test, k=value) for test, value in zip(("a", "b"), values, strict=True)]
         sides.append(Identification(tuple(fit for part in parts for fit in part.fits)))
-    assert [(one.test, one.first, one.second) for one in differences(*sides)] == [("a", 1.0, 3.0), ("b", 2.0, 4.0)]
+    assert [(one.test, one.first, one.second) for one in differences(*sides)] == [
+        ("a", 1.0, 3.0),
+        ("b", 2.0, 4.0),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -113,7 +131,12 @@ def test_results_with_nothing_in_common_are_refused(other: Identification) -> No
 
 def test_a_parameter_in_another_unit_is_another_parameter() -> None:
     other = result(k=1.0)
-    torsion = replace(other, fits=tuple(replace(fit, parameters=(replace(fit.parameters[0], unit="N.m/rad"),)) for fit in other.fits))
+    torsion = replace(
+        other,
+        fits=tuple(
+            replace(fit, parameters=(replace(fit.parameters[0], unit="N.m/rad"),)) for fit in other.fits
+        ),
+    )
     with pytest.raises(DataError, match="no fit in common"):
         differences(result(k=1.0), torsion)
 
@@ -121,7 +144,9 @@ def test_a_parameter_in_another_unit_is_another_parameter() -> None:
 # trends
 
 
-def row(value: float, preload: str = "", date: str = "2026-11-03", error: float | None = 1.0, **changes: object) -> ValueRow:
+def row(
+    value: float, preload: str = "", date: str = "2026-11-03", error: float | None = 1.0, **changes: object
+) -> ValueRow:
     amounts = {"preload": (float(preload.split()[0]), preload.split()[1])} if preload else {}
     plain = ValueRow(
         path=f"{date}-{value:g}/identification.json",
@@ -164,7 +189,9 @@ def test_a_straight_line_is_met_exactly() -> None:
 
 
 def test_dates_count_in_days_from_the_first() -> None:
-    (series,) = trends([row(1.0, date="2024-02-28"), row(2.0, date="2024-03-01"), row(3.0, date="2025-02-28")], "date")
+    (series,) = trends(
+        [row(1.0, date="2024-02-28"), row(2.0, date="2024-03-01"), row(3.0, date="2025-02-28")], "date"
+    )
     np.testing.assert_array_equal(series.condition, [0.0, 2.0, 366.0])
     assert series.condition_unit == "d since 2024-02-28"
 
@@ -177,14 +204,19 @@ def test_fewer_than_three_values_show_neither_line_nor_limits(number: int) -> No
 
 def test_control_limits_by_hand() -> None:
     """Moving ranges 1, 1, 1, 1 of 10 11 10 11 10: sigma = 1 / 1.1284, limits 10.4 -+ 2.6587."""
-    (series,) = trends([row(value, date=f"2026-11-0{day}") for day, value in enumerate((10.0, 11.0, 10.0, 11.0, 10.0), 1)], "date")
+    (series,) = trends(
+        [row(value, date=f"2026-11-0{day}") for day, value in enumerate((10.0, 11.0, 10.0, 11.0, 10.0), 1)],
+        "date",
+    )
     assert series.limits is not None
     assert (series.limits.low, series.limits.high) == pytest.approx((10.4 - 2.6587, 10.4 + 2.6587), abs=1e-4)
     assert series.outside == []
 
 
 def test_a_value_out_of_control_is_the_one_that_jumped() -> None:
-    found = [row(10.0 + 0.1 * (day % 2), date=f"2026-11-{day:02d}") for day in range(1, 21)] + [row(20.0, date="2026-11-21")]
+    found = [row(10.0 + 0.1 * (day % 2), date=f"2026-11-{day:02d}") for day in range(1, 21)] + [
+        row(20.0, date="2026-11-21")
+    ]
     (series,) = trends(found, "date")
     assert [one.value for one in series.outside] == [20.0]
 
@@ -220,5 +252,7 @@ def test_a_missing_error_is_no_number() -> None:
 def test_what_cannot_be_a_trend_is_said() -> None:
     with pytest.raises(ConfigError, match="no test has the amount 'preloat'; did you mean 'preload'"):
         trends([row(1.0, "1 N")], "preloat")
-    with pytest.raises(ConfigError, match="the condition 'preload' has the units N, m; write it in one dimension"):
+    with pytest.raises(
+        ConfigError, match="the condition 'preload' has the units N, m; write it in one dimension"
+    ):
         trends([row(1.0, "1 N"), row(2.0, "1 m")], "preload")

@@ -1,7 +1,8 @@
-"""Every key of every file changed, one at a time: the run into the old folder ends as one into a new folder does.
+"""Every key of every file changed, one at a time: the run into the old folder ends as one into a new folder
+does.
 
-The keys and their kinds come from the declared settings, so that a new key is tested without anyone thinking of it. Both runs may refuse
-the change: then they say the same, and the old result stays as it was.
+The keys and their kinds come from the declared settings, so that a new key is tested without anyone thinking
+of it. Both runs may refuse the change: then they say the same, and the old result stays as it was.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ ROOT = Path(__file__).parents[2]
 RESPONSE_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.01,-1\n"
 OTHER_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.2,-5\n"
 
-# Where the settings of a file's mappings are declared: (file, path of keys) -> dataclass; * stands for any name or number.
+# Where the settings of a file's mappings are declared: (file, path of keys) -> dataclass; * stands for any
+# name or number.
 DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("rig.yaml", ()): RigSettings,
     ("rig.yaml", ("channels", "*")): ChannelSettings,
@@ -46,7 +48,11 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("pipeline.yaml", ("identify", "*", "magnet")): MagnetSettings,
     ("pipeline.yaml", ("compare", "*", "certificate")): CertificateSettings,
     **{("pipeline.yaml", (name,)): entry.settings for name, entry in sections() if not entry.named},
-    **{("pipeline.yaml", (name, "*")): entry.settings for name, entry in sections() if entry.named and name != "identify"},
+    **{
+        ("pipeline.yaml", (name, "*")): entry.settings
+        for name, entry in sections()
+        if entry.named and name != "identify"
+    },
     ("rotor.yaml", ()): RotorSettings,
 }
 
@@ -73,7 +79,9 @@ def other_value(declared: Setting, value: Any) -> Any:
 
 
 def changes(name: str, tree: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...], Any]]:
-    """(file, keys, new value) for every key that stands in a mapping and every key that could, by its declaration."""
+    """(file, keys, new value) for every key that stands in a mapping and every key that could, by its
+    declaration.
+    """
     if isinstance(tree, list):
         for number, entry in enumerate(tree):
             yield from changes(name, entry, (*at, str(number)))
@@ -81,7 +89,11 @@ def changes(name: str, tree: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[st
     if not isinstance(tree, dict):
         return
     pattern = next((keys for file, keys in DECLARED if file == name and matches(keys, at)), None)
-    declared = {} if pattern is None else {key: setting for key, (setting, _) in settings_of(DECLARED[name, pattern]).items()}
+    declared = (
+        {}
+        if pattern is None
+        else {key: setting for key, (setting, _) in settings_of(DECLARED[name, pattern]).items()}
+    )
     for key, setting in declared.items():
         value = other_value(setting, tree.get(key))
         if value is not None:
@@ -92,7 +104,9 @@ def changes(name: str, tree: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[st
 
 
 def matches(pattern: tuple[str, ...], keys: tuple[str, ...]) -> bool:
-    return len(pattern) == len(keys) and all(part in ("*", key) for part, key in zip(pattern, keys, strict=True))
+    return len(pattern) == len(keys) and all(
+        part in ("*", key) for part, key in zip(pattern, keys, strict=True)
+    )
 
 
 def changed(tree: Any, keys: tuple[str, ...], value: Any) -> Any:
@@ -130,7 +144,8 @@ def same_as_a_new_folder(finished: Path, files: dict[str, str], tmp_path: Path) 
     if new[0]:
         assert contents(lab / "out") == before
         return
-    # What a changed name leaves behind of the old run may stay; what the new run gives must be there byte for byte.
+    # What a changed name leaves behind of the old run may stay; what the new run gives must be there byte for
+    # byte.
     assert {name: old[1].get(name) for name in new[1]} == new[1]
 
 
@@ -140,7 +155,9 @@ BASIC = {
     "probe.csv": RESPONSE_TABLE,
     "soft.csv": recording(18e3),
 }
-BASIC_CHANGES = [change for name in ("rig.yaml", "pipeline.yaml") for change in changes(name, yaml.safe_load(BASIC[name]))]
+BASIC_CHANGES = [
+    change for name in ("rig.yaml", "pipeline.yaml") for change in changes(name, yaml.safe_load(BASIC[name]))
+]
 
 
 def described(change: tuple[str, tuple[str, ...], Any]) -> str:
@@ -161,14 +178,17 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("change", BASIC_CHANGES, ids=described)
-def test_a_changed_key_reaches_the_result(finished: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path) -> None:
+def test_a_changed_key_reaches_the_result(
+    finished: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
+) -> None:
     name, keys, value = change
     tree = changed(yaml.safe_load(BASIC[name]), keys, value)
     same_as_a_new_folder(finished, {name: yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("name", "text"), [("probe.csv", OTHER_TABLE), ("soft.csv", recording(18.3e3)), ("soft.csv", recording(18e3, seed=2))]
+    ("name", "text"),
+    [("probe.csv", OTHER_TABLE), ("soft.csv", recording(18.3e3)), ("soft.csv", recording(18e3, seed=2))],
 )
 def test_a_changed_file_reaches_the_result(finished: Path, name: str, text: str, tmp_path: Path) -> None:
     same_as_a_new_folder(finished, {name: text}, tmp_path)
@@ -177,17 +197,33 @@ def test_a_changed_file_reaches_the_result(finished: Path, name: str, text: str,
 def test_every_declared_setting_of_the_basic_files_is_changed() -> None:
     """The list above would be short if a declaration were missed."""
     seen = {(name, keys[-1]) for name, keys, value in BASIC_CHANGES if value is not None}
-    for owner, name in ((ChannelSettings, "rig.yaml"), (FrfSettings, "pipeline.yaml"), (FitSettings, "pipeline.yaml")):
-        testable = {key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None}
+    for owner, name in (
+        (ChannelSettings, "rig.yaml"),
+        (FrfSettings, "pipeline.yaml"),
+        (FitSettings, "pipeline.yaml"),
+    ):
+        testable = {
+            key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None
+        }
         assert {(name, key) for key in testable} <= seen, owner
     assert len(BASIC_CHANGES) > 80
 
 
 def test_the_sensitivity_of_a_probe_reaches_the_damping(tmp_path: Path) -> None:
-    """By hand: a sensitivity of 12 instead of 8 V/mm makes every motion 8/12 as large, and k and c 12/8 as large."""
-    rig = RIG.replace('"y [um]"', '"y [V]"').replace("unit: um,", "unit: V, sensitivity: 8 V/mm,").replace("mass: 0.79 kg\n", "")
+    """By hand: a sensitivity of 12 instead of 8 V/mm makes every motion 8/12 as large, and k and c 12/8 as
+    large.
+    """
+    rig = (
+        RIG.replace('"y [um]"', '"y [V]"')
+        .replace("unit: um,", "unit: V, sensitivity: 8 V/mm,")
+        .replace("mass: 0.79 kg\n", "")
+    )
     pipeline = ALONE.replace("model: sdof,", "model: sdof, mass: estimate,")
-    files = {"rig.yaml": rig, "pipeline.yaml": pipeline, "soft.csv": recording(18e3).replace("y [um]", "y [V]")}
+    files = {
+        "rig.yaml": rig,
+        "pipeline.yaml": pipeline,
+        "soft.csv": recording(18e3).replace("y [um]", "y [V]"),
+    }
     lab = finished_laboratory(tmp_path, files)
     first = done(lab / "pipeline.yaml", lab / "out").fits[0]
     (lab / "rig.yaml").write_text(rig.replace("8 V/mm", "12 V/mm"))
@@ -201,8 +237,12 @@ def test_the_window_of_ready_responses_reaches_their_fits(tmp_path: Path) -> Non
     w = 2 * np.pi * np.arange(15.0, 35.0, 0.25)
     rng = np.random.default_rng(5)
     h = 1 / (18e3 - 0.79 * w**2 + 20j * w) + 1e-6 * (rng.normal(size=w.size) + 1j * rng.normal(size=w.size))
-    rows = "".join(f"{f:g},{value.real:.9g},{value.imag:.9g}\n" for f, value in zip(w / (2 * np.pi), h, strict=True))
-    text = "title: t\nfrfs: {file: h.csv}\nidentify: {a: {model: sdof, mass: 0.79 kg}}\nreport: {formats: []}\n"
+    rows = "".join(
+        f"{f:g},{value.real:.9g},{value.imag:.9g}\n" for f, value in zip(w / (2 * np.pi), h, strict=True)
+    )
+    text = (
+        "title: t\nfrfs: {file: h.csv}\nidentify: {a: {model: sdof, mass: 0.79 kg}}\nreport: {formats: []}\n"
+    )
     files = {"h.csv": f"# form: receptance\nfrequency_hz,y/f:re,y/f:im\n{rows}", "pipeline.yaml": text}
     lab = finished_laboratory(tmp_path, files)
     (plain,) = done(lab / "pipeline.yaml", lab / "out").fits
@@ -216,17 +256,20 @@ def test_the_window_of_ready_responses_reaches_their_fits(tmp_path: Path) -> Non
 
 SECTIONS = {
     "calibrate": {
-        "pipeline.yaml": "title: lines\ncalibrate:\n  probe: {table: line.csv, x: 'x [um]', y: 'y [V]'}\nreport: {formats: []}\n",
+        "pipeline.yaml": "title: lines\ncalibrate:\n  probe: {table: line.csv, x: 'x [um]', y: 'y "
+        "[V]'}\nreport: {formats: []}\n",
         "line.csv": "x [um],y [V]\n0,0.01\n10,0.08\n20,0.17\n30,0.24\n",
     },
     "unbalance": {
-        "pipeline.yaml": "title: u\nunbalance: {rotor: rotor.yaml, speeds: 40-44 Hz, step: 2 Hz, cases: {healthy: {depth: 0 um}}}\n"
+        "pipeline.yaml": "title: u\nunbalance: {rotor: rotor.yaml, speeds: 40-44 Hz, step: 2 Hz, cases: "
+        "{healthy: {depth: 0 um}}}\n"
         "report: {formats: []}\n",
         "rotor.yaml": (ROOT / "configs/rotors/laval.yaml").read_text(encoding="utf-8"),
     },
     "study": {
         "pipeline.yaml": "title: s\nstudy: {rig: virtual.yaml, noise: [2 %], repeats: 10}\n"
-        "identify:\n  ml: {model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: ls}\nreport: {formats: []}\n",
+        "identify:\n  ml: {model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: ls}\nreport: "
+        "{formats: []}\n",
         "virtual.yaml": (ROOT / "configs/three-dof.yaml").read_text(encoding="utf-8"),
     },
 }
@@ -243,12 +286,18 @@ SECTION_CHANGES = [
 
 @pytest.fixture(scope="module")
 def laboratories(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return {section: finished_laboratory(tmp_path_factory.mktemp(section), files) for section, files in SECTIONS.items()}
+    return {
+        section: finished_laboratory(tmp_path_factory.mktemp(section), files)
+        for section, files in SECTIONS.items()
+    }
 
 
 @pytest.mark.parametrize(
     ("section", "change"),
-    [pytest.param(section, change, id=f"{section} {described(change)}") for section, change in SECTION_CHANGES],
+    [
+        pytest.param(section, change, id=f"{section} {described(change)}")
+        for section, change in SECTION_CHANGES
+    ],
 )
 def test_a_changed_key_of_a_section_reaches_the_result(
     laboratories: dict[str, Path], section: str, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
@@ -263,11 +312,17 @@ def test_a_changed_key_of_a_section_reaches_the_result(
 RING_DOWN = {
     "rig.yaml": "name: r\nsample_rate: 256 Hz\nchannels:\n"
     "  y: {column: 'y [um]', quantity: displacement, unit: um, role: output, dof: y}\n",
-    "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: ring.csv\nfrf: {excitation: decay, decay: {settle: 50 ms, trigger: 20 %}}\n"
+    "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: ring.csv\nfrf: {excitation: decay, decay: "
+    "{settle: 50 ms, trigger: 20 %}}\n"
     "identify:\n  ring: {model: decay, decay: {modes: 1}}\nreport: {formats: []}\n",
-    "ring.csv": "y [um]\n" + "".join(f"{100 * np.exp(-0.01 * n) * np.cos(0.5 * n) + n % 3:.4f}\n" for n in range(512)),
+    "ring.csv": "y [um]\n"
+    + "".join(f"{100 * np.exp(-0.01 * n) * np.cos(0.5 * n) + n % 3:.4f}\n" for n in range(512)),
 }
-RING_DOWN_CHANGES = [change for change in changes("pipeline.yaml", yaml.safe_load(RING_DOWN["pipeline.yaml"])) if "decay" in change[1]]
+RING_DOWN_CHANGES = [
+    change
+    for change in changes("pipeline.yaml", yaml.safe_load(RING_DOWN["pipeline.yaml"]))
+    if "decay" in change[1]
+]
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +331,9 @@ def ring_down(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("change", RING_DOWN_CHANGES, ids=described)
-def test_a_changed_key_of_free_decays_reaches_the_result(ring_down: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path) -> None:
+def test_a_changed_key_of_free_decays_reaches_the_result(
+    ring_down: Path, change: tuple[str, tuple[str, ...], Any], tmp_path: Path
+) -> None:
     tree = changed(yaml.safe_load(RING_DOWN["pipeline.yaml"]), change[1], change[2])
     same_as_a_new_folder(ring_down, {"pipeline.yaml": yaml.safe_dump(tree, sort_keys=False)}, tmp_path)
 
@@ -285,7 +342,9 @@ def test_a_changed_key_of_free_decays_reaches_the_result(ring_down: Path, change
 
 
 def floating_stator(sign: float) -> str:
-    """Forces of five lines on k = 1 MN/m, c = 1 kN.s/m, k_xy = -k_yx = 0.2 MN/m without inertia, periods of 1 s, with noise."""
+    """Forces of five lines on k = 1 MN/m, c = 1 kN.s/m, k_xy = -k_yx = 0.2 MN/m without inertia, periods of 1
+    s, with noise.
+    """
     rng, time = np.random.default_rng(int(2 + sign)), np.arange(8 * 128) / 128
     force, motion, acceleration = (np.zeros((time.size, 2)) for _ in range(3))
     for frequency in (12.0, 16.0, 20.0, 24.0, 28.0):
@@ -304,19 +363,25 @@ FLOATING = {
     "rig.yaml": "name: r\nsample_rate: 128 Hz\nchannels:\n"
     + "".join(
         f"  {letter}{axis}: {{quantity: {quantity}, unit: {unit}, role: {role}, dof: {axis}}}\n"
-        for letter, quantity, unit, role in (("f", "force", "N", "input"), ("d", "displacement", "m", "output"))
+        for letter, quantity, unit, role in (
+            ("f", "force", "N", "input"),
+            ("d", "displacement", "m", "output"),
+        )
         for axis in "xy"
     )
     + "  ax: {quantity: acceleration, unit: m/s^2, role: output, dof: x}\n"
     + "  ay: {quantity: acceleration, unit: m/s^2, role: output, dof: y}\n",
     "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: [plus.csv, minus.csv]\n"
     "frf: {excitation: periodic, period: 1 s, result: spectra, band: 10-30 Hz}\n"
-    "identify:\n  seal: {model: dynamic-stiffness, dynamic_stiffness: {form: kc, speed: 20 Hz}}\nreport: {formats: []}\n",
+    "identify:\n  seal: {model: dynamic-stiffness, dynamic_stiffness: {form: kc, speed: 20 Hz}}\nreport: "
+    "{formats: []}\n",
     "plus.csv": floating_stator(1.0),
     "minus.csv": floating_stator(-1.0),
 }
 FLOATING_CHANGES = [
-    change for change in changes("pipeline.yaml", yaml.safe_load(FLOATING["pipeline.yaml"])) if "dynamic_stiffness" in change[1]
+    change
+    for change in changes("pipeline.yaml", yaml.safe_load(FLOATING["pipeline.yaml"]))
+    if "dynamic_stiffness" in change[1]
 ]
 
 
@@ -337,7 +402,9 @@ def test_a_changed_key_of_a_floating_bearing_reaches_the_result(
 
 
 def levitated_rotor() -> str:
-    """Ten lines of r added behind a PD controller that holds 4 kg x'' = 80 N/A i + 200 kN/m x, periods of 1 s, with noise."""
+    """Ten lines of r added behind a PD controller that holds 4 kg x'' = 80 N/A i + 200 kN/m x, periods of 1
+    s, with noise.
+    """
     rng, time = np.random.default_rng(4), np.arange(8 * 256) / 256
     signals = np.zeros((time.size, 4))
     for frequency in np.arange(8.0, 108.0, 10.0):
@@ -359,7 +426,8 @@ LEVITATED = {
     "pipeline.yaml": "title: r\nrig: rig.yaml\nrecordings: run.csv\n"
     "frf: {excitation: periodic, period: 1 s, result: spectra, band: 5-110 Hz}\n"
     "identify:\n  magnet: {model: magnet, input: i, magnet: {coupling: direct}}\n"
-    "compare:\n  loop: {kind: certificate, certificate: {after: u, displacement: x, injection: output}}\nreport: {formats: []}\n",
+    "compare:\n  loop: {kind: certificate, certificate: {after: u, displacement: x, injection: "
+    "output}}\nreport: {formats: []}\n",
     "run.csv": levitated_rotor(),
 }
 LEVITATED_CHANGES = [
@@ -385,4 +453,6 @@ def test_a_changed_key_of_a_levitated_rotor_reaches_the_result(
 def test_every_declared_setting_of_a_levitated_rotor_is_changed() -> None:
     seen = {keys[-1] for _, keys, value in LEVITATED_CHANGES if value is not None}
     for owner in (MagnetSettings, CertificateSettings):
-        assert {key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None} <= seen
+        assert {
+            key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None
+        } <= seen

@@ -47,16 +47,28 @@ def test_a_name_that_its_unit_contradicts_is_for_a_person() -> None:
 
 
 def test_the_g_of_accelerometers_is_an_acceleration() -> None:
-    assert guess("channel 1", "g").quantity == "acceleration" and guess("channel 1", "mg").quantity == "acceleration"
+    assert (
+        guess("channel 1", "g").quantity == "acceleration"
+        and guess("channel 1", "mg").quantity == "acceleration"
+    )
 
 
 @pytest.mark.parametrize(
     ("sensitivity", "quantity", "role"),
-    [("100 mV/g", "acceleration", "output"), ("2.3 mV/N", "force", "input"), ("8 V/mm", "displacement", "output")],
+    [
+        ("100 mV/g", "acceleration", "output"),
+        ("2.3 mV/N", "force", "input"),
+        ("8 V/mm", "displacement", "output"),
+    ],
 )
 def test_a_sensitivity_of_the_file_says_what_is_measured(sensitivity: str, quantity: str, role: str) -> None:
     (found,) = guess_channels(["ai0"], {"ai0": "V"}, {"ai0": sensitivity})
-    assert (found.quantity, found.role, found.sensitivity, found.decisions) == (quantity, role, sensitivity, ())
+    assert (found.quantity, found.role, found.sensitivity, found.decisions) == (
+        quantity,
+        role,
+        sensitivity,
+        (),
+    )
     (scaled,) = guess_channels(["ai0"], {"ai0": "m/s^2"}, {"ai0": sensitivity})
     assert scaled.sensitivity == "" and scaled.quantity == "acceleration"
 
@@ -64,36 +76,57 @@ def test_a_sensitivity_of_the_file_says_what_is_measured(sensitivity: str, quant
 def test_nodes_and_signs_of_points_become_dofs() -> None:
     names = ["1+Z", "12-Z", "3+X_2"]
     found = guess_channels(names, dict.fromkeys(names, "m/s^2"))
-    assert [(channel.dof, channel.invert) for channel in found] == [("1.z", False), ("12.z", True), ("3.x", False)]
+    assert [(channel.dof, channel.invert) for channel in found] == [
+        ("1.z", False),
+        ("12.z", True),
+        ("3.x", False),
+    ]
 
 
 def test_copies_of_a_channel_are_named() -> None:
-    """y again, y under an exponential and under a force window; a quarter of y and noise are channels of their own."""
+    """y again, y under an exponential and under a force window.
+
+    A quarter of y and noise are channels of their own.
+    """
     rng = np.random.default_rng(8)
     y = rng.normal(size=500)
     windows = [np.exp(-np.arange(500) / 80), np.arange(500) < 50, np.full(500, 0.25)]
     rows = np.column_stack([y, y, *(y * window for window in windows), rng.normal(size=500), np.zeros(500)])
     names = ["y", "again", "exponential", "cut", "quarter", "noise", "zero"]
-    assert copies(names, rows) == {"again": "a copy of y", "exponential": "a windowed copy of y", "cut": "a windowed copy of y"}
+    assert copies(names, rows) == {
+        "again": "a copy of y",
+        "exponential": "a windowed copy of y",
+        "cut": "a windowed copy of y",
+    }
 
 
-@pytest.mark.parametrize(("name", "quantity"), [("probe x", "displacement"), ("hammer", "force"), ("acc z", "acceleration")])
+@pytest.mark.parametrize(
+    ("name", "quantity"), [("probe x", "displacement"), ("hammer", "force"), ("acc z", "acceleration")]
+)
 def test_volts_of_a_sensor_need_its_sensitivity(name: str, quantity: str) -> None:
     found = guess(name, "V")
     assert (found.quantity, found.unit, found.sensitivity) == (quantity, "V", DECIDE)
-    assert found.decisions == ("recorded volts per quantity, for example 8 V/mm", f"{quantity} is a guess from the name")
+    assert found.decisions == (
+        "recorded volts per quantity, for example 8 V/mm",
+        f"{quantity} is a guess from the name",
+    )
 
 
 def test_a_number_without_a_unit_needs_one() -> None:
     found = guess("force")
     assert (found.quantity, found.unit) == ("force", DECIDE)
-    assert found.decisions == ("the unit of the recorded numbers, for example N", "force is a guess from the name")
+    assert found.decisions == (
+        "the unit of the recorded numbers, for example N",
+        "force is a guess from the name",
+    )
 
 
 def test_what_nothing_is_known_of_is_left_to_a_person() -> None:
     found = guess("channel 7")
     assert (found.quantity, found.unit, found.role) == (DECIDE, DECIDE, "")
-    assert len(found.decisions) == 2 and found.decisions[0].startswith("what is measured: force, displacement")
+    assert len(found.decisions) == 2 and found.decisions[0].startswith(
+        "what is measured: force, displacement"
+    )
 
 
 def test_what_says_everything_leaves_nothing_to_decide() -> None:
@@ -119,7 +152,14 @@ def test_directions_are_words_or_last_letters(name: str, dof: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "key"),
-    [("Force [N]", "force"), ("probe-x (um)", "probe_x"), ("1", "ch_1"), ("  a  b ", "a_b"), ("[N]", "channel"), ("Ü1", "ü1")],
+    [
+        ("Force [N]", "force"),
+        ("probe-x (um)", "probe_x"),
+        ("1", "ch_1"),
+        ("  a  b ", "a_b"),
+        ("[N]", "channel"),
+        ("Ü1", "ü1"),
+    ],
 )
 def test_keys_are_letters_digits_and_underscores(name: str, key: str) -> None:
     assert guess(name).key == key

@@ -1,4 +1,6 @@
-"""What is made again when what changes, and nothing else: the rule by which nobody ever reads a stale result."""
+"""What is made again when what changes, and nothing else: the rule by which nobody ever reads a stale
+result.
+"""
 
 from __future__ import annotations
 
@@ -68,11 +70,22 @@ CHANGES = {
     "skipped periods": (replaced("pipeline.yaml", "skip: 0", "skip: 1"), RESPONSES | FITS | {RESULT}),
     "a fit's band": (replaced("pipeline.yaml", "band: 10-40 Hz", "band: 11-40 Hz"), FITS | {RESULT}),
     "a fit's estimator": (replaced("pipeline.yaml", "estimator: ls", "estimator: iv"), FITS | {RESULT}),
-    "a fit more": (replaced("pipeline.yaml", "accept:", "  more: {model: sdof, input: f, output: y}\naccept:"), FITS | {RESULT}),
+    "a fit more": (
+        replaced("pipeline.yaml", "accept:", "  more: {model: sdof, input: f, output: y}\naccept:"),
+        FITS | {RESULT},
+    ),
     "a rule": (replaced("pipeline.yaml", ">= 0.9", ">= 0.95"), {RESULT}),
     "the title": (replaced("pipeline.yaml", "title: Small", "title: Smaller"), {RESULT}),
-    "one test's condition": (replaced("pipeline.yaml", "preload: 100 N", "preload: 101 N"), {"soft.frf.parquet", "fits/soft.json", RESULT}),
-    "a test less": (replaced("pipeline.yaml", "  - {name: hard, recordings: hard.csv, conditions: {preload: 200 N}}\n", ""), {RESULT}),
+    "one test's condition": (
+        replaced("pipeline.yaml", "preload: 100 N", "preload: 101 N"),
+        {"soft.frf.parquet", "fits/soft.json", RESULT},
+    ),
+    "a test less": (
+        replaced(
+            "pipeline.yaml", "  - {name: hard, recordings: hard.csv, conditions: {preload: 200 N}}\n", ""
+        ),
+        {RESULT},
+    ),
     "a comment": (replaced("pipeline.yaml", "title: Small", "title: Small  # as before"), set()),
     "the report": (replaced("pipeline.yaml", "formats: []", "formats: [md]"), set()),
 }
@@ -87,7 +100,9 @@ def test_what_depends_on_a_change_is_made_again(lab: Path, name: str) -> None:
     assert made_again(lab) == set()
 
 
-@pytest.mark.parametrize("name", [name for name, (_, expected) in CHANGES.items() if expected and name != "a test less"])
+@pytest.mark.parametrize(
+    "name", [name for name, (_, expected) in CHANGES.items() if expected and name != "a test less"]
+)
 def test_what_was_kept_is_what_a_new_run_gives(lab: Path, name: str, tmp_path: Path) -> None:
     """Fresh parts and new ones together are byte for byte a run from nothing."""
     CHANGES[name][0](lab)
@@ -146,7 +161,9 @@ def test_a_result_of_another_version_is_made_again(lab: Path) -> None:
 def test_the_header_of_a_response_says_what_it_was_made_from(lab: Path) -> None:
     header = json.loads(pq.ParquetFile(lab / "out/soft.frf.parquet").metadata.metadata[b"labpipe"])
     assert [entry["path"] for entry in header["inputs"]] == ["soft.recording.parquet"]
-    assert header["parameters"]["frf"]["period"] == 1.0 and header["parameters"]["conditions"] == {"preload": "100 N"}
+    assert header["parameters"]["frf"]["period"] == 1.0 and header["parameters"]["conditions"] == {
+        "preload": "100 N"
+    }
 
 
 # a pipeline of one test
@@ -165,14 +182,19 @@ def test_one_test_has_no_file_of_fits(alone: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (replaced("rig.yaml", "0.79 kg", "0.8 kg"), {"recordings/soft.recording.parquet", "frf.frf.parquet", RESULT}),
+        (
+            replaced("rig.yaml", "0.79 kg", "0.8 kg"),
+            {"recordings/soft.recording.parquet", "frf.frf.parquet", RESULT},
+        ),
         (replaced("pipeline.yaml", "skip: 0", "skip: 1"), {"frf.frf.parquet", RESULT}),
         (replaced("pipeline.yaml", "band: 10-40 Hz", "band: 11-40 Hz"), {RESULT}),
         (replaced("pipeline.yaml", "formats: []", "formats: [md]"), set()),
     ],
     ids=["rig", "frf", "fit", "report"],
 )
-def test_one_test_is_fresh_by_the_same_rule(alone: Path, change: Callable[[Path], None], expected: set[str]) -> None:
+def test_one_test_is_fresh_by_the_same_rule(
+    alone: Path, change: Callable[[Path], None], expected: set[str]
+) -> None:
     assert made_again(alone) == set()
     change(alone)
     assert made_again(alone) == expected
@@ -187,7 +209,9 @@ def test_the_rig_of_a_single_recording_counts_as_well(lab: Path) -> None:
     assert contents(lab / "out") == contents(lab / "new")
 
 
-def test_the_same_work_elsewhere_gives_the_same_bytes(alone: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_same_work_elsewhere_gives_the_same_bytes(
+    alone: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     other = tmp_path_factory.mktemp("another laboratory")
     done(laboratory(other, ALONE), other / "out")
     assert contents(other / "out") == contents(alone / "out")
@@ -196,4 +220,9 @@ def test_the_same_work_elsewhere_gives_the_same_bytes(alone: Path, tmp_path_fact
 
 def test_the_texts_of_the_laboratory_are_those_that_are_changed() -> None:
     """The changes above would be no changes if the texts did not hold what they replace."""
-    assert "mass: 0.79 kg" in RIG and "skip: 0" in PIPELINE and "recordings: soft.csv" in ALONE and "tests:" not in ALONE
+    assert (
+        "mass: 0.79 kg" in RIG
+        and "skip: 0" in PIPELINE
+        and "recordings: soft.csv" in ALONE
+        and "tests:" not in ALONE
+    )

@@ -19,18 +19,28 @@ RECEPTANCE = 1 / (80e3 - 2.0 * OMEGA**2 + 40j * OMEGA)
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """One table of g/N in dB and degrees under a header of two lines; four points, one for each file."""
     accelerance = -(OMEGA**2) * RECEPTANCE / 9.80665
-    table = np.column_stack([FREQUENCY, 20 * np.log10(np.abs(accelerance)), np.rad2deg(np.angle(accelerance))])
+    table = np.column_stack(
+        [FREQUENCY, 20 * np.log10(np.abs(accelerance)), np.rad2deg(np.angle(accelerance))]
+    )
     np.savetxt(tmp_path / "h.txt", table, header="Beam, point 3\nunit: g/N", comments="")
     for output in "xy":
         for reference in "xy":
             element = RECEPTANCE * (1.0 if output == reference else 0.1)
-            np.savetxt(tmp_path / f"p_{output}_{reference}.txt", np.column_stack([FREQUENCY, element.real, element.imag]))
+            np.savetxt(
+                tmp_path / f"p_{output}_{reference}.txt",
+                np.column_stack([FREQUENCY, element.real, element.imag]),
+            )
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-TABLE = "{file: h.txt, columns: {frequency: 1, amplitude_db: 2, phase_deg: 3}, unit: g/N, output: y, input: y}"
-POINTS = "{each: 'p_*.txt', pattern: 'p_{output}_{input}', columns: {frequency: 1, re: 2, im: 3}, form: receptance}"
+TABLE = (
+    "{file: h.txt, columns: {frequency: 1, amplitude_db: 2, phase_deg: 3}, unit: g/N, output: y, input: y}"
+)
+POINTS = (
+    "{each: 'p_*.txt', pattern: 'p_{output}_{input}', columns: {frequency: 1, re: 2, im: 3}, form: "
+    "receptance}"
+)
 
 
 @pytest.mark.parametrize("entry", [TABLE, POINTS])
@@ -49,28 +59,38 @@ def test_another_unit_of_one_test_among_several_reaches_the_result(lab: Path, la
         + f"  - {{name: a, frfs: {TABLE}}}\n  - {{name: b, frfs: {TABLE}}}\nidentify:\n"
         + FIT.replace(", mass: 2 kg", "")
     )
-    rules = "accept: {'support[a].k': 80 kN/m +- 0.001 %, 'support[b].k': 80 kN/m +- 0.001 %}\nreport: {formats: []}\n"
+    rules = (
+        "accept: {'support[a].k': 80 kN/m +- 0.001 %, 'support[b].k': 80 kN/m +- 0.001 %}\nreport: "
+        "{formats: []}\n"
+    )
     (lab / "p.yaml").write_text(text + rules)
     assert labpipe("run", "p.yaml", "-o", "out").code == 0
-    (lab / "p.yaml").write_text((text + rules).replace("unit: g/N", "unit: m/s^2/N", 1).replace("80 kN/m", "784.532 kN/m", 1))
+    (lab / "p.yaml").write_text(
+        (text + rules).replace("unit: g/N", "unit: m/s^2/N", 1).replace("80 kN/m", "784.532 kN/m", 1)
+    )
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 0, ended
 
 
 def test_the_window_behind_a_table_is_taken_out(lab: Path, labpipe) -> None:
-    """H(j w + 1/tau) under a window of 0.7 s, which adds 2 m / tau = 5.714 N.s/m of damping: c comes out without it."""
+    """H(j w + 1/tau) under a window of 0.7 s, which adds 2 m / tau = 5.714 N.s/m of damping: c comes out
+    without it.
+    """
     rate = 1j * OMEGA + 1 / 0.7
     element = 1 / (80e3 + 2.0 * rate**2 + 40 * rate)
     np.savetxt(lab / "w.txt", np.column_stack([FREQUENCY, element.real, element.imag]))
     table = (
-        TABLE.replace("amplitude_db: 2, phase_deg: 3", "re: 2, im: 3").replace("unit: g/N", "form: receptance").replace("h.txt", "w.txt")
+        TABLE.replace("amplitude_db: 2, phase_deg: 3", "re: 2, im: 3")
+        .replace("unit: g/N", "form: receptance")
+        .replace("h.txt", "w.txt")
     )
     entry = table.replace("input: y", "input: y, windowed: {exponential: 0.7 s}")
     (lab / "p.yaml").write_text(HEAD.replace("{entry}", entry) + FIT + ACCEPT.replace("0.0001 %", "0.01 %"))
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 0, ended
     (lab / "p.yaml").write_text(
-        HEAD.replace("{entry}", table) + FIT + "accept: {support.c: 45.714 N.s/m +- 0.2 %}\nreport: {formats: []}\n"
+        HEAD.replace("{entry}", table) + FIT + "accept: {support.c: 45.714 N.s/m +- 0.2 %}\nreport: "
+        "{formats: []}\n"
     )
     assert labpipe("run", "p.yaml", "-o", "out").code == 0
 
@@ -78,15 +98,36 @@ def test_the_window_behind_a_table_is_taken_out(lab: Path, labpipe) -> None:
 @pytest.mark.parametrize(
     ("entry", "fault"),
     [
-        (TABLE.replace("unit: g/N", "unit: g/m"), "p.yaml:2:77: frfs.unit: 'g/m' has the wrong dimension, m/(N.s^2) is needed"),
-        (TABLE.replace("phase_deg", "phase_dg"), "frfs.columns.phase_dg: unknown key; did you mean 'phase_deg'?"),
+        (
+            TABLE.replace("unit: g/N", "unit: g/m"),
+            "p.yaml:2:77: frfs.unit: 'g/m' has the wrong dimension, m/(N.s^2) is needed",
+        ),
+        (
+            TABLE.replace("phase_deg", "phase_dg"),
+            "frfs.columns.phase_dg: unknown key; did you mean 'phase_deg'?",
+        ),
         (TABLE.replace("h.txt", "g.txt"), "p.yaml:2:8: frfs.file: no such file 'g.txt'"),
-        (TABLE.replace(", input: y", ""), "p.yaml:2:1: frfs.input: is missing; name the dof, or its place in the files' names by pattern"),
-        (TABLE.replace("output: y", "output: [x, y]"), "frfs.output: one dof is needed; several are the rows or columns of a matrix"),
-        (POINTS.replace("'p_{output}", "'q_{output}"), "frfs.pattern: does not match 'p_x_x'; for example 'H_{output}_{input}'"),
+        (
+            TABLE.replace(", input: y", ""),
+            "p.yaml:2:1: frfs.input: is missing; name the dof, or its place in the files' names by pattern",
+        ),
+        (
+            TABLE.replace("output: y", "output: [x, y]"),
+            "frfs.output: one dof is needed; several are the rows or columns of a matrix",
+        ),
+        (
+            POINTS.replace("'p_{output}", "'q_{output}"),
+            "frfs.pattern: does not match 'p_x_x'; for example 'H_{output}_{input}'",
+        ),
         (POINTS.replace("{input}", "{way}"), "frfs.pattern: holds more than {output} and {input}"),
-        (POINTS.replace("p_{output}_{input}", "p_{output}_{}").replace("form", "input: f, form"), "x/f lies in p_x_x.txt and in p_x_y.txt"),
-        (TABLE.replace("h.txt", "h.mat"), "h.mat: holds variables, no columns; write 'variables' in place of 'columns'"),
+        (
+            POINTS.replace("p_{output}_{input}", "p_{output}_{}").replace("form", "input: f, form"),
+            "x/f lies in p_x_x.txt and in p_x_y.txt",
+        ),
+        (
+            TABLE.replace("h.txt", "h.mat"),
+            "h.mat: holds variables, no columns; write 'variables' in place of 'columns'",
+        ),
     ],
 )
 def test_faults_of_entries(lab: Path, labpipe, entry: str, fault: str) -> None:

@@ -1,4 +1,7 @@
-"""Recordings become a response, made once; ready responses are known by their content, whatever program they come from."""
+"""Recordings become a response, made once.
+
+Ready responses are known by their content, whatever program they come from.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,12 @@ from hypothesis import strategies as st
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import write_response
-from labpipe.artefacts.recording_file import RecordingWriter, StoredRecording, open_recording, recording_contents
+from labpipe.artefacts.recording_file import (
+    RecordingWriter,
+    StoredRecording,
+    open_recording,
+    recording_contents,
+)
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError, LabpipeError
 from labpipe.project.frf import frf, frf_file_name
@@ -70,7 +78,9 @@ def test_a_response_is_made_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.matrix, first.matrix)
 
 
-@pytest.mark.parametrize("changes", [{"skip": 2}, {"band": (1.0, 19.0)}, {"smooth": 3}, {"exclude": ((5.0, 6.0),)}])
+@pytest.mark.parametrize(
+    "changes", [{"skip": 2}, {"band": (1.0, 19.0)}, {"smooth": 3}, {"exclude": ((5.0, 6.0),)}]
+)
 def test_other_settings_make_it_again(tmp_path: Path, changes: dict) -> None:
     recording = stored(tmp_path)
     made(tmp_path, recording)
@@ -123,7 +133,13 @@ def test_no_test_s_name_leaves_the_folder(test: str) -> None:
 @pytest.fixture
 def response() -> FrequencyResponse:
     frequency = np.arange(1.0, 6.0)
-    return FrequencyResponse(frequency, receptance(frequency)[:, None, None], (Port("x", "x", "x"),), (Port("f", "f", "x"),), name="own")
+    return FrequencyResponse(
+        frequency,
+        receptance(frequency)[:, None, None],
+        (Port("x", "x", "x"),),
+        (Port("f", "f", "x"),),
+        name="own",
+    )
 
 
 @pytest.fixture
@@ -139,9 +155,17 @@ def files(tmp_path: Path, response: FrequencyResponse) -> dict[str, Path]:
 
 @pytest.mark.parametrize(
     ("name", "is_one"),
-    [("h.csv", True), ("h.frf.parquet", True), ("run.csv", False), ("run.parquet", False), ("run.recording.parquet", False)],
+    [
+        ("h.csv", True),
+        ("h.frf.parquet", True),
+        ("run.csv", False),
+        ("run.parquet", False),
+        ("run.recording.parquet", False),
+    ],
 )
-def test_responses_and_recordings_are_told_apart_by_their_content(files: dict[str, Path], name: str, is_one: bool) -> None:
+def test_responses_and_recordings_are_told_apart_by_their_content(
+    files: dict[str, Path], name: str, is_one: bool
+) -> None:
     assert is_response(files[name]) is is_one
 
 
@@ -150,7 +174,9 @@ def test_what_is_not_there_and_a_folder_are_no_responses(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["h.csv", "h.frf.parquet"])
-def test_a_ready_response_is_what_it_was(files: dict[str, Path], name: str, response: FrequencyResponse) -> None:
+def test_a_ready_response_is_what_it_was(
+    files: dict[str, Path], name: str, response: FrequencyResponse
+) -> None:
     loaded = load_response(files[name])
     np.testing.assert_allclose(loaded.matrix, response.matrix, rtol=1e-14)
     np.testing.assert_allclose(loaded.frequency, response.frequency, rtol=1e-14)
@@ -173,7 +199,9 @@ def test_name_and_conditions_of_the_test_take_the_place_of_its_own(files: dict[s
         ("h.xyz", "FRF files with the ending '.xyz' cannot be read"),
     ],
 )
-def test_what_is_no_response_is_said_with_its_file(files: dict[str, Path], tmp_path: Path, name: str, said: str) -> None:
+def test_what_is_no_response_is_said_with_its_file(
+    files: dict[str, Path], tmp_path: Path, name: str, said: str
+) -> None:
     (tmp_path / "h.xyz").write_text("")
     with pytest.raises(DataError) as caught:
         load_response(tmp_path / name)

@@ -39,6 +39,8 @@ def test_as_on_a_disk(tmp_path: Path, pattern: str) -> None:
     for name in FILES:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    on_disk = {name for name in glob.glob(pattern, root_dir=tmp_path, recursive=True) if (tmp_path / name).is_file()}
+    on_disk = {
+        name for name in glob.glob(pattern, root_dir=tmp_path, recursive=True) if (tmp_path / name).is_file()
+    }
     assert {name for name in FILES if _matches(Path(name).parts, Path(pattern).parts)} == on_disk
     assert on_disk

@@ -16,7 +16,9 @@ tests:
 
 
 def test_a_test_s_own_spectra_are_kept_with_it(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text("sample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n")
+    (tmp_path / "rig.yaml").write_text(
+        "sample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n"
+    )
     (tmp_path / "runs").mkdir()
     for name in ("runs/a.csv", "runs/b.csv"):
         (tmp_path / name).write_text("f,x\n1,2\n")
@@ -24,4 +26,8 @@ def test_a_test_s_own_spectra_are_kept_with_it(tmp_path: Path) -> None:
     entry = settings_entry(load_pipeline(tmp_path / "p.yaml"))
     dry, wet = entry["tests"]
     assert entry["frf"]["band"] == [1.0, 100.0] and dry["frf"]["band"] == [5.0, 50.0] and "frf" not in wet
-    assert (dry["name"], wet["name"]) == ("dry", "wet") and list(dry["conditions"]) == ["load"] and wet["conditions"] == {}
+    assert (
+        (dry["name"], wet["name"]) == ("dry", "wet")
+        and list(dry["conditions"]) == ["load"]
+        and wet["conditions"] == {}
+    )

@@ -28,7 +28,10 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
     for name, k in (("soft", 1e5), ("stiff", 4e5)):
         h = (1 / (k - w**2 + 20j * w) + 1e-9 * rng.standard_normal(lines.size))[:, None, None]
         ports = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
-        write_frf_csv(tmp_path / f"{name}.csv", FrequencyResponse(lines, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))))
+        write_frf_csv(
+            tmp_path / f"{name}.csv",
+            FrequencyResponse(lines, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))),
+        )
     (tmp_path / "p.yaml").write_text(PIPELINE)
     return tmp_path
 

@@ -78,10 +78,14 @@ def test_a_changed_result_is_read_again(tmp_path: Path) -> None:
     assert stiffnesses(tmp_path) == [2.0]
 
 
-def test_a_result_that_did_not_change_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_that_did_not_change_is_not_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store(tmp_path / "a", 1.0)
     stiffnesses(tmp_path)
-    monkeypatch.setattr("labpipe.project.catalogue.read_identification", lambda path: pytest.fail(f"{path} was read"))
+    monkeypatch.setattr(
+        "labpipe.project.catalogue.read_identification", lambda path: pytest.fail(f"{path} was read")
+    )
     assert stiffnesses(tmp_path) == [1.0]
 
 
@@ -92,7 +96,9 @@ def test_a_deleted_index_is_made_again_with_the_same_answers(tmp_path: Path) -> 
     assert stiffnesses(tmp_path) == before
 
 
-@pytest.mark.parametrize("content", [b"", b"no database at all, but a text of some length", b"SQLite format 3\x00" + bytes(200)])
+@pytest.mark.parametrize(
+    "content", [b"", b"no database at all, but a text of some length", b"SQLite format 3\x00" + bytes(200)]
+)
 def test_a_damaged_index_is_made_again(tmp_path: Path, content: bytes) -> None:
     store(tmp_path / "a", 1.0)
     (tmp_path / INDEX).write_bytes(content)
@@ -145,14 +151,18 @@ def test_the_verdict_in_a_word(changes: dict, word: str) -> None:
 
 
 def test_warnings_count_once_and_notes_not_at_all() -> None:
-    fit = replace(FIT, findings=(Finding("gap", "1"), note("masked", "2"), Finding("gap", "3"), Finding("clipped", "4")))
+    fit = replace(
+        FIT, findings=(Finding("gap", "1"), note("masked", "2"), Finding("gap", "3"), Finding("clipped", "4"))
+    )
     assert warning_codes(fit) == ["gap", "clipped"]
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3), st.floats(1.0, 10.0))
 def test_an_interval_is_widened_as_its_error_is(value: float, error: float, factor: float) -> None:
     """ci95 of +- 2 s becomes +- 2 f s where the residual exceeds the noise by f."""
-    plain = Parameter("k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error))
+    plain = Parameter(
+        "k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error)
+    )
     assert interval(plain) == plain.ci95
     low, high = interval(widened(plain, factor))
     assert high - low == pytest.approx(4 * factor * error, rel=1e-6, abs=1e-6 * abs(value) * 1e-6)
@@ -211,5 +221,12 @@ def test_rows_carry_what_is_known_of_their_test(tmp_path: Path) -> None:
         (row,) = values(index, Filter())
     assert row.conditions == {"date": "2026-11-03", "preload": "400 N", "way": "up"}
     assert row.amounts["preload"] == (400.0, "N") and "way" not in row.amounts
-    assert (row.fit, row.test, row.parameter, row.unit, row.std_error, row.label) == ("direct", "a", "k", "N/m", 10.0, "a")
+    assert (row.fit, row.test, row.parameter, row.unit, row.std_error, row.label) == (
+        "direct",
+        "a",
+        "k",
+        "N/m",
+        10.0,
+        "a",
+    )
     assert (row.ci_low, row.ci_high, row.low_hz, row.high_hz) == (980.0, 1020.0, 60.0, 70.0)

@@ -1,4 +1,6 @@
-"""Raw files become calibrated recordings: SI by hand calculation, findings with their place, freshness, contradictions."""
+"""Raw files become calibrated recordings: SI by hand calculation, findings with their place, freshness,
+contradictions.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,23 @@ from hypothesis import strategies as st
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError
-from labpipe.project.ingest import contradictions, ingest, ingest_all, is_recording, recording_refs, unique_names
+from labpipe.project.ingest import (
+    contradictions,
+    ingest,
+    ingest_all,
+    is_recording,
+    recording_refs,
+    unique_names,
+)
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files.table import open_table
 
 TIMED = 'name: R\ntime: "t [s]"\nchannels:\n'
 RATED = "name: R\nsample_rate: 100 Hz\nchannels:\n"
-PLAIN = '  f: {column: "force [N]", quantity: force, unit: N}\n  y: {column: "y [um]", quantity: displacement, unit: um}\n'
+PLAIN = (
+    '  f: {column: "force [N]", quantity: force, unit: N}\n  y: {column: "y [um]", quantity: '
+    "displacement, unit: um}\n"
+)
 
 
 def rig_file(folder: Path, channels: str = PLAIN, head: str = RATED) -> Path:
@@ -32,7 +44,11 @@ def rig_file(folder: Path, channels: str = PLAIN, head: str = RATED) -> Path:
 
 def csv_file(folder: Path, names: Sequence[str], rows: np.ndarray, name: str = "run.csv") -> Path:
     path = folder / name
-    path.write_text(",".join(names) + "\n" + "".join(",".join(f"{number!r}" for number in row) + "\n" for row in rows.tolist()))
+    path.write_text(
+        ",".join(names)
+        + "\n"
+        + "".join(",".join(f"{number!r}" for number in row) + "\n" for row in rows.tolist())
+    )
     return path
 
 
@@ -77,7 +93,9 @@ def test_calibration_is_linear(tmp_path_factory: pytest.TempPathFactory, factor:
     folder = tmp_path_factory.mktemp("linear")
     rows = np.random.default_rng(3).normal(size=(20, 2))
     plain = ingested(folder, csv_file(folder, TWO, rows), rig_file(folder)).in_memory().samples
-    other = ingested(folder, csv_file(folder, TWO, factor * rows + shift), rig_file(folder)).in_memory().samples
+    other = (
+        ingested(folder, csv_file(folder, TWO, factor * rows + shift), rig_file(folder)).in_memory().samples
+    )
     np.testing.assert_allclose(other, factor * plain + shift * np.array([1.0, 1e-6]), rtol=1e-9, atol=1e-15)
 
 
@@ -86,7 +104,9 @@ def test_columns_that_the_rig_does_not_name_are_left_out_and_order_is_the_rig_s(
     raw = csv_file(tmp_path, ["spare", "y [um]", "t [s]", "force [N]"], rows)
     stored = ingested(tmp_path, raw, rig_file(tmp_path))
     assert [channel.name for channel in stored.channels] == ["f", "y"]
-    np.testing.assert_allclose(stored.in_memory().samples, np.column_stack([rows[:, 3], rows[:, 1] * 1e-6]), rtol=1e-15)
+    np.testing.assert_allclose(
+        stored.in_memory().samples, np.column_stack([rows[:, 3], rows[:, 1] * 1e-6]), rtol=1e-15
+    )
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
@@ -97,7 +117,9 @@ def test_the_format_of_the_file_does_not_matter(tmp_path: Path, kind: str) -> No
     else:
         raw = tmp_path / "run.parquet"
         pq.write_table(pa.table(dict(zip(TWO, rows.T, strict=True))), raw)
-    np.testing.assert_array_equal(ingested(tmp_path, raw, rig_file(tmp_path)).in_memory().samples, rows * [1.0, 1e-6])
+    np.testing.assert_array_equal(
+        ingested(tmp_path, raw, rig_file(tmp_path)).in_memory().samples, rows * [1.0, 1e-6]
+    )
 
 
 # rate and time
@@ -112,7 +134,9 @@ def test_the_rate_comes_from_the_time_column_in_its_unit(tmp_path: Path, unit: s
 
 
 def test_a_stated_rate_is_taken(tmp_path: Path) -> None:
-    assert ingested(tmp_path, csv_file(tmp_path, TWO, np.zeros((3, 2))), rig_file(tmp_path)).sample_rate == 100.0
+    assert (
+        ingested(tmp_path, csv_file(tmp_path, TWO, np.zeros((3, 2))), rig_file(tmp_path)).sample_rate == 100.0
+    )
 
 
 @pytest.mark.parametrize(("place", "said"), [(0, "1"), (25, "26"), (48, "49")])
@@ -134,7 +158,10 @@ def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:
 
 def test_without_any_rate_both_cures_are_named(tmp_path: Path) -> None:
     raw = csv_file(tmp_path, TWO, np.zeros((3, 2)))
-    with pytest.raises(DataError, match='one of sample_rate and time is needed in the rig file; write sample_rate: 20 kHz or time: "t'):
+    with pytest.raises(
+        DataError,
+        match='one of sample_rate and time is needed in the rig file; write sample_rate: 20 kHz or time: "t',
+    ):
         ingested(tmp_path, raw, rig_file(tmp_path, head="name: R\nchannels:\n"))
 
 
@@ -149,7 +176,9 @@ def test_clipping_at_the_logger_s_limits_is_found_in_the_recorded_unit(tmp_path:
     """5 V is the limit of a probe of 8 V/mm: three samples stand there."""
     rows = np.column_stack([np.sin(np.arange(200.0)), 4 * np.sin(np.arange(200.0) / 7)])
     rows[50:53, 1] = 5.0
-    probe = "  f: {quantity: force}\n  y: {quantity: displacement, unit: V, sensitivity: 8 V/mm, range: 5 V}\n"
+    probe = (
+        "  f: {quantity: force}\n  y: {quantity: displacement, unit: V, sensitivity: 8 V/mm, range: 5 V}\n"
+    )
     stored = ingested(tmp_path, csv_file(tmp_path, ("f", "y"), rows), rig_file(tmp_path, probe))
     assert codes(stored) == ["clipped"] and "y" in stored.findings[0].message
     rows[50:53, 1] = 4.9
@@ -220,7 +249,9 @@ def test_many_files_of_one_rig(tmp_path: Path) -> None:
     with output_folder(tmp_path / "out") as output:
         stored = ingest_all(raws, load_rig(rig_file(tmp_path)), output, tmp_path)
         assert [float(one.in_memory().samples[0, 0]) for one in stored] == [0.0, 1.0, 2.0]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"run{n}.recording.parquet" for n in range(3)]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        f"run{n}.recording.parquet" for n in range(3)
+    ]
 
 
 # file against rig
@@ -233,7 +264,12 @@ def test_many_files_of_one_rig(tmp_path: Path) -> None:
         (RATED, PLAIN, ("force [N]", "y [mm]"), ["no column 'y [um]'"]),
         (TIMED, PLAIN, TWO, ["no column 't [s]'"]),
         ("name: R\nchannels:\n", PLAIN, TWO, ["states no sampling rate"]),
-        (RATED, PLAIN.replace("unit: um", "unit: mm"), TWO, ["column 'y [um]' is in um by the file's own header, in mm by the rig file"]),
+        (
+            RATED,
+            PLAIN.replace("unit: um", "unit: mm"),
+            TWO,
+            ["column 'y [um]' is in um by the file's own header, in mm by the rig file"],
+        ),
         (RATED, PLAIN, ("Force [N]", "y [mm]"), ["no column 'force [N]'", "no column 'y [um]'"]),
     ],
 )
@@ -252,4 +288,8 @@ def test_samples_that_are_no_number_are_found_with_their_place(tmp_path: Path, b
     rows = np.random.default_rng(8).normal(size=(100, 2))
     rows[40, 1] = bad
     stored = ingested(tmp_path, csv_file(tmp_path, TWO, rows), rig_file(tmp_path))
-    assert codes(stored) == ["gap"] and "sample 40" in stored.findings[0].message and "y" in stored.findings[0].message
+    assert (
+        codes(stored) == ["gap"]
+        and "sample 40" in stored.findings[0].message
+        and "y" in stored.findings[0].message
+    )

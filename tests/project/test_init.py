@@ -1,4 +1,6 @@
-"""A project from a recording's own metadata, or from a shipped example: to a report with no edit beyond the marked lines."""
+"""A project from a recording's own metadata, or from a shipped example: to a report with no edit beyond the
+marked lines.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,21 @@ K, C, MASS = 80e3, 40.0, 2.0
 
 
 def signals() -> tuple[np.ndarray, np.ndarray]:
-    """Force [N] and displacement [m] of a mass on a spring, periodic with 1 s, lines 5-80 Hz; a little noise, seed pinned."""
+    """Force [N] and displacement [m] of a mass on a spring, periodic with 1 s, lines 5-80 Hz.
+
+    A little noise, seed pinned.
+    """
     rng = np.random.default_rng(7)
     lines = np.arange(5, 81)
     omega = 2 * np.pi * lines
-    phasors = np.exp(1j * (np.outer(np.arange(PERIOD * REPEATS) / RATE, omega) - np.pi * lines * (lines - 1) / lines.size))
+    phasors = np.exp(
+        1j * (np.outer(np.arange(PERIOD * REPEATS) / RATE, omega) - np.pi * lines * (lines - 1) / lines.size)
+    )
     y = (phasors / (K - MASS * omega**2 + 1j * omega * C)).real.sum(1)
     force = phasors.real.sum(1)
-    return force + 1e-3 * np.std(force) * rng.normal(size=force.size), y + 1e-3 * np.std(y) * rng.normal(size=y.size)
+    return force + 1e-3 * np.std(force) * rng.normal(size=force.size), y + 1e-3 * np.std(y) * rng.normal(
+        size=y.size
+    )
 
 
 def tdms(path: Path) -> None:
@@ -52,14 +61,19 @@ def uff(path: Path, labpipe) -> None:
     force, y = signals()
     t = np.arange(force.size) / RATE
     raw = path.parent / "raw.csv"
-    raw.write_text("t [s],f [N],y [m]\n" + "".join(f"{a:.4f},{b:.9g},{c:.9g}\n" for a, b, c in zip(t, force, y, strict=True)))
+    raw.write_text(
+        "t [s],f [N],y [m]\n"
+        + "".join(f"{a:.4f},{b:.9g},{c:.9g}\n" for a, b, c in zip(t, force, y, strict=True))
+    )
     (path.parent / "raw.yaml").write_text(
         'time: "t [s]"\nchannels:\n'
         '  force_y: {column: "f [N]", quantity: force, unit: N, dof: y}\n'
         '  y: {column: "y [m]", quantity: displacement, unit: m, dof: y}\n'
     )
     assert labpipe("ingest", raw, "-r", path.parent / "raw.yaml", "-o", path.parent / "raw").code == 0
-    assert labpipe("export", path.parent / "raw/raw.recording.parquet", "--to", "uff58b", "-o", path).code == 0
+    assert (
+        labpipe("export", path.parent / "raw/raw.recording.parquet", "--to", "uff58b", "-o", path).code == 0
+    )
 
 
 def decide(folder: Path, answers: dict[str, str]) -> None:
@@ -70,7 +84,9 @@ def decide(folder: Path, answers: dict[str, str]) -> None:
         if MARK in line and not line.lstrip().startswith("#"):
             for key in ("quantity", "unit", "sensitivity", "sample_rate"):
                 name = line.split(":")[0].strip()
-                lines[number] = lines[number].replace(f"{key}: {DECIDE}", f"{key}: {answers.get(f'{name}.{key}', '')}")
+                lines[number] = lines[number].replace(
+                    f"{key}: {DECIDE}", f"{key}: {answers.get(f'{name}.{key}', '')}"
+                )
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -148,11 +164,17 @@ def test_a_table_of_an_frf_becomes_a_pipeline_of_frfs(tmp_path: Path, labpipe) -
     """Columns and unit from the header; the dofs are for a person, and the band begins above 0 Hz."""
     frf_table(tmp_path / "h.txt")
     ended = labpipe("init", tmp_path / "rig", tmp_path / "h.txt")
-    assert ended.code == 0 and "pipeline.yaml:7, pipeline.yaml:8" in ended.out and not (tmp_path / "rig/rig.yaml").exists()
+    assert (
+        ended.code == 0
+        and "pipeline.yaml:7, pipeline.yaml:8" in ended.out
+        and not (tmp_path / "rig/rig.yaml").exists()
+    )
     pipeline = tmp_path / "rig/pipeline.yaml"
     ended = labpipe("run", pipeline, "-o", tmp_path / "out")
     assert ended.code == 2 and ended.err.count("is still to be decided") == 4
-    pipeline.write_text(pipeline.read_text().replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    pipeline.write_text(
+        pipeline.read_text().replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f")
+    )
     assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
     (fit,) = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
     assert fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
@@ -165,23 +187,33 @@ def test_tables_of_several_points_ask_where_the_dofs_stand(tmp_path: Path, labpi
     text = (tmp_path / "rig/pipeline.yaml").read_text()
     assert 'each: ["../h_x_f.txt", "../h_y_f.txt"]' in text and f"pattern: {DECIDE}" in text
     text = re.sub(rf"pattern: {DECIDE}.*", "pattern: 'h_{output}_{input}'", text)
-    (tmp_path / "rig/pipeline.yaml").write_text(text.replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f"))
+    (tmp_path / "rig/pipeline.yaml").write_text(
+        text.replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f")
+    )
     assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
 
 
 def test_what_an_analyser_stored_beside_the_channels_is_named_as_not_used(tmp_path: Path, labpipe) -> None:
     force, y = signals()
     windowed = y * np.exp(-np.arange(y.size) / 500)
-    savemat(tmp_path / "run.mat", {"fs": RATE, "force": force, "probe_y": y, "probe_y_window": windowed, "coherence": np.ones(99)})
+    savemat(
+        tmp_path / "run.mat",
+        {"fs": RATE, "force": force, "probe_y": y, "probe_y_window": windowed, "coherence": np.ones(99)},
+    )
     assert labpipe("init", tmp_path / "rig", tmp_path / "run.mat").code == 0
     text = (tmp_path / "rig/rig.yaml").read_text()
     assert "# not used: probe_y_window: a windowed copy of probe_y" in text
-    assert f"# not used: coherence: 99 values, the channels have {y.size}" in text and text.count("column:") == 2
+    assert (
+        f"# not used: coherence: 99 values, the channels have {y.size}" in text and text.count("column:") == 2
+    )
 
 
 def test_what_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path, labpipe) -> None:
     (tmp_path / "notes.txt").write_text("no numbers here\n")
-    for path, what in ((tmp_path / "notes.txt", "no row of numbers"), (tmp_path / "gone.csv", "no such file")):
+    for path, what in (
+        (tmp_path / "notes.txt", "no row of numbers"),
+        (tmp_path / "gone.csv", "no such file"),
+    ):
         ended = labpipe("init", tmp_path / "rig", path)
         assert ended.code == 2 and what in ended.err and not (tmp_path / "rig").exists()
 

@@ -1,4 +1,7 @@
-"""A first look at a file: levels by hand, rates, time columns, what the rig says of it; and a card that is whole or absent."""
+"""A first look at a file: levels by hand, rates, time columns, what the rig says of it.
+
+And a card that is whole or absent.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from labpipe.records.recording import Channel, Overview
 from labpipe.records.response import FrequencyResponse, Port
 
 RIG = (
-    'name: R\n{head}channels:\n  f: {{column: "force [N]", quantity: force}}\n  y: {{column: "y [um]", quantity: displacement, unit: um}}\n'
+    'name: R\n{head}channels:\n  f: {{column: "force [N]", quantity: force}}\n  y: {{column: "y [um]", '
+    "quantity: displacement, unit: um}}\n"
 )
 N = 2000
 
@@ -73,7 +77,9 @@ def test_the_envelope_holds_every_sample(tmp_path: Path) -> None:
         assert (low, high) == pytest.approx((part.min(), part.max()), abs=1e-9)
 
 
-@pytest.mark.parametrize(("time", "step"), [("t [s]", 1e-3), ("Time (ms)", 1.0), ("zeit [us]", 1000.0), ("t", 1e-3)])
+@pytest.mark.parametrize(
+    ("time", "step"), [("t [s]", 1e-3), ("Time (ms)", 1.0), ("zeit [us]", 1000.0), ("t", 1e-3)]
+)
 def test_the_rate_of_a_time_column(tmp_path: Path, time: str, step: float) -> None:
     overview = seen(table(tmp_path, time, step))
     assert overview.sample_rate == pytest.approx(1000.0, rel=1e-9) and overview.time == time
@@ -94,7 +100,10 @@ def test_what_the_rig_says_otherwise_is_listed(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(RIG.format(head='time: "t [ms]"\n').replace("unit: um", "unit: mm"))
     found = seen(table(tmp_path), tmp_path / "rig.yaml").contradictions
     assert found is not None and len(found) == 2
-    assert "no column 't [ms]'" in found[0] and "is in um by the file's own header, in mm by the rig file" in found[1]
+    assert (
+        "no column 't [ms]'" in found[0]
+        and "is in um by the file's own header, in mm by the rig file" in found[1]
+    )
 
 
 def test_a_calibrated_recording_shows_its_channels(tmp_path: Path) -> None:
@@ -104,14 +113,25 @@ def test_a_calibrated_recording_shows_its_channels(tmp_path: Path) -> None:
         writer.write(np.column_stack([np.arange(10.0), np.full(10, 2e-6)]))
         writer.finish(Header("recording", {}, inputs=(), contents=recording_contents(channels, 5.0, "run 7")))
     overview = seen(path)
-    assert (overview.file, overview.kind, overview.n_sample, overview.sample_rate) == ("run 7", "calibrated recording", 10, 5.0)
-    assert overview.rate == "5 Hz, 2 s" and [channel.about for channel in overview.channels] == ["input y", "output y"]
+    assert (overview.file, overview.kind, overview.n_sample, overview.sample_rate) == (
+        "run 7",
+        "calibrated recording",
+        10,
+        5.0,
+    )
+    assert overview.rate == "5 Hz, 2 s" and [channel.about for channel in overview.channels] == [
+        "input y",
+        "output y",
+    ]
     assert overview.channels[0].mean == 4.5 and overview.channels[0].unit == "N"
 
 
 def test_a_response_is_shown_as_one(tmp_path: Path) -> None:
     port = (Port("x", "x", "x"),)
-    write_frf_csv(tmp_path / "h.csv", FrequencyResponse(np.array([1.0, 2.0]), np.ones((2, 1, 1)), port, (Port("f", "f", "x"),)))
+    write_frf_csv(
+        tmp_path / "h.csv",
+        FrequencyResponse(np.array([1.0, 2.0]), np.ones((2, 1, 1)), port, (Port("f", "f", "x"),)),
+    )
     assert isinstance(inspect(tmp_path / "h.csv"), FrequencyResponse)
 
 
@@ -146,12 +166,16 @@ def test_a_card_shows_the_channels(tmp_path: Path, kind: str) -> None:
     assert "force [N]" in text and "y [um]" in text and "run.csv" in text
 
 
-@pytest.mark.parametrize(("name", "kind"), [("a.html", "html"), ("a.HTM", "html"), ("a.md", "md"), ("a.pdf", "pdf")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.html", "html"), ("a.HTM", "html"), ("a.md", "md"), ("a.pdf", "pdf")]
+)
 def test_the_ending_says_the_format(name: str, kind: str) -> None:
     assert format_of(Path(name)) == kind
 
 
 @pytest.mark.parametrize("name", ["a.docx", "a", "a.html.gz"])
 def test_an_unknown_ending_is_refused_with_the_known_ones(name: str) -> None:
-    with pytest.raises(ConfigError, match=r"no report format for the ending .*; known: \.html, \.htm, \.md, \.pdf"):
+    with pytest.raises(
+        ConfigError, match=r"no report format for the ending .*; known: \.html, \.htm, \.md, \.pdf"
+    ):
         format_of(Path(name))

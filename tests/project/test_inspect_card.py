@@ -1,4 +1,6 @@
-"""The card of a file: what stands in it, that it opens offline, and that nothing is left behind where it cannot be made."""
+"""The card of a file: what stands in it, that it opens offline, and that nothing is left behind where it
+cannot be made.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,15 @@ sample_rate: 500 Hz
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> Path:
-    """A table without a time column: a sine of 50 Hz at 500 Hz under an amplitude of 2, and noise; clipped."""
+    """A table without a time column: a sine of 50 Hz at 500 Hz under an amplitude of 2, and noise.
+
+    Clipped.
+    """
     monkeypatch.chdir(tmp_path)
     sine = 2 * np.sin(2 * np.pi * 50 / 500 * np.arange(20_000))
-    pd.DataFrame({"f": np.minimum(sine, 1.0), "y [um]": rng.normal(size=sine.size)}).to_csv("run.csv", index=False)
+    pd.DataFrame({"f": np.minimum(sine, 1.0), "y [um]": rng.normal(size=sine.size)}).to_csv(
+        "run.csv", index=False
+    )
     (tmp_path / "rig.yaml").write_text(RIG)
     return tmp_path
 
@@ -47,7 +54,9 @@ def test_the_overview_holds_levels_envelope_and_spectrum(run: Path) -> None:
 @pytest.mark.parametrize("suffix", ["html", "md", "pdf"])
 def test_a_card_is_written_in_every_format(run: Path, labpipe, suffix: str) -> None:
     ended = labpipe("inspect", "run.csv", "-r", "rig.yaml", "-o", f"card.{suffix}")
-    assert ended.code == 0 and "20000 rows, 2 columns" in ended.out and ended.err == f"written: card.{suffix}\n"
+    assert (
+        ended.code == 0 and "20000 rows, 2 columns" in ended.out and ended.err == f"written: card.{suffix}\n"
+    )
     assert (run / f"card.{suffix}").stat().st_size > 500
 
 
@@ -62,7 +71,12 @@ def test_nobody_signs_a_card(run: Path, labpipe) -> None:
 def test_the_card_says_what_is_in_the_file_and_fetches_nothing(run: Path, labpipe) -> None:
     labpipe("inspect", "run.csv", "-r", "rig.yaml", "-o", "card.html")
     page = (run / "card.html").read_text()
-    assert "clipped: channel f" in page and "File and rig file agree" in page and "500 Hz" in page and "40 s" in page
+    assert (
+        "clipped: channel f" in page
+        and "File and rig file agree" in page
+        and "500 Hz" in page
+        and "40 s" in page
+    )
     assert page.count("<figure") == 2 and "over time" in page and "Signature" not in page
     assert "default-src &#x27;none&#x27;" in page and 'src="http' not in page
 
@@ -74,17 +88,23 @@ def test_the_card_names_what_a_rig_file_contradicts(run: Path, labpipe) -> None:
     assert "no column &#x27;force&#x27;" in (run / "card.html").read_text()
 
 
-def test_the_card_of_a_response_shows_magnitude_phase_and_uncertainty(tmp_path: Path, labpipe, root: Path, monkeypatch) -> None:
+def test_the_card_of_a_response_shows_magnitude_phase_and_uncertainty(
+    tmp_path: Path, labpipe, root: Path, monkeypatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     labpipe("frf", "-c", root / "pipelines/pedestal.yaml", "-o", "out")
     (response,) = (tmp_path / "out").glob("*.frf.parquet")
     assert labpipe("inspect", response, "-o", "card.html").code == 0
     page = (tmp_path / "card.html").read_text()
-    assert "Phase of the receptance" in page and "signal-to-noise ratio" in page and "receptance [m/N]" in page
+    assert (
+        "Phase of the receptance" in page and "signal-to-noise ratio" in page and "receptance [m/N]" in page
+    )
 
 
 def test_calibrated_recordings_have_cards(tmp_path: Path, labpipe, root: Path) -> None:
-    labpipe("ingest", root / "sample_data/hmb/axial.csv", "-r", root / "configs/hmb-axial.yaml", "-o", tmp_path)
+    labpipe(
+        "ingest", root / "sample_data/hmb/axial.csv", "-r", root / "configs/hmb-axial.yaml", "-o", tmp_path
+    )
     assert labpipe("inspect", tmp_path / "axial.recording.parquet", "-o", tmp_path / "card.md").code == 0
     assert "input z" in (tmp_path / "card.md").read_text()
 
@@ -95,7 +115,10 @@ def test_very_short_and_constant_files_have_cards(tmp_path: Path, labpipe, rows:
     assert labpipe("inspect", tmp_path / "r.csv", "-o", tmp_path / "c.html").code == 0
 
 
-@pytest.mark.parametrize(("file", "card", "said"), [("run.csv", "c.docx", "no report format"), ("none.csv", "c.html", "no such file")])
+@pytest.mark.parametrize(
+    ("file", "card", "said"),
+    [("run.csv", "c.docx", "no report format"), ("none.csv", "c.html", "no such file")],
+)
 def test_what_cannot_be_made_leaves_nothing(run: Path, labpipe, file: str, card: str, said: str) -> None:
     ended = labpipe("inspect", file, "-o", card)
     assert ended.code == 2 and said in ended.err and not (run / card).exists()

@@ -35,7 +35,14 @@ def with_warnings(*codes: str) -> Fit:
 )
 def test_warnings_that_must_be_there_or_must_not(codes: tuple[str, ...], bound: str, passed: bool) -> None:
     rule = Rule(
-        section="accept", address="axial.warnings", fit="axial", which="", item="warnings", kind="=", bound=bound, place="p.yaml:1:1"
+        section="accept",
+        address="axial.warnings",
+        fit="axial",
+        which="",
+        item="warnings",
+        kind="=",
+        bound=bound,
+        place="p.yaml:1:1",
     )
     (outcome,) = judge([rule], [with_warnings(*codes)], {})
     assert outcome.passed is passed and outcome.found == (", ".join(codes) or "none")
@@ -47,7 +54,14 @@ def test_a_bias_that_nobody_knows_is_not_accepted_unless_it_is_expected() -> Non
     (outcome,) = judge([], [biased, biased], {})
     assert not outcome.passed and outcome.rule == "axial.warnings: not feedback"
     expected = Rule(
-        section="expect", address="axial.warnings", fit="axial", which="", item="warnings", kind="=", bound="feedback", place="p.yaml:1:1"
+        section="expect",
+        address="axial.warnings",
+        fit="axial",
+        which="",
+        item="warnings",
+        kind="=",
+        bound="feedback",
+        place="p.yaml:1:1",
     )
     (outcome,) = judge([expected], [biased], {})
     assert outcome.passed

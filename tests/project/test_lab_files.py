@@ -1,4 +1,6 @@
-"""Files of other programs through the commands: identify, ingest, inspect and export, and how broken ones are refused."""
+"""Files of other programs through the commands: identify, ingest, inspect and export, and how broken ones are
+refused.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ K, C, MASS = 80e3, 40.0, 2.0
 def receptance(form: str = "receptance") -> FrequencyResponse:
     """H = 1 / (k - m w^2 + j w c), as its n-th derivative."""
     omega = 2 * np.pi * FREQUENCY
-    matrix = (1j * omega) ** ("receptance", "mobility", "accelerance").index(form) / (K - MASS * omega**2 + 1j * omega * C)
+    matrix = (1j * omega) ** ("receptance", "mobility", "accelerance").index(form) / (
+        K - MASS * omega**2 + 1j * omega * C
+    )
     ports = (Port("y", "y", "y", np.pi / 2),)
     return FrequencyResponse(FREQUENCY, matrix[:, None, None], ports, ports, form=form)
 
@@ -48,13 +52,24 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".unv"), ("mat", ".mat")])
 @pytest.mark.parametrize("form", ["receptance", "accelerance"])
-def test_an_exported_response_is_identified_as_it_was_made(project: Path, labpipe, target: str, suffix: str, form: str) -> None:
+def test_an_exported_response_is_identified_as_it_was_made(
+    project: Path, labpipe, target: str, suffix: str, form: str
+) -> None:
     """Closed form: the coefficients from which the FRF was made."""
     write_response(project / "h.frf.parquet", receptance(form), Header("frf", {}, inputs=()))
     assert labpipe("export", "h.frf.parquet", "--to", target, "-o", f"h{suffix}").code == 0
-    np.testing.assert_allclose(read_frf_file(project / f"h{suffix}").matrix, read_response(project / "h.frf.parquet").matrix, rtol=1e-11)
-    (project / "p.yaml").write_text(PIPELINE.replace("FILE", f"h{suffix}") + "accept: {support.k: 80 kN/m +- 0.0001 %}\n")
-    for arguments in (["run", "p.yaml", "-o", "out"], ["identify", "-c", "p.yaml", "-o", "again", f"h{suffix}"]):
+    np.testing.assert_allclose(
+        read_frf_file(project / f"h{suffix}").matrix,
+        read_response(project / "h.frf.parquet").matrix,
+        rtol=1e-11,
+    )
+    (project / "p.yaml").write_text(
+        PIPELINE.replace("FILE", f"h{suffix}") + "accept: {support.k: 80 kN/m +- 0.0001 %}\n"
+    )
+    for arguments in (
+        ["run", "p.yaml", "-o", "out"],
+        ["identify", "-c", "p.yaml", "-o", "again", f"h{suffix}"],
+    ):
         assert labpipe(*arguments).code == 0
     assert (project / "again" / "identification.json").exists()
 
@@ -70,7 +85,9 @@ def recorded(project: Path, labpipe) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("target", "suffix"), [("uff", ".uff"), ("uff58b", ".uff"), ("mat", ".mat")])
-def test_an_exported_recording_is_ingested_with_its_own_rate(project: Path, labpipe, target: str, suffix: str) -> None:
+def test_an_exported_recording_is_ingested_with_its_own_rate(
+    project: Path, labpipe, target: str, suffix: str
+) -> None:
     samples = recorded(project, labpipe)
     assert labpipe("export", "run.recording.parquet", "--to", target, "-o", f"again{suffix}").code == 0
     (project / "rig.yaml").write_text(RIG.replace("unit: um", "unit: m"))
@@ -84,10 +101,17 @@ def test_rate_and_unit_are_held_against_the_rig(project: Path, labpipe) -> None:
     recorded(project, labpipe)
     labpipe("export", "run.recording.parquet", "--to", "uff", "-o", "again.uff")
     ended = labpipe("ingest", "again.uff", "-r", "rig.yaml", "-o", "out")
-    assert ended.code == 2 and "column 'y' is in m by the file's own header, in um by the rig file" in ended.err
-    (project / "rig.yaml").write_text(RIG.replace("unit: um", "unit: m").replace("channels:", "sample_rate: 2 kHz\nchannels:"))
+    assert (
+        ended.code == 2 and "column 'y' is in m by the file's own header, in um by the rig file" in ended.err
+    )
+    (project / "rig.yaml").write_text(
+        RIG.replace("unit: um", "unit: m").replace("channels:", "sample_rate: 2 kHz\nchannels:")
+    )
     ended = labpipe("ingest", "again.uff", "-r", "rig.yaml", "-o", "out")
-    assert ended.code == 2 and "is sampled at 1000 Hz by the file itself, at 2000 Hz by the rig file" in ended.err
+    assert (
+        ended.code == 2
+        and "is sampled at 1000 Hz by the file itself, at 2000 Hz by the rig file" in ended.err
+    )
     assert not (project / "out").exists()
 
 
@@ -105,7 +129,9 @@ def test_broken_response_files(project: Path, labpipe, file: str, content: bytes
     (project / file).write_bytes(content)
     (project / "p.yaml").write_text(PIPELINE.replace("FILE", file))
     ended = labpipe("run", "p.yaml", "-o", "out")
-    assert ended.code == 2 and fragment in ended.err and file in ended.err and len(ended.err.splitlines()) == 1, ended
+    assert (
+        ended.code == 2 and fragment in ended.err and file in ended.err and len(ended.err.splitlines()) == 1
+    ), ended
     assert not (project / "out").exists()
 
 
@@ -114,12 +140,22 @@ def test_inspect_shows_names_units_and_rate_of_the_file_itself(project: Path, la
     recorded(project, labpipe)
     labpipe("export", "run.recording.parquet", "--to", target, "-o", f"again.{target}")
     ended = labpipe("inspect", f"again.{target}")
-    assert ended.code == 0 and f"again.{target}: 500 rows, 2 columns, 1000 Hz" in ended.out and "y [m] " in ended.out, ended
+    assert (
+        ended.code == 0
+        and f"again.{target}: 500 rows, 2 columns, 1000 Hz" in ended.out
+        and "y [m] " in ended.out
+    ), ended
     assert "warning" not in ended.out
-    (project / "rig.yaml").write_text(RIG.replace("column: f", "column: force").replace("channels:", "sample_rate: 2 kHz\nchannels:"))
+    (project / "rig.yaml").write_text(
+        RIG.replace("column: f", "column: force").replace("channels:", "sample_rate: 2 kHz\nchannels:")
+    )
     ended = labpipe("inspect", f"again.{target}", "-r", "rig.yaml")
     assert ended.code == 0
-    for warning in ("no column 'force'", "column 'y' is in m by the file's own header, in um", "is sampled at 1000 Hz by the file itself"):
+    for warning in (
+        "no column 'force'",
+        "column 'y' is in m by the file's own header, in um",
+        "is sampled at 1000 Hz by the file itself",
+    ):
         assert f"warning rig: {warning}" in ended.out, ended.out
 
 
@@ -128,13 +164,19 @@ def test_inspect_shows_what_a_response_holds(project: Path, labpipe, target: str
     if target != "frf.parquet":
         labpipe("export", "h.frf.parquet", "--to", target, "-o", f"h.{target}")
     ended = labpipe("inspect", f"h.{target}")
-    assert ended.code == 0 and f"h.{target}: receptance [m/N], 168 lines, 8 to 49.75 Hz\n  responses y\n  forces    y\n" in ended.out, ended
+    assert (
+        ended.code == 0
+        and (f"h.{target}: receptance [m/N], 168 lines, 8 to 49.75 Hz\n  responses y\n  forces    y\n")
+        in ended.out
+    ), ended
 
 
 def test_inspect_of_tdms_and_wav(project: Path, labpipe) -> None:
     samples = np.random.default_rng(5).normal(size=64)
     with TdmsWriter("r.tdms") as writer:
-        writer.write_segment([ChannelObject("g", "probe", samples, {"wf_increment": 1 / 20000, "unit_string": "um"})])
+        writer.write_segment(
+            [ChannelObject("g", "probe", samples, {"wf_increment": 1 / 20000, "unit_string": "um"})]
+        )
     wavfile.write("r.wav", 44100, samples.astype(np.float32))
     assert "64 rows, 1 columns, 20000 Hz" in labpipe("inspect", "r.tdms").out
     assert "probe [um]" in labpipe("inspect", "r.tdms").out
@@ -144,21 +186,44 @@ def test_inspect_of_tdms_and_wav(project: Path, labpipe) -> None:
 def test_a_wav_file_is_calibrated_by_the_sensitivity_per_full_scale(project: Path, labpipe) -> None:
     """50 m/s^2 at full scale: half of it is 25 m/s^2."""
     wavfile.write("r.wav", 8000, np.array([0.5, -0.25, 0.125], np.float32))
-    (project / "wav.yaml").write_text('channels:\n  a: {column: "1", quantity: acceleration, unit: "1", sensitivity: 50 m/s^2}\n')
+    (project / "wav.yaml").write_text(
+        'channels:\n  a: {column: "1", quantity: acceleration, unit: "1", sensitivity: 50 m/s^2}\n'
+    )
     assert labpipe("ingest", "r.wav", "-r", "wav.yaml", "-o", "out").code == 0
     assert pq.read_table(project / "out" / "r.recording.parquet")["a"].to_pylist() == [25.0, -12.5, 6.25]
 
 
 BROKEN = [
     (f"r{suffix}", b"MZ")
-    for suffix in (".uff", ".mat", ".h5", ".tdms", ".wav", ".csv.gz", ".csv.zst", ".lvm", ".npy", ".npz", ".xlsx", ".mf4")
+    for suffix in (
+        ".uff",
+        ".mat",
+        ".h5",
+        ".tdms",
+        ".wav",
+        ".csv.gz",
+        ".csv.zst",
+        ".lvm",
+        ".npy",
+        ".npz",
+        ".xlsx",
+        ".mf4",
+    )
 ]
 
 
-@pytest.mark.parametrize(("file", "content"), [*BROKEN, *((name, b"") for name, _ in BROKEN), ("r.xls", b"1")])
+@pytest.mark.parametrize(
+    ("file", "content"), [*BROKEN, *((name, b"") for name, _ in BROKEN), ("r.xls", b"1")]
+)
 @pytest.mark.parametrize("command", ["ingest", "inspect"])
-def test_broken_recordings_of_every_kind(project: Path, labpipe, file: str, content: bytes, command: str) -> None:
+def test_broken_recordings_of_every_kind(
+    project: Path, labpipe, file: str, content: bytes, command: str
+) -> None:
     (project / file).write_bytes(content)
-    ended = labpipe(*{"ingest": ["ingest", file, "-r", "rig.yaml", "-o", "out"], "inspect": ["inspect", file]}[command])
-    assert ended.code == 2 and ended.err.startswith(f"error: {file}: ") and len(ended.err.splitlines()) == 1, ended
+    ended = labpipe(
+        *{"ingest": ["ingest", file, "-r", "rig.yaml", "-o", "out"], "inspect": ["inspect", file]}[command]
+    )
+    assert (
+        ended.code == 2 and ended.err.startswith(f"error: {file}: ") and len(ended.err.splitlines()) == 1
+    ), ended
     assert not (project / "out").exists()

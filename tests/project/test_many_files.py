@@ -1,4 +1,6 @@
-"""One test whose recordings lie in many files: hits one per file at moving points, channels in files of their own."""
+"""One test whose recordings lie in many files: hits one per file at moving points, channels in files of their
+own.
+"""
 
 from __future__ import annotations
 
@@ -63,18 +65,29 @@ def test_a_roving_hammer_with_one_hit_for_each_file(lab: Path, labpipe) -> None:
         for number in range(3):
             force, response = hit(gain, 0.5 if (point, number) == ("2", 1) else 0.0, 0.3)
             noise = 1e-5 * rng.normal(size=(2, N))
-            write(lab / f"hit_{point}_{number}.csv", np.arange(N) / RATE, force + noise[0], response + noise[1], header="t [s],f,y")
+            write(
+                lab / f"hit_{point}_{number}.csv",
+                np.arange(N) / RATE,
+                force + noise[0],
+                response + noise[1],
+                header="t [s],f,y",
+            )
     (lab / "p.yaml").write_text(HITS)
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 0 and "hit 5 ('hit_2_1', 0.000 s) is left out: double hit" in ended.out, ended
     result = json.loads((lab / "out/identification.json").read_text())
     values = {parameter["name"]: parameter["value"] for parameter in result["fits"][0]["parameters"]}
-    assert values["f_n_1"] == pytest.approx(abs(POLE) / 2 / np.pi, rel=1e-4) and values["zeta_1"] == pytest.approx(0.8 / 60, rel=0.01)
+    assert values["f_n_1"] == pytest.approx(abs(POLE) / 2 / np.pi, rel=1e-4) and values[
+        "zeta_1"
+    ] == pytest.approx(0.8 / 60, rel=0.01)
     assert "hit_2_1.csv" in (lab / "out/report.html").read_text() and len(result["sources"]) == 9
 
 
 def test_channels_in_files_of_their_own_are_joined_on_their_times(lab: Path, labpipe) -> None:
-    """The force from the start on with six digits, the motion ten samples later and five less; the same mode is found."""
+    """The force from the start on with six digits, the motion ten samples later and five less.
+
+    The same mode is found.
+    """
     force, response = hit(1.0)
     times = np.arange(N) / RATE
     write(lab / "force.txt", times, force, header="t f", digits="%.6g", delimiter="  ")
@@ -83,16 +96,22 @@ def test_channels_in_files_of_their_own_are_joined_on_their_times(lab: Path, lab
     (lab / "p.yaml").write_text(JOINED)
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 0, ended
-    assert "note cut: force.txt: 10 samples at its start and 5 at its end are cut, where another file has none" in ended.out
+    assert (
+        "note cut: force.txt: 10 samples at its start and 5 at its end are cut, where another file has none"
+    ) in ended.out
     result = json.loads((lab / "out/identification.json").read_text())
     assert [source["path"] for source in result["sources"]] == ["force.txt", "motion.txt"]
 
 
 def test_another_way_of_joining_reaches_the_result(lab: Path, labpipe) -> None:
     test_channels_in_files_of_their_own_are_joined_on_their_times(lab, labpipe)
-    (lab / "p.yaml").write_text(JOINED.replace("motion.txt]", "motion.txt], by: sample").replace("accept: ", "# accept: "))
+    (lab / "p.yaml").write_text(
+        JOINED.replace("motion.txt]", "motion.txt], by: sample").replace("accept: ", "# accept: ")
+    )
     ended = labpipe("run", "p.yaml", "-o", "out")
-    assert ended.code == 0 and "note cut: force.txt: 0 samples at its start and 15 at its end" in ended.out, ended
+    assert ended.code == 0 and "note cut: force.txt: 0 samples at its start and 15 at its end" in ended.out, (
+        ended
+    )
 
 
 def test_a_time_that_one_file_lacks_is_said(lab: Path, labpipe) -> None:
@@ -101,6 +120,8 @@ def test_a_time_that_one_file_lacks_is_said(lab: Path, labpipe) -> None:
     write(lab / "motion.txt", response, response, header="y,z")
     (lab / "p.yaml").write_text(JOINED.replace("motion.txt]", "motion.txt], by: time"))
     ended = labpipe("run", "p.yaml", "-o", "out")
-    assert ended.code == 2 and ended.err.startswith("error: motion.txt: has no time column 't [s]'; by: sample joins row by row"), ended
+    assert ended.code == 2 and ended.err.startswith(
+        "error: motion.txt: has no time column 't [s]'; by: sample joins row by row"
+    ), ended
     (lab / "p.yaml").write_text(JOINED)
     assert labpipe("run", "p.yaml", "-o", "out").code == 0

@@ -1,4 +1,6 @@
-"""Many recordings in one run: side by side, one that fails alone, runs that are interrupted, workers that are killed."""
+"""Many recordings in one run: side by side, one that fails alone, runs that are interrupted, workers that are
+killed.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ PRELOADS = (100, 200, 300, 400)
 
 
 def recording(preload: int) -> str:
-    """Five periods of 1 s at 200 Hz of a mass of .79 kg on a spring that grows with the preload; seed pinned."""
+    """Five periods of 1 s at 200 Hz of a mass of .79 kg on a spring that grows with the preload.
+
+    Seed pinned.
+    """
     rng = np.random.default_rng(preload)
     t = np.arange(1000) / 200
     lines = np.arange(1, 51)
@@ -56,7 +61,9 @@ def recording(preload: int) -> str:
     receptance = 1e6 / ((18e3 + 10 * preload) - 0.79 * omega**2 + 20j * omega)
     force, y = phasors.real.sum(1), (phasors * receptance).real.sum(1)
     columns = np.column_stack([t, force + 0.01 * rng.normal(size=t.size), y + 0.1 * rng.normal(size=t.size)])
-    return "t [s],force [N],y [um]\n" + "".join(f"{row[0]:.6g},{row[1]:.7g},{row[2]:.7g}\n" for row in columns)
+    return "t [s],force [N],y [um]\n" + "".join(
+        f"{row[0]:.6g},{row[1]:.7g},{row[2]:.7g}\n" for row in columns
+    )
 
 
 @pytest.fixture
@@ -70,7 +77,9 @@ def project(tmp_path: Path) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
 
 
 def stamps(folder: Path) -> dict[str, int]:
@@ -86,7 +95,9 @@ def test_side_by_side_is_byte_for_byte_what_one_after_the_other_gives(project: P
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "two", "-j", 2).code == 0
     assert contents(project / "one") == contents(project / "two")
     result = identification(project / "two")
-    assert [fit["test"] for fit in result["fits"] if fit["name"] == "direct"] == [f"{preload}N-up" for preload in PRELOADS]
+    assert [fit["test"] for fit in result["fits"] if fit["name"] == "direct"] == [
+        f"{preload}N-up" for preload in PRELOADS
+    ]
     assert result["responses"][0]["conditions"] == {"speed": "0 rpm", "preload": "100N", "direction": "up"}
     # The truth is 18 kN/m + 10 N/m for each newton of preload.
     stiffness = [fit["parameters"][0] for fit in result["fits"] if fit["name"] == "direct"]
@@ -118,14 +129,20 @@ def test_one_bad_recording_fails_alone(project: Path, labpipe) -> None:
     before = stamps(project / "out")
     (project / "runs/300N-up.csv").write_text(good)
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "out").code == 0
-    kept = {name: stamp for name, stamp in before.items() if "recordings" in name or name.endswith("frf.parquet") or "fits/" in name}
+    kept = {
+        name: stamp
+        for name, stamp in before.items()
+        if "recordings" in name or name.endswith("frf.parquet") or "fits/" in name
+    }
     assert len(kept) == 9 and {name: stamps(project / "out")[name] for name in kept} == kept
     assert "failed" not in identification(project / "out")
 
 
 def test_a_rule_on_a_test_that_failed_fails(project: Path, labpipe) -> None:
     (project / "runs/300N-up.csv").write_text("t [s],force [N],y [um]\n0,1,1\n")
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--set", "accept.direct[300N-up].gof=>= 0.5")
+    ended = labpipe(
+        "run", project / "pipeline.yaml", "-o", project / "out", "--set", "accept.direct[300N-up].gof=>= 0.5"
+    )
     assert ended.code == 2 and "direct[300N-up].gof >= 0.5: FAILED (found nothing)" in ended.out
 
 
@@ -152,10 +169,16 @@ def test_an_interrupted_run_goes_on_where_it_stopped(project: Path) -> None:
         yield from map(work, jobs[:2])
         raise KeyboardInterrupt
 
-    with pytest.raises(DataError, match="2 of 4 tests are finished and kept"), output_folder(project / "out") as folder:
+    with (
+        pytest.raises(DataError, match="2 of 4 tests are finished and kept"),
+        output_folder(project / "out") as folder,
+    ):
         run(pipeline, folder, Manner(execute=interrupted))
     before = stamps(project / "out")
-    assert sorted(name for name in before if name.startswith("fits/")) == ["fits/100N-up.json", "fits/200N-up.json"]
+    assert sorted(name for name in before if name.startswith("fits/")) == [
+        "fits/100N-up.json",
+        "fits/200N-up.json",
+    ]
     with output_folder(project / "out") as folder:
         run(pipeline, folder, Manner())
     assert {name: stamps(project / "out")[name] for name in before} == before
@@ -173,9 +196,20 @@ def test_ctrl_c_on_several_processes_leaves_only_whole_tests(project: Path) -> N
     for preload in range(500, 560):
         (project / f"runs/{preload}N-up.csv").write_text(recording(preload))
     command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out", "-j", "2"]
-    process = subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=hears_ctrl_c)
+    process = subprocess.Popen(
+        command,
+        cwd=project,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=hears_ctrl_c,
+    )
     deadline = time.monotonic() + 60
-    while len(list(project.glob("out/fits/*.json"))) < 2 and process.poll() is None and time.monotonic() < deadline:
+    while (
+        len(list(project.glob("out/fits/*.json"))) < 2
+        and process.poll() is None
+        and time.monotonic() < deadline
+    ):
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
@@ -186,7 +220,10 @@ def test_ctrl_c_on_several_processes_leaves_only_whole_tests(project: Path) -> N
 
 
 def work_or_die(job: Job) -> Done:
-    """The work of a test; the process of the second one is ended from outside the first time, that of the third one always."""
+    """The work of a test.
+
+    The process of the second one is ended from outside the first time, that of the third one always.
+    """
     from labpipe.project.one_test import work
 
     marker = job.pipeline_path.parent / "killed-once"
@@ -214,7 +251,11 @@ def test_a_killed_process_loses_no_test_but_its_own(project: Path) -> None:
 def test_progress_counts_every_test_once(project: Path) -> None:
     steps: list[tuple[int, int, str]] = []
     with output_folder(project / "out") as folder:
-        run(load_pipeline(project / "pipeline.yaml"), folder, Manner(progress=lambda *step: steps.append(step), execute=serially))
+        run(
+            load_pipeline(project / "pipeline.yaml"),
+            folder,
+            Manner(progress=lambda *step: steps.append(step), execute=serially),
+        )
     assert steps == [(n, 4, f"{preload}N-up") for n, preload in enumerate(PRELOADS, 1)]
 
 
@@ -226,7 +267,15 @@ def test_progress_on_the_terminal_names_the_time_left(project: Path, labpipe) ->
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(0.4, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (200, "3 min 20 s"), (3600, "1 h 0 min"), (7500, "2 h 5 min")]
+    ("seconds", "text"),
+    [
+        (0.4, "0 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min 0 s"),
+        (200, "3 min 20 s"),
+        (3600, "1 h 0 min"),
+        (7500, "2 h 5 min"),
+    ],
 )
 def test_durations_read_as_people_say_them(seconds: float, text: str) -> None:
     assert duration(seconds) == text
@@ -252,7 +301,10 @@ FAULTS = [
     ('{each: "nothing/*.csv"}', "tests.1.each: no file matches 'nothing/*.csv'"),
     ('{each: "runs/*.csv", name: all}', "tests.1.name: unknown key"),
     ('{each: "runs/100N-up.csv"}\n  - {each: "runs/100N-up.csv"}', "a second test named '100N-up'"),
-    ('{name: "a b", recordings: runs/100N-up.csv}\n  - {name: "a/b", recordings: runs/200N-up.csv}', "would write the same file"),
+    (
+        '{name: "a b", recordings: runs/100N-up.csv}\n  - {name: "a/b", recordings: runs/200N-up.csv}',
+        "would write the same file",
+    ),
 ]
 
 
@@ -265,7 +317,9 @@ def test_faults_of_many_tests_are_named(project: Path, labpipe, entry: str, mess
 
 
 def test_a_fit_of_an_unknown_test_is_refused_before_any_work(project: Path, labpipe) -> None:
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--set", "identify.direct.test=100N-pu")
+    ended = labpipe(
+        "run", project / "pipeline.yaml", "-o", project / "out", "--set", "identify.direct.test=100N-pu"
+    )
     assert ended.code == 2 and "no test '100N-pu'; did you mean '100N-up'?" in ended.err
     assert not (project / "out").exists()
 
@@ -274,11 +328,15 @@ def test_a_fit_of_an_unknown_test_is_refused_before_any_work(project: Path, labp
 def scheduler() -> Iterator[str]:
     """A scheduler with two workers on loopback."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+    ) as cluster:
         yield cluster.scheduler_address
 
 
-def test_a_cluster_gives_the_same_bytes(project: Path, labpipe, scheduler: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_gives_the_same_bytes(
+    project: Path, labpipe, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(project)
     assert labpipe("run", "pipeline.yaml", "-o", "one").code == 0
     ended = labpipe("run", "pipeline.yaml", "-o", "two", "--cluster", scheduler)
@@ -307,13 +365,20 @@ adapt: {minimum: 1, maximum: 2}
 """
 
 
-def test_a_described_cluster_is_started_and_takes_batches(project: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches of two and one at a time in the scheduler; a test of a batch that fails costs the other nothing."""
+def test_a_described_cluster_is_started_and_takes_batches(
+    project: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Batches of two and one at a time in the scheduler.
+
+    A test of a batch that fails costs the other nothing.
+    """
     monkeypatch.setattr("labpipe.project.executors.batch_size", lambda *_: 2)
     monkeypatch.setattr("labpipe.project.executors.MOST_BATCHES", 1)
     (project / "cluster.yaml").write_text(CLUSTER)
     (project / "runs/300N-up.csv").write_text("t [s],force [N],y [um]\n0,1,x\n")
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "two", "--cluster", project / "cluster.yaml")
+    ended = labpipe(
+        "run", project / "pipeline.yaml", "-o", project / "two", "--cluster", project / "cluster.yaml"
+    )
     assert ended.code == 2 and "300N-up" in ended.err
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "one").code == 2
     assert contents(project / "one") == contents(project / "two")
@@ -334,16 +399,22 @@ def test_batches_grow_with_the_number_of_tests(jobs: int, workers: int, size: in
         ("class: pathlib.PurePath\narguments: {cores: 2}", "does not take this"),
     ],
 )
-def test_descriptions_that_no_cluster_is_made_of_are_refused(project: Path, labpipe, text: str, what: str) -> None:
+def test_descriptions_that_no_cluster_is_made_of_are_refused(
+    project: Path, labpipe, text: str, what: str
+) -> None:
     (project / "cluster.yaml").write_text(f"{text}\n")
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--cluster", project / "cluster.yaml")
+    ended = labpipe(
+        "run", project / "pipeline.yaml", "-o", project / "out", "--cluster", project / "cluster.yaml"
+    )
     assert ended.code == 2 and what in ended.err and not (project / "out").exists()
 
 
 def test_a_cluster_that_is_not_there_is_named(project: Path, labpipe) -> None:
     ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--cluster", "nonsense://x")
     assert ended.code == 2 and "nonsense://x: no scheduler answers" in ended.err
-    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out", "--cluster", "tcp://127.0.0.1:1", "-j", "2")
+    ended = labpipe(
+        "run", project / "pipeline.yaml", "-o", project / "out", "--cluster", "tcp://127.0.0.1:1", "-j", "2"
+    )
     assert ended.code == 2 and "exclude each other" in ended.err
 
 

@@ -50,7 +50,15 @@ def test_what_is_no_yaml_is_refused_with_its_place(text: str, place: str) -> Non
 
 def test_scalars_stay_what_was_written() -> None:
     tree = parse_marked("a: 1_000\nb: 45:30\nc: yes\nd: 1e3\ne: '5'\nf: 2024-01-01\ng: true\n", "p")
-    assert tree.plain() == {"a": "1_000", "b": "45:30", "c": "yes", "d": 1000.0, "e": "5", "f": "2024-01-01", "g": True}
+    assert tree.plain() == {
+        "a": "1_000",
+        "b": "45:30",
+        "c": "yes",
+        "d": 1000.0,
+        "e": "5",
+        "f": "2024-01-01",
+        "g": True,
+    }
     assert tree.content["d"].text == "1e3"
 
 
@@ -60,10 +68,15 @@ def test_set_overrides_nested_entries_and_lists() -> None:
     set_entry(tree, "frf.exclude.0=10-20 Hz")
     set_entry(tree, "identify.direct.model=sdof")
     assert tree.plain()["frf"] == {"period": "2 s", "exclude": ["10-20 Hz", "99-101 Hz"]}
-    assert tree.content["identify"].content["direct"].content["model"].place == "--set identify.direct.model=sdof"
+    assert (
+        tree.content["identify"].content["direct"].content["model"].place
+        == "--set identify.direct.model=sdof"
+    )
 
 
-@pytest.mark.parametrize("assignment", ["frf.period", "=3", "title.sub=3", "frf.exclude.7=1-2 Hz", "frf.exclude.x=1"])
+@pytest.mark.parametrize(
+    "assignment", ["frf.period", "=3", "title.sub=3", "frf.exclude.7=1-2 Hz", "frf.exclude.x=1"]
+)
 def test_what_cannot_be_set_is_refused(assignment: str) -> None:
     with pytest.raises(ConfigError):
         set_entry(parse_marked(TEXT, "p.yaml"), assignment)

@@ -1,4 +1,6 @@
-"""Measured data that another project ships (vibrationtesting, MIT licence): an analyser's MATLAB files, and a mode known from elsewhere."""
+"""Measured data that another project ships (vibrationtesting, MIT licence): an analyser's MATLAB files, and a
+mode known from elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ from tests.validation.shipped import analysed, shipped
 @pytest.mark.parametrize("band", [(204.0, 220.0), (209.0, 215.0)])
 @pytest.mark.parametrize("estimator", ["ls", "iv"])
 def test_the_mode_that_the_package_prints(band: tuple[float, float], estimator: str) -> None:
-    """212.0925 Hz stands in the package's documentation, from a fit of its own; half the mode's width and a line are 0.18 and 0.31 Hz."""
+    """212.0925 Hz stands in the package's documentation, from a fit of its own.
+
+    Half the mode's width and a line are 0.18 and 0.31 Hz.
+    """
     (fit,) = labpipe.fit(analysed(), labpipe.FitSettings("sdof", estimator=estimator, band=band, name="mode"))
     assert fit.parameter("f_n").value == pytest.approx(212.0925, abs=0.03)
 
@@ -37,7 +42,10 @@ def test_a_time_step_gives_the_rate() -> None:
 
 
 def test_a_project_of_such_a_file_asks_for_what_it_does_not_say(tmp_path: Path) -> None:
-    """No units and names that tell nothing: both channels are for a person; the time column is recognised and left out."""
+    """No units and names that tell nothing: both channels are for a person.
+
+    The time column is recognised and left out.
+    """
     made = scaffold([shipped("case1.mat")], tmp_path)
     assert made.rig.count(f"quantity: {DECIDE}") == 2 and "Time_domain" not in made.rig
     assert any(place.startswith("pipeline.yaml") for place in made.decisions)

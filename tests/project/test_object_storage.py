@@ -1,4 +1,6 @@
-"""Recordings and results in an object storage: an S3 server on loopback (moto), looked into by boto3, which knows nothing of labpipe."""
+"""Recordings and results in an object storage: an S3 server on loopback (moto), looked into by boto3, which
+knows nothing of labpipe.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def s3(server: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Any:
     for name, value in server.items():
         monkeypatch.setenv(name, value)
     client = s3_client()
-    urllib.request.urlopen(urllib.request.Request(f"{server['AWS_ENDPOINT_URL']}/moto-api/reset", method="POST")).close()
+    urllib.request.urlopen(
+        urllib.request.Request(f"{server['AWS_ENDPOINT_URL']}/moto-api/reset", method="POST")
+    ).close()
     client.create_bucket(Bucket="rigs")
     for number in range(TESTS):
         client.put_object(Bucket="rigs", Key=f"runs/{100 * number}N-{number}.csv", Body=content(number))
@@ -61,7 +65,9 @@ def objects(s3: Any, prefix: str) -> dict[str, bytes]:
     """Every object below a prefix, but for those that pyarrow leaves in the place of folders."""
     listed = s3.list_objects_v2(Bucket="rigs", Prefix=prefix).get("Contents", [])
     names = [one["Key"] for one in listed if not one["Key"].endswith("/")]
-    return {name.removeprefix(prefix): s3.get_object(Bucket="rigs", Key=name)["Body"].read() for name in names}
+    return {
+        name.removeprefix(prefix): s3.get_object(Bucket="rigs", Key=name)["Body"].read() for name in names
+    }
 
 
 def test_results_there_are_those_made_here(lab: Path, s3: Any, labpipe) -> None:
@@ -78,7 +84,11 @@ def test_results_there_are_those_made_here(lab: Path, s3: Any, labpipe) -> None:
         here, elsewhere = (labpipe(command, place, *options) for place in (lab / "out", "s3://rigs/out"))
         assert here == elsewhere and here.code == 0 and here.out, command
     compared = labpipe("compare", "s3://rigs/out", lab / "out")
-    assert compared.code == 0 and compared.out.startswith("fit") and "\n0 of 24 parameters differ" in compared.out
+    assert (
+        compared.code == 0
+        and compared.out.startswith("fit")
+        and "\n0 of 24 parameters differ" in compared.out
+    )
     for place, name in ((lab / "out", "here.md"), ("s3://rigs/out/identification.json", "there.md")):
         assert labpipe("report", place, "--test", "100N-1", "-o", lab / name).code == 0
     assert (lab / "here.md").read_bytes() == (lab / "there.md").read_bytes()
@@ -92,8 +102,12 @@ def test_results_there_are_those_made_here(lab: Path, s3: Any, labpipe) -> None:
     assert versions() == before
 
 
-def test_an_upload_that_is_cut_short_leaves_the_earlier_result(lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the part of the dataset, after it, between fits, before the index: nothing of it is left by the next run."""
+def test_an_upload_that_is_cut_short_leaves_the_earlier_result(
+    lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the part of the dataset, after it, between fits, before the index: nothing of it is left by the
+    next run.
+    """
     run = ("run", lab / "bench.yaml", "-o", "s3://rigs/out", "-q", "--set", "report.formats=[md]")
     assert labpipe(*run).code == 0
     listed, first = labpipe("list", "s3://rigs/out", "-p", "k"), set(objects(s3, "out/dataset/"))
@@ -153,8 +167,24 @@ def test_a_prefix_is_watched(lab: Path, s3: Any, labpipe) -> None:
 def test_a_bad_recording_beside_results_that_are_elsewhere_is_not_lost(lab: Path, s3: Any, labpipe) -> None:
     (lab / "runs").mkdir()
     (lab / "runs/1N-1.csv").write_text("no recording")
-    ended = labpipe("watch", lab / "runs", "-c", lab / "bench.yaml", "-o", "s3://rigs/out", "--log", lab, "--settle", "0 s", "--once")
-    assert ended.code == 0 and (lab / "runs/1N-1.csv").exists() and list(objects(s3, "out/quarantine/")) == ["1N-1.csv.reason.txt"]
+    ended = labpipe(
+        "watch",
+        lab / "runs",
+        "-c",
+        lab / "bench.yaml",
+        "-o",
+        "s3://rigs/out",
+        "--log",
+        lab,
+        "--settle",
+        "0 s",
+        "--once",
+    )
+    assert (
+        ended.code == 0
+        and (lab / "runs/1N-1.csv").exists()
+        and list(objects(s3, "out/quarantine/")) == ["1N-1.csv.reason.txt"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,10 +201,17 @@ def test_a_bad_recording_beside_results_that_are_elsewhere_is_not_lost(lab: Path
 def test_recordings_that_are_not_there_are_named(lab: Path, s3: Any, labpipe, change: str, what: str) -> None:
     (lab / "bench.yaml").write_text(BENCH.replace("s3://rigs/runs/*.csv", change))
     ended = labpipe("run", lab / "bench.yaml", "-o", lab / "out")
-    assert ended.code == 2 and what in ended.err and len(ended.err.splitlines()) == 1 and not (lab / "out").exists()
+    assert (
+        ended.code == 2
+        and what in ended.err
+        and len(ended.err.splitlines()) == 1
+        and not (lab / "out").exists()
+    )
 
 
-def test_places_that_cannot_be_read_are_named(lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_places_that_cannot_be_read_are_named(
+    lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No bucket, no result, no answer, no access: one line with the place, and nothing of the credentials."""
 
     def said(*arguments: object) -> str:
@@ -182,13 +219,21 @@ def test_places_that_cannot_be_read_are_named(lab: Path, s3: Any, labpipe, monke
         assert ended.code == 2 and len(ended.err.splitlines()) == 1 and SECRET not in ended.err
         return ended.err
 
-    assert "s3://nobody/out: there is no such bucket" in said("run", lab / "bench.yaml", "-o", "s3://nobody/out")
+    assert "s3://nobody/out: there is no such bucket" in said(
+        "run", lab / "bench.yaml", "-o", "s3://nobody/out"
+    )
     assert "s3://rigs/out: there are no results" in said("list", "s3://rigs/out")
-    assert "is no path of this machine" in said("ingest", "s3://rigs/runs/0N-0.csv", "-r", lab / "rig.yaml", "-o", lab / "out")
-    assert "set TMPDIR" in said("run", lab / "bench.yaml", "-o", "s3://rigs/out", "--cluster", "tcp://127.0.0.1:1")
+    assert "is no path of this machine" in said(
+        "ingest", "s3://rigs/runs/0N-0.csv", "-r", lab / "rig.yaml", "-o", lab / "out"
+    )
+    assert "set TMPDIR" in said(
+        "run", lab / "bench.yaml", "-o", "s3://rigs/out", "--cluster", "tcp://127.0.0.1:1"
+    )
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "")
     storage._opened.cache_clear()
-    assert "s3://rigs/runs/0N-0.csv: the storage refuses access" in said("run", lab / "bench.yaml", "-o", lab / "out")
+    assert "s3://rigs/runs/0N-0.csv: the storage refuses access" in said(
+        "run", lab / "bench.yaml", "-o", lab / "out"
+    )
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     assert "s3://rigs/out: the storage does not answer" in said("list", "s3://rigs/out")
 
@@ -206,7 +251,9 @@ def test_a_storage_that_is_silent_is_given_up(labpipe, monkeypatch: pytest.Monke
     assert ended.code == 2 and "does not answer" in ended.err and time.monotonic() - began < 20
 
 
-def test_an_object_that_changes_while_it_is_read_is_refused(lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_that_changes_while_it_is_read_is_refused(
+    lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     status, asked = storage.status, 0
 
     def replaced(path: Path) -> storage.Found | None:
@@ -222,7 +269,9 @@ def test_an_object_that_changes_while_it_is_read_is_refused(lab: Path, s3: Any, 
     assert ended.code == 2 and "s3://rigs/runs/0N-0.csv: changed while it was read" in ended.err
 
 
-def test_a_storage_that_fails_on_the_way_halts_the_run(lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_storage_that_fails_on_the_way_halts_the_run(
+    lab: Path, s3: Any, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The other recordings are not tried; what is finished is kept, here and there."""
     bring, brought = storage.status, 0
 

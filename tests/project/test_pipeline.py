@@ -19,7 +19,8 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "rig.yaml").write_text(
-        "name: R\nsample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force, dof: x}\n  x: {quantity: displacement}\n"
+        "name: R\nsample_rate: 1 kHz\nmass: 2 kg\nchannels:\n  f: {quantity: force, dof: x}\n  x: "
+        "{quantity: displacement}\n"
     )
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_text("f,x\n1,2\n")
@@ -43,27 +44,41 @@ def test_globs_lists_and_overridden_channels(folder: Path) -> None:
 
 
 def test_several_tests_with_conditions(folder: Path) -> None:
-    text = "rig: rig.yaml\ntests:\n  - {name: 1, recordings: a.csv, conditions: {preload: 427 N}}\n  - {name: 2, recordings: b.csv}\n" + FRF
+    text = (
+        "rig: rig.yaml\ntests:\n  - {name: 1, recordings: a.csv, conditions: {preload: 427 N}}\n  - "
+        "{name: 2, recordings: b.csv}\n"
+    ) + FRF
     tests = load(folder, text).tests
     assert [(t.name, t.conditions) for t in tests] == [("1", {"preload": "427 N"}), ("2", {})]
 
 
 def test_a_fit_takes_the_rig_s_mass_unless_it_says_its_own(folder: Path) -> None:
     text = "rig: rig.yaml\nrecordings: a.csv\n" + FRF
-    fits = load(folder, text + "identify:\n  a: {model: sdof}\n  b: {model: sdof, mass: estimate}\n  c: {model: sdof, mass: 1 kg}\n").fits
+    fits = load(
+        folder,
+        text + "identify:\n  a: {model: sdof}\n  b: {model: sdof, mass: estimate}\n  c: "
+        "{model: sdof, mass: 1 kg}\n",
+    ).fits
     assert [fit.mass for fit in fits] == [2.0, "estimate", 1.0]
 
 
 def test_all_of_a_fit_s_settings(folder: Path) -> None:
     text = (
-        "rig: rig.yaml\nrecordings: a.csv\n" + FRF + "identify:\n  a:\n    model: rotor-2dof-direct\n    estimator: ls\n    output: [x]\n"
+        "rig: rig.yaml\nrecordings: a.csv\n" + FRF + "identify:\n  a:\n    model: rotor-2dof-direct\n    "
+        "estimator: ls\n    output: [x]\n"
         "    band: 1-0.25 kHz\n    sliding: {width: 15 Hz, step: 3 Hz}\n    share: 2\n    eliminate: true\n"
         "    subtract: {stiffness: 134.5 kN/m +- 1 %, damping: 2 N.s/m}\n"
     )
     with pytest.raises(ConfigErrors, match=r"the band '1-0\.25 kHz' is empty"):
         load(folder, text)
     (fit,) = load(folder, text, "identify.a.band=1 Hz-0.25 kHz").fits
-    assert (fit.band, fit.sliding, fit.share, fit.eliminate, fit.output) == ((1.0, 250.0), Sliding(15.0, 3.0), 2, True, ("x",))
+    assert (fit.band, fit.sliding, fit.share, fit.eliminate, fit.output) == (
+        (1.0, 250.0),
+        Sliding(15.0, 3.0),
+        2,
+        True,
+        ("x",),
+    )
     assert (fit.subtract.stiffness, fit.subtract.damping) == (Uncertain(134500.0, 1345.0), Uncertain(2.0))
 
 
@@ -71,7 +86,8 @@ def test_rules_may_be_several_and_stand_at_their_place(folder: Path) -> None:
     text = (
         "rig: rig.yaml\nrecordings: a.csv\n"
         + FRF
-        + "identify: {a: {model: sdof}}\nexpect:\n  a.f_n: ['>= 65 Hz', '<= 66 Hz']\n  a[72 Hz].k: 3 N/m +- 1 %\n"
+        + "identify: {a: {model: sdof}}\nexpect:\n  a.f_n: ['>= 65 Hz', '<= 66 Hz']\n  a[72 Hz].k: 3 N/m +- "
+        "1 %\n"
     )
     first, second, third = load(folder, text).rules
     assert (first.kind, first.bound, second.kind) == (">=", "65 Hz", "<=")
@@ -89,11 +105,21 @@ def test_rules_may_be_several_and_stand_at_their_place(folder: Path) -> None:
             "rig: rig.yaml\nrecordings: a.csv\n" + FRF + "report: {formats: [htm]}\n",
             "report.formats: unknown format 'htm'; did you mean 'html'?",
         ),
-        ("rig: rig.yaml\nrecordings: a.csv\n" + FRF + "acept: {}\n", "p.yaml:4:1: acept: unknown key; did you mean 'accept'?"),
-        ("rig: rig.yaml\nrecordings: {file: a.csv, channels: {g: {dof: y}}}\n" + FRF, "channels.g: the rig has no such channel"),
-        ("rig: rig.yaml\ntests: [{name: a, recordings: a.csv}, {name: a, recordings: b.csv}]\n" + FRF, "a second test named 'a'"),
         (
-            "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s, mask: {harmonics: 3}}\n",
+            "rig: rig.yaml\nrecordings: a.csv\n" + FRF + "acept: {}\n",
+            "p.yaml:4:1: acept: unknown key; did you mean 'accept'?",
+        ),
+        (
+            "rig: rig.yaml\nrecordings: {file: a.csv, channels: {g: {dof: y}}}\n" + FRF,
+            "channels.g: the rig has no such channel",
+        ),
+        (
+            "rig: rig.yaml\ntests: [{name: a, recordings: a.csv}, {name: a, recordings: b.csv}]\n" + FRF,
+            "a second test named 'a'",
+        ),
+        (
+            "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s, mask: {harmonics: "
+            "3}}\n",
             "one of 'speed' and 'tacho' is needed",
         ),
         ("calibrate: {g: {table: none.csv, x: a, y: b}}\n", "calibrate.g.table: no such file 'none.csv'"),
@@ -102,7 +128,9 @@ def test_rules_may_be_several_and_stand_at_their_place(folder: Path) -> None:
 def test_faults_of_pipelines(folder: Path, text: str, fault: str) -> None:
     with pytest.raises(ConfigErrors) as caught:
         load(folder, text)
-    assert any(fault in str(found) for found in caught.value.faults), [str(found) for found in caught.value.faults]
+    assert any(fault in str(found) for found in caught.value.faults), [
+        str(found) for found in caught.value.faults
+    ]
 
 
 def test_tolerances() -> None:
@@ -139,7 +167,9 @@ SHIPPED = {
 }
 
 
-@pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, paths in SHIPPED.items() for path in sorted(paths)])
+@pytest.mark.parametrize(
+    ("kind", "path"), [(kind, path) for kind, paths in SHIPPED.items() for path in sorted(paths)]
+)
 def test_shipped_files_meet_the_schema_that_editors_use(kind: str, path: Path) -> None:
     schema = SCHEMAS.load(kind)()
     assert set(SCHEMAS) == set(SHIPPED)

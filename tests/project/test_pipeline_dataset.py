@@ -1,4 +1,6 @@
-"""Results of many tests as a dataset: the numbers are those of the whole result, and what reads Parquet finds them without labpipe."""
+"""Results of many tests as a dataset: the numbers are those of the whole result, and what reads Parquet finds
+them without labpipe.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,25 @@ from labpipe.project.run import Manner
 from labpipe.records.identification import Identification
 from tests.project.laboratory import PIPELINE, contents, done, laboratory
 
-MANY = f"results: dataset\n{PIPELINE}".replace("report:", "expect: {direct.k: 18 kN/m +- 5 %, direct.count: '>= 2'}\nreport:")
+MANY = f"results: dataset\n{PIPELINE}".replace(
+    "report:", "expect: {direct.k: 18 kN/m +- 5 %, direct.count: '>= 2'}\nreport:"
+)
 WHOLE = MANY.replace("results: dataset", "results: whole")
 # What pandas reads by itself, by the names that others rely on.
-PUBLIC = {"rig", "date", "test", "fit", "parameter", "value", "unit", "std_error", "combined", "warnings", "accepted", "digest"}
+PUBLIC = {
+    "rig",
+    "date",
+    "test",
+    "fit",
+    "parameter",
+    "value",
+    "unit",
+    "std_error",
+    "combined",
+    "warnings",
+    "accepted",
+    "digest",
+}
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +73,19 @@ def test_rows_are_the_numbers_of_the_whole_result(home: Path, whole: Identificat
     assert len(frame) == sum(len(fit.parameters) for fit in whole.fits)
     for fit in whole.fits:
         for parameter in fit.parameters:
-            row = frame[(frame.test == fit.test) & (frame.fit == fit.name) & (frame.parameter == parameter.name)].iloc[0]
-            assert (row.value, row.unit, row.std_error) == (parameter.value, parameter.unit, parameter.std_error)
+            row = frame[
+                (frame.test == fit.test) & (frame.fit == fit.name) & (frame.parameter == parameter.name)
+            ].iloc[0]
+            assert (row.value, row.unit, row.std_error) == (
+                parameter.value,
+                parameter.unit,
+                parameter.std_error,
+            )
             assert parameter.ci95 == (row.ci_low, row.ci_high)
-    assert set(frame["condition.preload"]) == {"100 N", "200 N"} and set(frame["amount.preload"]) == {100.0, 200.0}
+    assert set(frame["condition.preload"]) == {"100 N", "200 N"} and set(frame["amount.preload"]) == {
+        100.0,
+        200.0,
+    }
     assert set(frame["rig"]) == {"Small rig"}
 
 
@@ -94,7 +120,9 @@ def test_the_layout_is_that_of_hive_and_the_schema_has_a_number(home: Path) -> N
     (part,) = parts(home / "many")
     assert part.path.parent.name.startswith("date=20") and part.path.parent.parent.name == "rig=Small rig"
     assert header_of(part.path).parameters == {"schema": SCHEMA}
-    found = ds.dataset(home / "many/dataset", partitioning="hive").to_table(filter=ds.field("parameter") == "k", columns=["test", "value"])
+    found = ds.dataset(home / "many/dataset", partitioning="hive").to_table(
+        filter=ds.field("parameter") == "k", columns=["test", "value"]
+    )
     assert sorted(found["test"].to_pylist()) == ["hard", "hard", "soft", "soft"]
 
 
@@ -107,7 +135,9 @@ def test_the_same_work_gives_the_same_bytes_in_any_order(home: Path, tmp_path: P
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
-def test_parts_hold_a_number_of_tests_each(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, many: Identification) -> None:
+def test_parts_hold_a_number_of_tests_each(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, many: Identification
+) -> None:
     monkeypatch.setattr(many_tests, "PART_TESTS", 1)
     result = done(home / "pipeline.yaml", tmp_path / "out")
     assert len(parts(tmp_path / "out")) == 2 and result.dataset == many.dataset
@@ -142,7 +172,10 @@ def test_a_damaged_part_is_noticed_and_made_again(home: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("entries", "what"),
     [
-        ("compare: {rise: {kind: trend, fit: direct, parameter: k, over: preload}}", "the section compare is there"),
+        (
+            "compare: {rise: {kind: trend, fit: direct, parameter: k, over: preload}}",
+            "the section compare is there",
+        ),
         ("results: some", "no way 'some' to keep results"),
     ],
 )
@@ -161,9 +194,12 @@ def test_levels_are_judged_over_all_tests(tmp_path: Path) -> None:
 
 
 def test_what_a_result_is_does_not_depend_on_the_number_of_tests(tmp_path: Path) -> None:
-    # 120 recordings of one support, each a copy: every fit stands in identification.json, and a remark names the dataset.
+    # 120 recordings of one support, each a copy: every fit stands in identification.json, and a remark names
+    # the dataset.
     force = np.random.default_rng(5).standard_normal(2000)
-    response = np.fft.irfft(np.fft.rfft(force) / (40e3 + 60j * (w := 2 * np.pi * np.arange(1001)) - 0.5 * w**2), 2000)
+    response = np.fft.irfft(
+        np.fft.rfft(force) / (40e3 + 60j * (w := 2 * np.pi * np.arange(1001)) - 0.5 * w**2), 2000
+    )
     table = pd.DataFrame({"t": np.arange(6000) / 2000, "f": np.tile(force, 3), "x": np.tile(response, 3)})
     (tmp_path / "runs").mkdir()
     for number in range(120):
@@ -172,14 +208,19 @@ def test_what_a_result_is_does_not_depend_on_the_number_of_tests(tmp_path: Path)
         )
     (tmp_path / "rig.yaml").write_text(
         "name: R\ntime: t\nmass: 0.5 kg\nchannels:\n"
-        "  f: {quantity: force, unit: N, role: input, dof: x}\n  x: {quantity: displacement, unit: m, role: output, dof: x}\n"
+        "  f: {quantity: force, unit: N, role: input, dof: x}\n  x: {quantity: displacement, unit: m, role: "
+        "output, dof: x}\n"
     )
     (tmp_path / "p.yaml").write_text(
-        "rig: rig.yaml\ntests:\n  - {each: runs/*.parquet}\nfrf: {excitation: periodic, period: 1 s, band: 20-80 Hz}\n"
+        "rig: rig.yaml\ntests:\n  - {each: runs/*.parquet}\nfrf: {excitation: periodic, period: 1 s, band: "
+        "20-80 Hz}\n"
         "identify:\n  s: {model: sdof, mass: 0.5 kg}\nreport: {formats: []}\n"
     )
     result = done(tmp_path / "p.yaml", tmp_path / "out")
-    assert result.dataset is None and len(json.loads((tmp_path / "out/identification.json").read_text())["fits"]) == 120
+    assert (
+        result.dataset is None
+        and len(json.loads((tmp_path / "out/identification.json").read_text())["fits"]) == 120
+    )
     assert "results: dataset" in many_tests.advice(load_pipeline(tmp_path / "p.yaml"), ["s"])
     (tmp_path / "old.yaml").write_text((tmp_path / "p.yaml").read_text() + "results: auto\n")
     assert load_pipeline(tmp_path / "old.yaml").results == "whole"

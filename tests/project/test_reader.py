@@ -64,11 +64,23 @@ def test_a_given_field_stands_in_for_a_missing_entry_and_gives_way_to_one() -> N
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("modell: sdof\nmodel: sdof\n", "p.yaml:1:1: identify.direct.modell: unknown key; did you mean 'model'?"),
-        ("model: sdof\nmass: 3\n", "p.yaml:2:1: identify.direct.mass: '3' has no unit; write it with its unit, e.g. '3 kg'"),
+        (
+            "modell: sdof\nmodel: sdof\n",
+            "p.yaml:1:1: identify.direct.modell: unknown key; did you mean 'model'?",
+        ),
+        (
+            "model: sdof\nmass: 3\n",
+            "p.yaml:2:1: identify.direct.mass: '3' has no unit; write it with its unit, e.g. '3 kg'",
+        ),
         ("mass: 3 kg\n", "p.yaml:1:1: identify.direct.model: is missing; model"),
-        ("model: sdof\nsliding: {step: 3 Hz}\n", "p.yaml:2:1: identify.direct.sliding.width: is missing; width of a band"),
-        ("model: sdof\nsliding: 15 Hz\n", "p.yaml:2:1: identify.direct.sliding: a mapping of keys to values is needed"),
+        (
+            "model: sdof\nsliding: {step: 3 Hz}\n",
+            "p.yaml:2:1: identify.direct.sliding.width: is missing; width of a band",
+        ),
+        (
+            "model: sdof\nsliding: 15 Hz\n",
+            "p.yaml:2:1: identify.direct.sliding: a mapping of keys to values is needed",
+        ),
         ("- sdof\n", "p.yaml:1:1: identify.direct: a mapping of keys to values is needed"),
         ("model: sdof\nshare: 0\n", "p.yaml:1:1: identify.direct: 'share' is nought; at least 1"),
         (f"model: {DECIDE}\n", "p.yaml:1:1: identify.direct.model: is still to be decided; model"),
@@ -83,7 +95,9 @@ def test_all_faults_are_named_in_one_pass() -> None:
     found, faults = read("modle: sdof\nmass: 3 N\nshare: -1\nsliding: {width: 3 kg, stepp: 1 Hz}\n")
     assert found is None
     keys = ["modle", "model", "mass", "share", "sliding.stepp", "sliding.width"]
-    assert sorted(fault.split(": ")[1] for fault in faults) == sorted(f"identify.direct.{key}" for key in keys)
+    assert sorted(fault.split(": ")[1] for fault in faults) == sorted(
+        f"identify.direct.{key}" for key in keys
+    )
 
 
 def test_a_fault_elsewhere_does_not_make_sound_settings_faulty() -> None:
@@ -112,7 +126,9 @@ def test_faults_are_raised_once_in_their_order() -> None:
 
 def test_faults_of_another_file_are_taken_over_one_by_one() -> None:
     faults = Faults()
-    faults.merge(ConfigErrors([ConfigError("one", where="rig.yaml:1:1"), ConfigError("two", where="rig.yaml:2:1")]))
+    faults.merge(
+        ConfigErrors([ConfigError("one", where="rig.yaml:1:1"), ConfigError("two", where="rig.yaml:2:1")])
+    )
     faults.merge(ConfigError("three", where="rotor.yaml"))
     assert len(faults) == 3
     with pytest.raises(ConfigErrors) as caught:
@@ -120,7 +136,10 @@ def test_faults_of_another_file_are_taken_over_one_by_one() -> None:
     assert [fault.where for fault in caught.value.faults] == ["rig.yaml:1:1", "rig.yaml:2:1", "rotor.yaml"]
 
 
-@pytest.mark.parametrize(("keys", "joined"), [(("a", "b"), "a.b"), (("", "b"), "b"), (("a", ""), "a"), ((), ""), (("a", "", "c"), "a.c")])
+@pytest.mark.parametrize(
+    ("keys", "joined"),
+    [(("a", "b"), "a.b"), (("", "b"), "b"), (("a", ""), "a"), ((), ""), (("a", "", "c"), "a.c")],
+)
 def test_dotted_keys(keys: tuple[str, ...], joined: str) -> None:
     assert join(*keys) == joined
 

@@ -1,4 +1,6 @@
-"""Conditions that recordings show: means by hand calculation, scatter of samples, speed of a tacho, faults."""
+"""Conditions that recordings show: means by hand calculation, scatter of samples, speed of a tacho,
+faults.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ channels:
 
 @pytest.fixture
 def recording(tmp_path: Path):
-    """4 s: a load of 2 kN with a sine of 0.1 kN, an oil that warms by 0.001 K a sample, 25 turns a second with two pulses each."""
+    """4 s: a load of 2 kN with a sine of 0.1 kN, an oil that warms by 0.001 K a sample, 25 turns a second
+    with two pulses each.
+    """
     time = np.arange(4000) / 1000
     load = 2 + 0.1 * np.sin(2 * np.pi * 10 * time)
     key = (np.sin(2 * np.pi * 50 * time - 1.0) > 0).astype(float)
@@ -41,8 +45,14 @@ def recording(tmp_path: Path):
 
 
 def test_means_and_scatter_stand_in_the_conditions(recording) -> None:
-    """Whole periods of a sine: mean 2 kN, standard deviation 0.1 / sqrt 2 kN; a ramp of n steps: s = step sqrt((n^2 - 1) / 12)."""
-    sources = {"load": RecordedCondition(channel="w"), "oil": RecordedCondition(channel="oil"), "flow": RecordedCondition(channel="flow")}
+    """Whole periods of a sine: mean 2 kN, standard deviation 0.1 / sqrt 2 kN; a ramp of n steps: s = step
+    sqrt((n^2 - 1) / 12).
+    """
+    sources = {
+        "load": RecordedCondition(channel="w"),
+        "oil": RecordedCondition(channel="oil"),
+        "flow": RecordedCondition(channel="flow"),
+    }
     found = recorded_conditions([recording], sources)
     assert found == {"load": "2000 N +- 71 N", "oil": "41.9995 degC +- 1.2 K", "flow": "6 l/min +- 0 l/min"}
     assert si_amount(found["load"]) == (2000.0, "N")
@@ -50,7 +60,10 @@ def test_means_and_scatter_stand_in_the_conditions(recording) -> None:
 
 
 def test_the_speed_is_that_of_the_tacho(recording) -> None:
-    """50 pulses a second, two a turn: 25 Hz = 1500 rpm; pulse times interpolated between samples are exact to a share of a sample."""
+    """50 pulses a second, two a turn: 25 Hz = 1500 rpm.
+
+    Pulse times interpolated between samples are exact to a share of a sample.
+    """
     text = recorded_conditions([recording], {"speed": RecordedCondition(tacho="key", pulses=2)})["speed"]
     assert text.endswith("rpm") and si_amount(text)[0] == pytest.approx(25.0, rel=1e-3)
 

@@ -15,7 +15,9 @@ def test_the_ending_says_the_format_of_a_file_that_is_there_or_not(tmp_path: Pat
     (tmp_path / "there.txt").touch()
     (tmp_path / "folder.txt").mkdir()
     assert (
-        format_of(tmp_path / "there.pdf") == "pdf" and format_of(tmp_path / "new.MD") == "md" and format_of(tmp_path / "new.htm") == "html"
+        format_of(tmp_path / "there.pdf") == "pdf"
+        and format_of(tmp_path / "new.MD") == "md"
+        and format_of(tmp_path / "new.htm") == "html"
     )
     # What is no file, such as a pipe, has no ending that says anything.
     assert format_of(tmp_path / "folder.txt") == "html"

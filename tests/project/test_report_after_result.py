@@ -32,13 +32,19 @@ class Stopped:
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, MemoryError])
-def test_what_stops_the_drawing_leaves_the_result(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]) -> None:
+def test_what_stops_the_drawing_leaves_the_result(
+    lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(render, "RENDERERS", Stopped(error))
         with pytest.raises(error):
             library.run(lab / "pipeline.yaml", lab / "out")
     result = lab / "out/identification.json"
-    assert read_identification(result).fits[0].converged and not list((lab / "out").glob("report.*")) and not list(lab.rglob(".labpipe-*"))
+    assert (
+        read_identification(result).fits[0].converged
+        and not list((lab / "out").glob("report.*"))
+        and not list(lab.rglob(".labpipe-*"))
+    )
     written = result.stat().st_mtime_ns
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
     assert (lab / "out/report.md").exists() and result.stat().st_mtime_ns == written
@@ -51,11 +57,19 @@ def test_a_process_that_is_killed_while_drawing_leaves_the_result(lab: Path) -> 
         "from labpipe.cli.main import run_command\n"
         "run_command(['run', 'pipeline.yaml', '-o', 'out'])\n"
     )
-    assert subprocess.run([sys.executable, "-c", script], cwd=lab, capture_output=True, check=False).returncode == 9
-    assert read_identification(lab / "out/identification.json").fits[0].converged and not (lab / "out/report.md").exists()
+    assert (
+        subprocess.run([sys.executable, "-c", script], cwd=lab, capture_output=True, check=False).returncode
+        == 9
+    )
+    assert (
+        read_identification(lab / "out/identification.json").fits[0].converged
+        and not (lab / "out/report.md").exists()
+    )
 
 
-def test_no_report_of_an_earlier_result_stays_beside_a_new_one(lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_report_of_an_earlier_result_stays_beside_a_new_one(
+    lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
     first = (lab / "out/report.md").read_text()
     (lab / "pipeline.yaml").write_text(DRAWN.replace("10-40 Hz", "12-38 Hz"))
@@ -70,9 +84,7 @@ def test_no_report_of_an_earlier_result_stays_beside_a_new_one(lab: Path, labpip
 
 
 def test_a_damaged_report_of_the_same_result_stays_until_it_is_drawn_again(
-    lab: Path,
-    labpipe,
-    monkeypatch: pytest.MonkeyPatch,
+    lab: Path, labpipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert labpipe("run", lab / "pipeline.yaml", "-o", lab / "out").code == 0
     damaged = (lab / "out/report.md").read_bytes()[:-1]

@@ -1,4 +1,7 @@
-"""A report that was drawn from the very result is not drawn again; one that was edited, damaged or drawn from another result is."""
+"""A report that was drawn from the very result is not drawn again.
+
+One that was edited, damaged or drawn from another result is.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ def pipeline(tmp_path: Path) -> Path:
     return laboratory(tmp_path)
 
 
-def test_nothing_is_drawn_twice(pipeline: Path, tmp_path: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_drawn_twice(
+    pipeline: Path, tmp_path: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments = ("run", pipeline, "-o", tmp_path / "out", "-q", "--set", "report.formats=[html, md]")
     assert labpipe(*arguments).code == 0
     files = [tmp_path / "out" / f"report.{name}" for name in FORMATS]
@@ -28,7 +33,9 @@ def test_nothing_is_drawn_twice(pipeline: Path, tmp_path: Path, labpipe, monkeyp
     assert all(content.count(b"labpipe drew this from") == 1 for content in first)
     drawn = []
     renderer = report_stage._renderer
-    monkeypatch.setattr(report_stage, "_renderer", lambda table, name: drawn.append(name) or renderer(table, name))
+    monkeypatch.setattr(
+        report_stage, "_renderer", lambda table, name: drawn.append(name) or renderer(table, name)
+    )
     assert labpipe(*arguments).code == 0 and drawn == []
     # One byte in a heading, and a missing end.
     files[0].write_bytes(first[0].replace(b"<h1", b"<h2", 1))
@@ -41,9 +48,14 @@ def test_nothing_is_drawn_twice(pipeline: Path, tmp_path: Path, labpipe, monkeyp
     assert b"Other" in files[1].read_bytes()
 
 
-def test_an_html_report_that_is_up_to_date_loads_nothing_that_draws(pipeline: Path, tmp_path: Path, labpipe) -> None:
+def test_an_html_report_that_is_up_to_date_loads_nothing_that_draws(
+    pipeline: Path, tmp_path: Path, labpipe
+) -> None:
     assert labpipe("run", pipeline, "-o", tmp_path / "out", "-q").code == 0
-    code = "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); print('matplotlib' in sys.modules)"
+    code = (
+        "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); "
+        "print('matplotlib' in sys.modules)"
+    )
     again = [sys.executable, "-c", code, "run", str(pipeline), "-o", str(tmp_path / "out"), "-q"]
     assert subprocess.run(again, capture_output=True, text=True, check=True).stdout.strip() == "False"
 
@@ -53,7 +65,12 @@ def test_a_stamp_holds_for_its_source_and_content_alone(tmp_path: Path, report_f
     path = tmp_path / "report"
     source = "ab" * 32
     path.write_bytes(stamped(b"a report", source, report_format))
-    assert is_drawn(path, source) and not is_drawn(path, "cd" * 32) and not is_drawn(path, "") and not is_drawn(tmp_path / "none", source)
+    assert (
+        is_drawn(path, source)
+        and not is_drawn(path, "cd" * 32)
+        and not is_drawn(path, "")
+        and not is_drawn(tmp_path / "none", source)
+    )
     path.write_bytes(path.read_bytes().replace(b"report\n", b"Report\n", 1))
     assert not is_drawn(path, source)
     path.write_bytes(stamped(b"a report", source, "docx"))

@@ -43,27 +43,45 @@ def test_temperature_has_an_offset(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("dof", "label", "angle"),
-    [("x", "x", 0.0), ("y", "y", math.pi / 2), ("45 deg", "45 deg", math.pi / 4), ("bearing2.y", "bearing2.y", None), ("1", "1", None)],
+    [
+        ("x", "x", 0.0),
+        ("y", "y", math.pi / 2),
+        ("45 deg", "45 deg", math.pi / 4),
+        ("bearing2.y", "bearing2.y", None),
+        ("1", "1", None),
+    ],
 )
 def test_directions(tmp_path: Path, dof: str, label: str, angle: float | None) -> None:
     (channel,) = rig_of(tmp_path, f"  f: {{quantity: force, dof: {dof}}}\n").channels
     assert channel.channel.dof == label
-    assert channel.channel.angle == pytest.approx(angle) if angle is not None else channel.channel.angle is None
+    assert (
+        channel.channel.angle == pytest.approx(angle) if angle is not None else channel.channel.angle is None
+    )
 
 
 def test_defaults_follow_the_key_and_the_quantity(tmp_path: Path) -> None:
     force, x = rig_of(tmp_path, "  f: {quantity: force}\n  x: {quantity: displacement}\n").channels
-    assert [(c.column, c.unit, c.channel.role) for c in (force, x)] == [("f", "N", "input"), ("x", "m", "output")]
+    assert [(c.column, c.unit, c.channel.role) for c in (force, x)] == [
+        ("f", "N", "input"),
+        ("x", "m", "output"),
+    ]
 
 
-@pytest.mark.parametrize(("column", "scale"), [("t [s]", 1.0), ("t [ms]", 1e-3), ("Time (us)", 1e-6), ("t", 1.0), ("t [counts]", 1.0)])
+@pytest.mark.parametrize(
+    ("column", "scale"),
+    [("t [s]", 1.0), ("t [ms]", 1e-3), ("Time (us)", 1e-6), ("t", 1.0), ("t [counts]", 1.0)],
+)
 def test_the_time_column_s_unit(tmp_path: Path, column: str, scale: float) -> None:
-    assert rig_of(tmp_path, "  f: {quantity: force}\n", f'time: "{column}"\n').time_scale == pytest.approx(scale)
+    assert rig_of(tmp_path, "  f: {quantity: force}\n", f'time: "{column}"\n').time_scale == pytest.approx(
+        scale
+    )
 
 
 def test_ranges_at_which_the_logger_clips(tmp_path: Path) -> None:
     rig = rig_of(
-        tmp_path, "  f: {quantity: force, range: 50 N}\n  y: {quantity: displacement, unit: V, sensitivity: 8 V/mm, range: -5 V .. 10 V}\n"
+        tmp_path,
+        "  f: {quantity: force, range: 50 N}\n  y: {quantity: displacement, unit: V, sensitivity: "
+        "8 V/mm, range: -5 V .. 10 V}\n",
     )
     assert [channel.limits for channel in rig.channels] == [(-50.0, 50.0), (-5.0, 10.0)]
 
@@ -71,10 +89,16 @@ def test_ranges_at_which_the_logger_clips(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "fault"),
     [
-        ("quantity: displacement, unit: V", "rig.yaml:4:31: channels.a.unit: 'V' has the wrong dimension, m is needed"),
+        (
+            "quantity: displacement, unit: V",
+            "rig.yaml:4:31: channels.a.unit: 'V' has the wrong dimension, m is needed",
+        ),
         ("quantity: displacement, unit: V, sensitivity: 8 V/N", "does not lead from the channel's unit to m"),
         ("quantity: displacement, unit: V, sensitivity: 0 V/m", "the sensitivity '0 V/m' is zero"),
-        ("quantity: displacement, unit: V, sensitivity: none.json#y", "'none.json' is not a readable identification.json"),
+        (
+            "quantity: displacement, unit: V, sensitivity: none.json#y",
+            "'none.json' is not a readable identification.json",
+        ),
         ("unit: um", "channels.a.quantity: is missing"),
         ("quantity: force, dof: 45 degg", "channels.a.dof: unknown unit 'degg'; did you mean 'deg'?"),
         ("quantity: force, range: big", "channels.a.range: 'big' is not a value with a unit"),

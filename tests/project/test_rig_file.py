@@ -1,4 +1,6 @@
-"""Rig files beside their calibration: overrides, slopes of a calibration, sensor responses, all faults of all channels at once."""
+"""Rig files beside their calibration: overrides, slopes of a calibration, sensor responses, all faults of all
+channels at once.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,13 @@ def faults(folder: Path, text: str) -> list[str]:
 
 
 @settings(max_examples=30, suppress_health_check=CHECKS)
-@given(st.floats(1e-3, 1e3).map(lambda number: float(f"{number:.6g}")), st.sampled_from([("V/mm", 1e3), ("mV/um", 1e3), ("V/m", 1.0)]))
-def test_a_sensitivity_is_divided_by_and_its_reciprocal_multiplied(tmp_path: Path, size: float, unit: tuple[str, float]) -> None:
+@given(
+    st.floats(1e-3, 1e3).map(lambda number: float(f"{number:.6g}")),
+    st.sampled_from([("V/mm", 1e3), ("mV/um", 1e3), ("V/m", 1.0)]),
+)
+def test_a_sensitivity_is_divided_by_and_its_reciprocal_multiplied(
+    tmp_path: Path, size: float, unit: tuple[str, float]
+) -> None:
     """x = u / S for S in V/m, x = u R for R in m/V."""
     divided = channel(tmp_path, f"quantity: displacement, unit: V, sensitivity: {size!r} {unit[0]}")
     assert divided.scale == pytest.approx(1 / (size * unit[1]), rel=1e-9)
@@ -61,13 +68,21 @@ def test_a_direction_is_an_angle_from_x(tmp_path: Path, degrees: float) -> None:
         ("current", "reference"),
     ],
 )
-def test_the_role_follows_from_the_quantity_unless_it_is_stated(tmp_path: Path, quantity: str, role: str) -> None:
+def test_the_role_follows_from_the_quantity_unless_it_is_stated(
+    tmp_path: Path, quantity: str, role: str
+) -> None:
     assert channel(tmp_path, f"quantity: {quantity}").channel.role == role
     assert channel(tmp_path, f"quantity: {quantity}, role: reference").channel.role == "reference"
 
 
 @pytest.mark.parametrize(
-    ("text", "limits"), [("10 V", (-10.0, 10.0)), ("-5 V .. 10 V", (-5.0, 10.0)), ("0 V..5 V", (0.0, 5.0)), ("500 mV", (-0.5, 0.5))]
+    ("text", "limits"),
+    [
+        ("10 V", (-10.0, 10.0)),
+        ("-5 V .. 10 V", (-5.0, 10.0)),
+        ("0 V..5 V", (0.0, 5.0)),
+        ("500 mV", (-0.5, 0.5)),
+    ],
 )
 def test_limits_of_the_logger(tmp_path: Path, text: str, limits: tuple[float, float]) -> None:
     assert channel(tmp_path, f"quantity: voltage, range: {text}").limits == pytest.approx(limits)
@@ -89,7 +104,8 @@ def test_faults_of_all_channels_are_named_at_once_in_the_order_of_the_file(tmp_p
     found = faults(
         tmp_path,
         "name: R\nsample_rat: 1 kHz\nmass: heavy\nchannels:\n"
-        "  f: {quantity: farce}\n  x: {quantity: displacement, unit: N}\n  y: {quantity: displacement, delay: 3 m}\n  z: {unit: um}\n",
+        "  f: {quantity: farce}\n  x: {quantity: displacement, unit: N}\n  y: {quantity: displacement, "
+        "delay: 3 m}\n  z: {unit: um}\n",
     )
     assert [fault.split(": ")[1] for fault in found] == [
         "sample_rat",
@@ -109,9 +125,18 @@ def test_faults_of_all_channels_are_named_at_once_in_the_order_of_the_file(tmp_p
         ("channels: []\n", "channels: a mapping of keys to values is needed"),
         ("channels: {f: force}\n", "channels.f: a mapping of keys to values is needed"),
         ("sample_rate: -1 kHz\nchannels: {f: {quantity: force}}\n", "sample_rate: must be positive"),
-        ("sample_rate: 1 kHz\ntime: t\nchannels: {f: {quantity: force}}\n", "one of sample_rate and time is needed, not both"),
-        ("channels: {f: {quantity: force, sensitivity: 3}}\n", "'3' is not a sensitivity; for example '8 V/mm'"),
-        ("channels: {f: {quantity: force, unit: V, sensitivity: 3 V/m}}\n", "does not lead from the channel's unit to N"),
+        (
+            "sample_rate: 1 kHz\ntime: t\nchannels: {f: {quantity: force}}\n",
+            "one of sample_rate and time is needed, not both",
+        ),
+        (
+            "channels: {f: {quantity: force, sensitivity: 3}}\n",
+            "'3' is not a sensitivity; for example '8 V/mm'",
+        ),
+        (
+            "channels: {f: {quantity: force, unit: V, sensitivity: 3 V/m}}\n",
+            "does not lead from the channel's unit to N",
+        ),
         ("channels: {f: {quantity: force, response: none.csv}}\n", "no such file 'none.csv'"),
     ],
 )
@@ -123,13 +148,18 @@ def test_faults_of_a_rig(tmp_path: Path, text: str, said: str) -> None:
 
 
 def calibration(folder: Path, *fits: tuple[str, float, str]) -> None:
-    entries = [{"name": name, "parameters": [{"name": "slope", "value": value, "unit": unit}]} for name, value, unit in fits]
+    entries = [
+        {"name": name, "parameters": [{"name": "slope", "value": value, "unit": unit}]}
+        for name, value, unit in fits
+    ]
     (folder / "cal.json").write_text(json.dumps({"fits": entries}))
 
 
 def test_a_calibrated_slope_is_a_sensitivity(tmp_path: Path) -> None:
     calibration(tmp_path, ("probe_x", 8000.0, "V/m"), ("probe_y", 8200.0, "V/m"))
-    assert channel(tmp_path, "quantity: displacement, unit: V, sensitivity: 'cal.json#probe_y'").scale == pytest.approx(1 / 8200)
+    assert channel(
+        tmp_path, "quantity: displacement, unit: V, sensitivity: 'cal.json#probe_y'"
+    ).scale == pytest.approx(1 / 8200)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +174,9 @@ def test_a_calibrated_slope_is_a_sensitivity(tmp_path: Path) -> None:
 def test_a_slope_that_is_not_there(tmp_path: Path, reference: str, said: str) -> None:
     calibration(tmp_path, ("probe_x", 8000.0, "V/m"), ("force", 5.8, "N/A"))
     (tmp_path / "bad.json").write_text("[]")
-    found = faults(tmp_path, f"channels:\n  a: {{quantity: displacement, unit: V, sensitivity: '{reference}'}}\n")
+    found = faults(
+        tmp_path, f"channels:\n  a: {{quantity: displacement, unit: V, sensitivity: '{reference}'}}\n"
+    )
     assert any(said in fault for fault in found), found
 
 
@@ -158,7 +190,8 @@ def test_a_sensor_response_is_read_beside_its_rig(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "scale"), [(None, 1.0), ("t", 1.0), ("t [min]", 60.0), ("t(h)", 3600.0), ("t [N]", 1.0), ("[s] t", 1.0)]
+    ("column", "scale"),
+    [(None, 1.0), ("t", 1.0), ("t [min]", 60.0), ("t(h)", 3600.0), ("t [N]", 1.0), ("[s] t", 1.0)],
 )
 def test_seconds_per_unit_of_the_time_column(column: str | None, scale: float) -> None:
     assert time_scale(column) == scale

@@ -77,7 +77,10 @@ def test_no_section_has_no_rules() -> None:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("direct: '> 1'", "p.yaml:1:1: accept.direct: is not an address; write fit.parameter, for example direct.k"),
+        (
+            "direct: '> 1'",
+            "p.yaml:1:1: accept.direct: is not an address; write fit.parameter, for example direct.k",
+        ),
         ("'direct[72 Hz]': '> 1'", "accept.direct[72 Hz]: is not an address"),
         ("dirct.k: '> 1'", "accept.dirct.k: there is no fit 'dirct'; known: direct, sliding, study"),
         ("direct.k: ''", "accept.direct.k: a rule is missing"),

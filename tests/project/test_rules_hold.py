@@ -1,6 +1,8 @@
-"""Rules of a pipeline against its result, through files: what holds, what fails, what is refused, and what is shown.
+"""Rules of a pipeline against its result, through files: what holds, what fails, what is refused, and what is
+shown.
 
-Two receptances without noise: 1 kg on 100 and on 400 kN/m, 20 N s/m, 20-120 Hz every 1 Hz; so every fit has the truth to eight digits.
+Two receptances without noise: 1 kg on 100 and on 400 kN/m, 20 N s/m, 20-120 Hz every 1 Hz; so every fit has
+the truth to eight digits.
 """
 
 from __future__ import annotations
@@ -25,11 +27,19 @@ LINES = np.arange(20.0, 121.0)
 SOFT, STIFF, DAMPING = 1e5, 4e5, 20.0
 PLAN = {
     "title": "Rules",
-    "tests": [{"name": name, "frfs": f"{name}.csv", "conditions": {"preload": f"{n} N"}} for n, name in ((100, "soft"), (200, "stiff"))],
+    "tests": [
+        {"name": name, "frfs": f"{name}.csv", "conditions": {"preload": f"{n} N"}}
+        for n, name in ((100, "soft"), (200, "stiff"))
+    ],
     "identify": {
         "direct": {"model": "sdof", "mass": "1 kg"},
         "one": {"model": "sdof", "mass": "1 kg", "test": "soft"},
-        "curve": {"model": "sdof", "mass": "1 kg", "test": "stiff", "sliding": {"width": "20 Hz", "step": "20 Hz"}},
+        "curve": {
+            "model": "sdof",
+            "mass": "1 kg",
+            "test": "stiff",
+            "sliding": {"width": "20 Hz", "step": "20 Hz"},
+        },
         "narrow": {"model": "sdof", "mass": "1 kg", "test": "soft", "band": "40-42 Hz"},
     },
 }
@@ -43,7 +53,10 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, k in (("soft", SOFT), ("stiff", STIFF)):
         h = (1 / (k - w**2 + 1j * DAMPING * w))[:, None, None]
         ports = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
-        write_frf_csv(folder / f"{name}.csv", FrequencyResponse(LINES, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))))
+        write_frf_csv(
+            folder / f"{name}.csv",
+            FrequencyResponse(LINES, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))),
+        )
     return folder
 
 
@@ -158,7 +171,9 @@ def test_the_expanded_uncertainty_is_half_the_interval_and_relative_in_per_cent(
     absolute, relative = judged(lab, accept={"one.k.expanded": ["> 0 N/m", "> 0 %"]})
     (fit,) = (fit for fit in read_identification(lab / "out/identification.json").fits if fit.name == "one")
     low, high = fit.parameter("k").ci95
-    assert absolute.value == (high - low) / 2 and relative.value == (high - low) / 2 / fit.parameter("k").value
+    assert (
+        absolute.value == (high - low) / 2 and relative.value == (high - low) / 2 / fit.parameter("k").value
+    )
 
 
 def test_the_value_shown_is_the_first_that_fails(lab: Path) -> None:
@@ -169,7 +184,8 @@ def test_the_value_shown_is_the_first_that_fails(lab: Path) -> None:
     assert outcome.value == pytest.approx(SOFT, rel=1e-3)
 
 
-# The truth of LINES in the unit of each rule: sqrt(1e5) / (2 pi) = 50.32921 Hz = 316.2278 rad/s, 20 / (2 sqrt(1e5)) = 0.03162278.
+# The truth of LINES in the unit of each rule: sqrt(1e5) / (2 pi) = 50.32921 Hz = 316.2278 rad/s, 20 / (2
+# sqrt(1e5)) = 0.03162278.
 SHOWN = [
     ("one.k", ">= 99.9 kN/m", 100.0, "kN/m"),
     ("one.k", "< 100.1 N/mm", 100.0, "N/mm"),
@@ -201,11 +217,16 @@ def shown(lab: Path) -> dict[str, RuleOutcome]:
     for address, text, _, _ in SHOWN:
         rules.setdefault(address, []).append(text)
     judged(lab, expect=rules)
-    return {outcome.rule: outcome for outcome in read_identification(lab / "out/identification.json").outcomes}
+    return {
+        outcome.rule: outcome for outcome in read_identification(lab / "out/identification.json").outcomes
+    }
 
 
 def test_readers_of_earlier_results_find_no_further_key_in_a_rule(lab: Path) -> None:
-    """A reader before the values in the rules' units takes rule, value, passed; a result without them shows the SI value."""
+    """A reader before the values in the rules' units takes rule, value, passed.
+
+    A result without them shows the SI value.
+    """
     judged(lab, expect={"one.k": "> 1 kN/m", "one.warnings": "not clipped"})
     path = lab / "out/identification.json"
     whole = json.loads(path.read_text("utf-8"))
@@ -228,7 +249,10 @@ def test_every_rule_of_a_list_is_judged_by_itself(lab: Path) -> None:
 
 def test_accept_comes_before_expect_and_both_count(lab: Path) -> None:
     outcomes = judged(lab, expect={"one.k": "> 0 N/m"}, accept={"one.k": "< 0 N/m"})
-    assert [(outcome.section, outcome.passed) for outcome in outcomes] == [("accept", False), ("expect", True)]
+    assert [(outcome.section, outcome.passed) for outcome in outcomes] == [
+        ("accept", False),
+        ("expect", True),
+    ]
 
 
 def test_outcomes_stand_in_the_result_s_file(lab: Path) -> None:
@@ -247,7 +271,9 @@ def test_units_of_a_rule_do_not_matter(lab: Path, text: str) -> None:
 
 
 def test_a_rule_on_a_test_that_failed_does_not_hold(lab: Path) -> None:
-    """In a result that is not whole, what a rule names may be missing: it fails, it is no fault of the rule."""
+    """In a result that is not whole, what a rule names may be missing: it fails, it is no fault of the
+    rule.
+    """
     (lab / "broken.csv").write_text("frequency_hz,x/f:re,x/f:im\n1,2,3\n")
     tests = [*PLAN["tests"], {"name": "broken", "frfs": "broken.csv"}]
     (outcome,) = judged(lab, tests=tests, accept={"direct[broken].k": "> 0 N/m"})
@@ -258,4 +284,6 @@ def test_a_fault_of_a_fit_names_fit_and_test(lab: Path) -> None:
     fits = {"odd": {"model": "sdof", "mass": "1 kg", "band": "300-400 Hz"}}
     with pytest.raises(LabpipeError) as caught:
         judged(lab, identify=fits)
-    assert "identify.odd, test soft" in str(caught.value) and "no frequency line lies in the band" in str(caught.value)
+    assert "identify.odd, test soft" in str(caught.value) and "no frequency line lies in the band" in str(
+        caught.value
+    )

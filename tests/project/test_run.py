@@ -18,7 +18,17 @@ from labpipe.project.run import Manner, independent_fits, measure_tests
 from labpipe.project.tests import ReadyFrf
 from labpipe.project.tests import Test as Measured
 from labpipe.records.identification import Failed
-from tests.project.laboratory import ALONE, DAMPING, MASS, PIPELINE, STIFFNESS, contents, done, laboratory, recording
+from tests.project.laboratory import (
+    ALONE,
+    DAMPING,
+    MASS,
+    PIPELINE,
+    STIFFNESS,
+    contents,
+    done,
+    laboratory,
+    recording,
+)
 
 SHORT = "t [s],force [N],y [um]\n0,1,1\n0.01,2,2\n"
 
@@ -33,7 +43,10 @@ def lab(tmp_path: Path) -> Path:
 
 
 def test_the_springs_of_the_laboratory_are_found(lab: Path) -> None:
-    """Truth of the recordings: 18 and 22 kN/m, 20 N s/m, .79 kg; within four of the stated standard errors."""
+    """Truth of the recordings: 18 and 22 kN/m, 20 N s/m, .79 kg.
+
+    Within four of the stated standard errors.
+    """
     found = done(lab / "pipeline.yaml", lab / "out")
     for fit in (one for one in found.fits if one.name == "direct"):
         for name, truth in (("k", STIFFNESS[fit.test]), ("c", DAMPING)):
@@ -45,7 +58,12 @@ def test_the_springs_of_the_laboratory_are_found(lab: Path) -> None:
 
 def test_fits_stand_in_the_order_of_the_pipeline_then_of_the_tests(lab: Path) -> None:
     found = done(lab / "pipeline.yaml", lab / "out")
-    assert [(fit.name, fit.test) for fit in found.fits] == [("direct", "soft"), ("direct", "hard"), ("plain", "soft"), ("plain", "hard")]
+    assert [(fit.name, fit.test) for fit in found.fits] == [
+        ("direct", "soft"),
+        ("direct", "hard"),
+        ("plain", "soft"),
+        ("plain", "hard"),
+    ]
     assert [response.name for response in found.responses] == ["soft", "hard"]
     assert [source["path"] for source in found.sources] == ["soft.csv", "hard.csv"]
     assert found.test_conditions == {"soft": {"preload": "100 N"}, "hard": {"preload": "200 N"}}
@@ -54,7 +72,9 @@ def test_fits_stand_in_the_order_of_the_pipeline_then_of_the_tests(lab: Path) ->
 def test_one_of_many_tests_is_what_it_is_alone(lab: Path) -> None:
     """A test knows nothing of the others."""
     many = done(lab / "pipeline.yaml", lab / "out")
-    (lab / "alone.yaml").write_text(ALONE.replace("recordings: soft.csv", "recordings: soft.csv\nconditions: {preload: 100 N}"))
+    (lab / "alone.yaml").write_text(
+        ALONE.replace("recordings: soft.csv", "recordings: soft.csv\nconditions: {preload: 100 N}")
+    )
     alone = done(lab / "alone.yaml", lab / "alone")
     for name in ("direct", "plain"):
         ours, theirs = (next(fit for fit in side.fits if fit.name == name) for side in (many, alone))
@@ -91,7 +111,15 @@ def test_serial_work_is_done_when_it_is_asked_for() -> None:
         return Done(job.test.name)
 
     jobs = [
-        Job(Measured(name), (), frf=None, fits=(), pipeline_path=Path("p.yaml"), target=Path("out"), scratch=Path("scratch"))
+        Job(
+            Measured(name),
+            (),
+            frf=None,
+            fits=(),
+            pipeline_path=Path("p.yaml"),
+            target=Path("out"),
+            scratch=Path("scratch"),
+        )
         for name in ("a", "b")
     ]
     outcomes = serially(noted, jobs)
@@ -106,7 +134,9 @@ def test_no_jobs_start_no_processes() -> None:
 
 def test_a_cluster_needs_an_address_that_answers(lab: Path) -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(DataError, match=r"tcp//nowhere: no scheduler answers .*; start one with `dask scheduler`"):
+    with pytest.raises(
+        DataError, match=r"tcp//nowhere: no scheduler answers .*; start one with `dask scheduler`"
+    ):
         list(on_cluster("tcp//nowhere")(work, ()))
 
 
@@ -130,7 +160,11 @@ def test_put_right_only_the_bad_test_is_done(lab: Path) -> None:
     done(lab / "pipeline.yaml", lab / "out")
     (lab / "hard.csv").write_text(text)
     asked: list[str] = []
-    found = done(lab / "pipeline.yaml", lab / "out", manner=Manner(progress=lambda _done, _all, name: asked.append(name)))
+    found = done(
+        lab / "pipeline.yaml",
+        lab / "out",
+        manner=Manner(progress=lambda _done, _all, name: asked.append(name)),
+    )
     assert asked == ["soft", "hard"] and found.accepted
     done(lab / "pipeline.yaml", lab / "new")
     assert contents(lab / "out") == contents(lab / "new")
@@ -152,12 +186,22 @@ def test_a_single_test_that_fails_is_an_error(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(
+    lab: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "disk")
 
     monkeypatch.setattr("labpipe.project.one_test.measure", full)
-    job = Job(Measured("soft"), (), frf=None, fits=(), pipeline_path=lab / "pipeline.yaml", target=lab / "out", scratch=lab)
+    job = Job(
+        Measured("soft"),
+        (),
+        frf=None,
+        fits=(),
+        pipeline_path=lab / "pipeline.yaml",
+        target=lab / "out",
+        scratch=lab,
+    )
     assert work(job) == Done("soft", failed=Failed("soft", "disk: no space left on device"), halts=True)
 
 
@@ -180,10 +224,15 @@ def test_what_was_finished_before_an_interruption_is_kept(lab: Path, after: int)
         yield from map(work_of, jobs[:after])
         raise KeyboardInterrupt
 
-    with pytest.raises(DataError, match=f"interrupted; {after} of 2 tests are finished and kept; the same command goes on from there"):
+    with pytest.raises(
+        DataError,
+        match=f"interrupted; {after} of 2 tests are finished and kept; the same command goes on from there",
+    ):
         done(lab / "pipeline.yaml", lab / "out", manner=Manner(execute=interrupted))
     kept = set(contents(lab / "out")) if (lab / "out").exists() else set()
-    assert kept == ({"recordings/soft.recording.parquet", "soft.frf.parquet", "fits/soft.json"} if after else set())
+    assert kept == (
+        {"recordings/soft.recording.parquet", "soft.frf.parquet", "fits/soft.json"} if after else set()
+    )
     assert not list(lab.rglob(".labpipe-*"))
 
 
@@ -192,7 +241,13 @@ def test_what_was_finished_before_an_interruption_is_kept(lab: Path, after: int)
 
 def test_a_job_says_where_its_fits_stand() -> None:
     job = Job(
-        Measured("427 N, up/down"), (), frf=None, fits=(), pipeline_path=Path("lab/p.yaml"), target=Path("out"), scratch=Path("scratch")
+        Measured("427 N, up/down"),
+        (),
+        frf=None,
+        fits=(),
+        pipeline_path=Path("lab/p.yaml"),
+        target=Path("out"),
+        scratch=Path("scratch"),
     )
     assert job.fits_name == "fits/427-N-up-down.json" and job.folder == Path("lab")
 
@@ -209,7 +264,13 @@ def test_a_job_for_another_place_has_no_relative_path(lab: Path, monkeypatch: py
         target=Path("out"),
         scratch=Path("scratch"),
     ).absolute()
-    paths = [job.pipeline_path, job.target, job.scratch, *job.test.frfs[0].paths, *(source.path for source in job.test.recordings)]
+    paths = [
+        job.pipeline_path,
+        job.target,
+        job.scratch,
+        *job.test.frfs[0].paths,
+        *(source.path for source in job.test.recordings),
+    ]
     assert all(path.is_absolute() for path in paths) and job.test.recordings[0].rig == test.recordings[0].rig
 
 
@@ -227,7 +288,9 @@ def test_recordings_of_one_name_in_two_folders_are_kept_apart(lab: Path) -> None
     (lab / "other/soft.csv").write_text(recording(22e3))
     (lab / "pipeline.yaml").write_text(PIPELINE.replace("recordings: hard.csv", "recordings: other/soft.csv"))
     found = done(lab / "pipeline.yaml", lab / "out")
-    assert {"recordings/soft.recording.parquet", "recordings/soft-2.recording.parquet"} <= set(contents(lab / "out"))
+    assert {"recordings/soft.recording.parquet", "recordings/soft-2.recording.parquet"} <= set(
+        contents(lab / "out")
+    )
     assert [fit.parameter("k").value > 20e3 for fit in found.fits if fit.name == "direct"] == [False, True]
 
 
@@ -273,6 +336,10 @@ def test_a_cluster_by_tls_takes_the_certificates_of_its_own_configuration(tmp_pa
     with pytest.raises(ConfigError, match="no certificates are configured"):
         cluster._security("tls://127.0.0.1:8786")
     names = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
-    with dask.config.set({f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in names.items()}):
+    with dask.config.set(
+        {f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in names.items()}
+    ):
         security = cluster._security("tls://127.0.0.1:8786")
-    assert security.tls_ca_file == str(tmp_path / "ca.pem") and security.tls_client_key == str(tmp_path / "key.pem")
+    assert security.tls_ca_file == str(tmp_path / "ca.pem") and security.tls_client_key == str(
+        tmp_path / "key.pem"
+    )

@@ -14,7 +14,10 @@ from tests.project.laboratory import recording
 
 
 def test_rate_period_and_band_are_those_of_the_recording(tmp_path: Path) -> None:
-    """Three periods of 1 s at 100 Hz, the force at 1-45 Hz; the resonance of 0.79 kg on 18 kN/m is at 24.0 Hz."""
+    """Three periods of 1 s at 100 Hz, the force at 1-45 Hz.
+
+    The resonance of 0.79 kg on 18 kN/m is at 24.0 Hz.
+    """
     (tmp_path / "soft.csv").write_text(recording(18e3))
     first = first_look(open_table(tmp_path / "soft.csv"))
     assert first.rate == pytest.approx(100.0) and first.time == "t [s]" and first.rows.shape == (300, 2)

@@ -21,7 +21,9 @@ def rig_with(folder: Path, table: str | None) -> Path:
 
 
 def test_the_table_stands_in_the_channel(tmp_path: Path) -> None:
-    rig = load_rig(rig_with(tmp_path, "# calibrated\nfrequency_hz, gain, phase_deg\n0, 1, 0\n100, 0.98, -90\n"))
+    rig = load_rig(
+        rig_with(tmp_path, "# calibrated\nfrequency_hz, gain, phase_deg\n0, 1, 0\n100, 0.98, -90\n")
+    )
     assert rig.channels[0].channel.response == ((0.0, 1.0, 0.0), (100.0, 0.98, -math.pi / 2))
 
 

@@ -1,4 +1,6 @@
-"""Which files are which test, and under which conditions: globs, lists, names, `each`, and every fault at its place."""
+"""Which files are which test, and under which conditions: globs, lists, names, `each`, and every fault at its
+place.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,10 @@ from labpipe.errors import ConfigErrors
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.tests import conditions_in
 
-RIG = "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: {{quantity: displacement}}\n"
+RIG = (
+    "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: "
+    "{{quantity: displacement}}\n"
+)
 FRF = "frf: {excitation: periodic, period: 1 s}\n"
 
 
@@ -39,7 +44,10 @@ def faults(folder: Path, text: str) -> list[str]:
 
 
 def files(pipeline: Pipeline) -> list[list[str]]:
-    return [[source.path.relative_to(pipeline.folder).as_posix() for source in test.recordings] for test in pipeline.tests]
+    return [
+        [source.path.relative_to(pipeline.folder).as_posix() for source in test.recordings]
+        for test in pipeline.tests
+    ]
 
 
 @pytest.mark.parametrize(
@@ -58,18 +66,25 @@ def test_files_lists_and_globs(folder: Path, entry: str, found: list[str]) -> No
 
 
 def test_the_recordings_of_a_plain_pipeline_are_one_test_without_a_name(folder: Path) -> None:
-    (test,) = load(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\nconditions: {{preload: 427 N}}\n{FRF}").tests
+    (test,) = load(
+        folder, f"rig: rig.yaml\nrecordings: runs/a.csv\nconditions: {{preload: 427 N}}\n{FRF}"
+    ).tests
     assert (test.name, test.conditions, test.frfs) == ("", {"preload": "427 N"}, ())
 
 
 def test_tests_without_a_name_are_numbered(folder: Path) -> None:
-    text = f"rig: rig.yaml\ntests:\n  - {{recordings: runs/a.csv}}\n  - {{name: b, recordings: runs/b.csv}}\n  - {{frfs: h.frf.csv}}\n{FRF}"
+    text = (
+        "rig: rig.yaml\ntests:\n  - {recordings: runs/a.csv}\n  - {name: b, recordings: "
+        f"runs/b.csv}}\n  - {{frfs: h.frf.csv}}\n{FRF}"
+    )
     assert [test.name for test in load(folder, text).tests] == ["1", "b", "3"]
 
 
 def test_ready_responses_need_no_rig(folder: Path) -> None:
     (test,) = load(folder, "frfs: h.frf.csv\nidentify: {a: {model: sdof}}\n").tests
-    assert [path.name for ready in test.frfs for path in ready.paths] == ["h.frf.csv"] and test.recordings == ()
+    assert [path.name for ready in test.frfs for path in ready.paths] == [
+        "h.frf.csv"
+    ] and test.recordings == ()
 
 
 def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
@@ -79,7 +94,9 @@ def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
 
 
 def test_one_recording_s_channels_leave_the_others_alone(folder: Path) -> None:
-    text = f"rig: rig.yaml\nrecordings: [{{file: runs/a.csv, channels: {{f: {{dof: y}}}}}}, runs/b.csv]\n{FRF}"
+    text = (
+        f"rig: rig.yaml\nrecordings: [{{file: runs/a.csv, channels: {{f: {{dof: y}}}}}}, runs/b.csv]\n{FRF}"
+    )
     (test,) = load(folder, text).tests
     assert [source.rig.channels[0].channel.dof for source in test.recordings] == ["y", "x"]
 
@@ -95,42 +112,87 @@ def test_every_file_a_test_of_its_own(folder: Path) -> None:
 def test_dofs_in_the_names_of_recordings(folder: Path) -> None:
     """A roving hammer names its channel or its role; an angle is kept where the name is an axis."""
     for word in ("f", "input"):
-        text = f"rig: rig.yaml\nrecordings: {{each: ['runs/a.csv', 'runs/427N-up.csv'], pattern: '{{{word}}}'}}\n{FRF}"
+        text = (
+            "rig: rig.yaml\nrecordings: {each: ['runs/a.csv', 'runs/427N-up.csv'], pattern: "
+            f"'{{{word}}}'}}\n{FRF}"
+        )
         (test,) = load(folder, text.replace("each: [", "each: [runs/b.csv, ")).tests
         assert [source.rig.channels[0].channel.dof for source in test.recordings] == ["b", "a", "427N-up"]
-    (test,) = load(folder, f"rig: rig.yaml\nrecordings: {{file: 'runs/*N-*.csv', pattern: '{{x}}-{{f}}'}}\n{FRF}").tests
-    assert [[c.channel.dof for c in source.rig.channels] for source in test.recordings] == [["up", "427N"], ["down", "701N"]]
+    (test,) = load(
+        folder, f"rig: rig.yaml\nrecordings: {{file: 'runs/*N-*.csv', pattern: '{{x}}-{{f}}'}}\n{FRF}"
+    ).tests
+    assert [[c.channel.dof for c in source.rig.channels] for source in test.recordings] == [
+        ["up", "427N"],
+        ["down", "701N"],
+    ]
 
 
 def test_channels_of_one_run_in_several_files(folder: Path) -> None:
-    (test,) = load(folder, f"rig: rig.yaml\nrecordings: [{{join: ['runs/?.csv'], by: sample}}, runs/b.csv]\n{FRF}").tests
-    assert [(source.path.name, [path.name for path in source.joined], source.by) for source in test.recordings] == [
-        ("a.csv", ["b.csv"], "sample"),
-        ("b.csv", [], ""),
-    ]
+    (test,) = load(
+        folder, f"rig: rig.yaml\nrecordings: [{{join: ['runs/?.csv'], by: sample}}, runs/b.csv]\n{FRF}"
+    ).tests
+    assert [
+        (source.path.name, [path.name for path in source.joined], source.by) for source in test.recordings
+    ] == [("a.csv", ["b.csv"], "sample"), ("b.csv", [], "")]
 
 
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("recordings: {each: 'runs/?.csv', pattern: 'p_{f}'}\n", "p.yaml:2:34: recordings.pattern: does not match 'a'; for example"),
-        ("recordings: {each: 'runs/?.csv', pattern: '{g}'}\n", "recordings.pattern: 'g' is no channel of the rig; known: f, x"),
-        ("recordings: {each: 'runs/?.csv', pattern: '{reference}'}\n", "recordings.pattern: 'reference' is no channel of the rig"),
-        ("recordings: {file: runs/a.csv, join: runs/b.csv}\n", "recordings.join: 'file' and 'join' are both named; leave one out"),
-        ("recordings: {join: 'runs/?.csv', by: line}\n", "recordings.by: unknown 'line'; known: time, sample"),
-        ("recordings: {file: runs/a.csv, by: time}\n", "recordings.by: belongs to files that are joined; write join: [a.csv, b.csv]"),
-        ("recordings: runs/z.csv\n", "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the pipeline file"),
-        ("recordings: 'z*.csv'\n", "p.yaml:2:1: recordings: no file matches 'z*.csv'; paths are relative to the pipeline file"),
+        (
+            "recordings: {each: 'runs/?.csv', pattern: 'p_{f}'}\n",
+            "p.yaml:2:34: recordings.pattern: does not match 'a'; for example",
+        ),
+        (
+            "recordings: {each: 'runs/?.csv', pattern: '{g}'}\n",
+            "recordings.pattern: 'g' is no channel of the rig; known: f, x",
+        ),
+        (
+            "recordings: {each: 'runs/?.csv', pattern: '{reference}'}\n",
+            "recordings.pattern: 'reference' is no channel of the rig",
+        ),
+        (
+            "recordings: {file: runs/a.csv, join: runs/b.csv}\n",
+            "recordings.join: 'file' and 'join' are both named; leave one out",
+        ),
+        (
+            "recordings: {join: 'runs/?.csv', by: line}\n",
+            "recordings.by: unknown 'line'; known: time, sample",
+        ),
+        (
+            "recordings: {file: runs/a.csv, by: time}\n",
+            "recordings.by: belongs to files that are joined; write join: [a.csv, b.csv]",
+        ),
+        (
+            "recordings: runs/z.csv\n",
+            "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the pipeline file",
+        ),
+        (
+            "recordings: 'z*.csv'\n",
+            "p.yaml:2:1: recordings: no file matches 'z*.csv'; paths are relative to the pipeline file",
+        ),
         ("recordings: [{rig: rig.yaml}]\n", "p.yaml:2:14: recordings: a file name is needed"),
-        ("recordings: [{file: runs/a.csv, rigg: rig.yaml}]\n", "recordings.rigg: unknown key; did you mean 'rig'?"),
+        (
+            "recordings: [{file: runs/a.csv, rigg: rig.yaml}]\n",
+            "recordings.rigg: unknown key; did you mean 'rig'?",
+        ),
         ("recordings: [{file: runs/a.csv, rig: none.yaml}]\n", "recordings.rig: no such file 'none.yaml'"),
-        ("recordings: [{file: runs/a.csv, channels: {g: {dof: y}}}]\n", "recordings.channels.g: the rig has no such channel"),
-        ("tests: runs/a.csv\n", "p.yaml:2:1: tests: a list of tests is needed; each begins with '- name: ...'"),
+        (
+            "recordings: [{file: runs/a.csv, channels: {g: {dof: y}}}]\n",
+            "recordings.channels.g: the rig has no such channel",
+        ),
+        (
+            "tests: runs/a.csv\n",
+            "p.yaml:2:1: tests: a list of tests is needed; each begins with '- name: ...'",
+        ),
         ("tests: [{nam: a, recordings: runs/a.csv}]\n", "tests.1.nam: unknown key; did you mean 'name'?"),
         ("tests: [{name: a}]\n", "tests.1: neither recordings nor frfs"),
         ("tests: [{each: 'runs/?.csv', pattern: '{a}-{b}'}]\n", "tests.1.pattern: does not match 'a'"),
         ("tests: [{each: 'runs/?.csv', recordings: runs/a.csv}]\n", "tests.1.recordings: unknown key"),
-        ("tests: [{name: a, recordings: runs/a.csv, conditions: 427 N}]\n", "conditions: a mapping of keys to values is needed"),
+        (
+            "tests: [{name: a, recordings: runs/a.csv, conditions: 427 N}]\n",
+            "conditions: a mapping of keys to values is needed",
+        ),
     ],
 )
 def test_faults_of_tests(folder: Path, text: str, fault: str) -> None:
@@ -153,18 +215,23 @@ WORDS = st.text("abcXYZ0189", min_size=1, max_size=5)
 @given(st.lists(WORDS, min_size=1, max_size=4), st.sampled_from(["-", "_", "--", " by "]))
 def test_a_pattern_takes_a_name_apart_as_it_was_put_together(words: list[str], between: str) -> None:
     pattern = between.join(f"{{c{number}}}" for number in range(len(words)))
-    assert conditions_in(between.join(words), pattern) == {f"c{number}": word for number, word in enumerate(words)}
+    assert conditions_in(between.join(words), pattern) == {
+        f"c{number}": word for number, word in enumerate(words)
+    }
 
 
 @given(st.lists(WORDS, min_size=2, max_size=4), st.integers(0, 3))
 def test_a_part_without_a_name_is_no_condition(words: list[str], place: int) -> None:
     place = min(place, len(words) - 1)
     pattern = "-".join("{}" if number == place else f"{{c{number}}}" for number in range(len(words)))
-    assert conditions_in("-".join(words), pattern) == {f"c{n}": word for n, word in enumerate(words) if n != place}
+    assert conditions_in("-".join(words), pattern) == {
+        f"c{n}": word for n, word in enumerate(words) if n != place
+    }
 
 
 @pytest.mark.parametrize(
-    ("name", "pattern"), [("427N", "{a}-{b}"), ("427N-", "{a}-{b}"), ("-up", "{a}-{b}"), ("a.b", "a+b"), ("xa", "a"), ("", "{a}")]
+    ("name", "pattern"),
+    [("427N", "{a}-{b}"), ("427N-", "{a}-{b}"), ("-up", "{a}-{b}"), ("a.b", "a+b"), ("xa", "a"), ("", "{a}")],
 )
 def test_a_name_of_another_form_has_no_conditions(name: str, pattern: str) -> None:
     assert conditions_in(name, pattern) is None
@@ -175,7 +242,11 @@ def test_signs_of_a_pattern_are_letters_and_no_expressions() -> None:
     assert conditions_in("axb(1)+", "a.b({n})+") is None
 
 
-EACH_SPEED = "rig: rig.yaml\n" + FRF + "tests:\n  - each: 'runs/speed*.csv'\n    pattern: '{speed}-{load}-{shaker}'\n"
+EACH_SPEED = (
+    "rig: rig.yaml\n"
+    + FRF
+    + ("tests:\n  - each: 'runs/speed*.csv'\n    pattern: '{speed}-{load}-{shaker}'\n")
+)
 
 
 def speed_runs(folder: Path) -> None:
@@ -193,15 +264,23 @@ def test_files_that_differ_only_in_a_named_part_are_one_test(folder: Path) -> No
 
 def test_a_part_that_the_pattern_lacks_is_named(folder: Path) -> None:
     speed_runs(folder)
-    found = faults(folder, EACH_SPEED.replace("'{speed}", "'speed{speed}") + "    together: [shaker, direction]\n")
-    assert [fault for fault in found if "together: the pattern has no part '{direction}'" in fault] == found[:1]
+    found = faults(
+        folder, EACH_SPEED.replace("'{speed}", "'speed{speed}") + "    together: [shaker, direction]\n"
+    )
+    assert [fault for fault in found if "together: the pattern has no part '{direction}'" in fault] == found[
+        :1
+    ]
 
 
 def test_a_condition_may_be_recorded(folder: Path) -> None:
     entry = "conditions: {load: {channel: x}, speed: {tacho: f, pulses: 2}, oil: VG32}\n"
     (test,) = load(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{entry}{FRF}").tests
     assert test.conditions == {"oil": "VG32"}
-    assert (test.recorded["load"].channel, test.recorded["speed"].tacho, test.recorded["speed"].pulses) == ("x", "f", 2)
+    assert (test.recorded["load"].channel, test.recorded["speed"].tacho, test.recorded["speed"].pulses) == (
+        "x",
+        "f",
+        2,
+    )
 
 
 @pytest.mark.parametrize(
@@ -225,7 +304,10 @@ def test_a_ready_frf_has_no_channel_to_take_a_condition_from(folder: Path) -> No
 def test_a_test_may_have_its_spectra_made_otherwise(folder: Path) -> None:
     """The test's own entries take the place of the pipeline's, an empty one takes it away."""
     frf = "frf: {excitation: periodic, period: 1 s, band: 1-100 Hz, mask: {speed: 50 Hz}}\n"
-    own = "  - {name: dry, recordings: runs/a.csv, frf: {band: 5-50 Hz, mask: }}\n  - {name: wet, recordings: runs/b.csv}\n"
+    own = (
+        "  - {name: dry, recordings: runs/a.csv, frf: {band: 5-50 Hz, mask: }}\n  - {name: wet, "
+        "recordings: runs/b.csv}\n"
+    )
     dry, wet = load(folder, f"rig: rig.yaml\n{frf}tests:\n{own}").tests
     assert dry.frf is not None and wet.frf is None
     assert (dry.frf.excitation, dry.frf.band, dry.frf.mask) == ("periodic", (5.0, 50.0), None)

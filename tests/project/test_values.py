@@ -43,7 +43,14 @@ def test_a_value_is_its_number_times_its_unit(number: float, unit: tuple[str, fl
 
 @pytest.mark.parametrize(
     ("text", "unit", "value"),
-    [("15 Hz", "Hz", 15.0), ("900 rpm", "Hz", 15.0), ("50 %", "1", 0.5), ("0.5", "1", 0.5), ("0", "kg", 0.0), ("-3 um", "m", -3e-6)],
+    [
+        ("15 Hz", "Hz", 15.0),
+        ("900 rpm", "Hz", 15.0),
+        ("50 %", "1", 0.5),
+        ("0.5", "1", 0.5),
+        ("0", "kg", 0.0),
+        ("-3 um", "m", -3e-6),
+    ],
 )
 def test_values(text: str, unit: str, value: float) -> None:
     assert read("value", text, unit) == pytest.approx(value, rel=1e-14)
@@ -72,7 +79,9 @@ def test_what_is_no_value(text: str, what: str, hint: str) -> None:
 def test_an_uncertain_value_in_the_same_unit(value: float, error: float, sign: str, spaced: bool) -> None:
     gap = " " if spaced else ""
     found = parse_uncertain(f"{value!r} kN/m {sign}{gap}{error!r} N/m", "N/m")
-    assert found.value == pytest.approx(1e3 * value, rel=1e-12) and found.std_error == pytest.approx(error, rel=1e-12)
+    assert found.value == pytest.approx(1e3 * value, rel=1e-12) and found.std_error == pytest.approx(
+        error, rel=1e-12
+    )
 
 
 @given(NUMBERS, st.booleans(), st.floats(0, 100).map(lambda number: float(f"{number:.4g}")))
@@ -183,7 +192,10 @@ def test_flags_are_true_or_false_and_nothing_else() -> None:
         assert fault("flag", text)[0].endswith("is neither true nor false")
 
 
-@pytest.mark.parametrize(("text", "value"), [("hello", "hello"), ("1e3", "1e3"), ("007", "007"), ("'a: b'", "a: b"), ("true", "true")])
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("hello", "hello"), ("1e3", "1e3"), ("007", "007"), ("'a: b'", "a: b"), ("true", "true")],
+)
 def test_a_text_is_taken_as_written(text: str, value: str) -> None:
     assert read("text", text) == value
 
@@ -231,7 +243,11 @@ def test_one_name_is_a_list_of_one() -> None:
     ],
 )
 def test_masses(text: str, mass: Any) -> None:
-    assert read("mass", text, "kg") == pytest.approx(mass) if not isinstance(mass, (str, tuple)) else read("mass", text, "kg") == mass
+    assert (
+        read("mass", text, "kg") == pytest.approx(mass)
+        if not isinstance(mass, (str, tuple))
+        else read("mass", text, "kg") == mass
+    )
 
 
 @pytest.mark.parametrize(

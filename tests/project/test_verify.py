@@ -45,10 +45,15 @@ def test_a_whole_archive_holds(lab: Path, labpipe: Command) -> None:
     """7 artefacts name 2 raw files twice, 2 recordings, 2 responses twice."""
     ended = labpipe("verify", lab / "out")
     assert ended.code == 0 and ended.err == ""
-    assert ended.out.startswith("7 artefacts: 0 do not hold; 0 without a digest; of the files that they name 10 are the same, 0 are not")
+    assert ended.out.startswith(
+        "7 artefacts: 0 do not hold; 0 without a digest; of the files that they "
+        "name 10 are the same, 0 are not"
+    )
 
 
-@pytest.mark.parametrize("name", ["identification.json", "fits/hard.json", "hard.frf.parquet", "recordings/soft.recording.parquet"])
+@pytest.mark.parametrize(
+    "name", ["identification.json", "fits/hard.json", "hard.frf.parquet", "recordings/soft.recording.parquet"]
+)
 def test_what_was_damaged_is_named_and_made_again(lab: Path, labpipe: Command, name: str) -> None:
     before = contents(lab / "out")
     inverted(lab / "out" / name)
@@ -70,10 +75,17 @@ def test_an_edited_value_is_made_again_by_run_and_refused_by_the_others(lab: Pat
         ("export", lab / RESULT, "--to", "csv", "-o", lab / "a.csv"),
     ):
         ended = labpipe(*command)
-        assert ended.code == 2 and ended.err.count("\n") == 1 and said in ended.err and "have labpipe make it again" in ended.err
+        assert (
+            ended.code == 2
+            and ended.err.count("\n") == 1
+            and said in ended.err
+            and ("have labpipe make it again") in ended.err
+        )
     assert said in labpipe("list", lab).out
     assert said in labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "-q").err
-    assert contents(lab / "out") == before | {name: (lab / "out" / name).read_bytes() for name in contents(lab / "out") if "sqlite" in name}
+    assert contents(lab / "out") == before | {
+        name: (lab / "out" / name).read_bytes() for name in contents(lab / "out") if "sqlite" in name
+    }
 
 
 def test_a_removed_fit_is_found_in_a_file_of_fits(lab: Path, labpipe: Command) -> None:
@@ -90,9 +102,16 @@ def test_a_removed_fit_is_found_in_a_file_of_fits(lab: Path, labpipe: Command) -
 
 def test_a_result_without_a_digest_is_said_and_holds(lab: Path, labpipe: Command) -> None:
     path = lab / RESULT
-    path.write_text("".join(line for line in path.read_text("utf-8").splitlines(True) if not line.startswith('"digest"')), "utf-8")
+    path.write_text(
+        "".join(line for line in path.read_text("utf-8").splitlines(True) if not line.startswith('"digest"')),
+        "utf-8",
+    )
     ended = labpipe("verify", lab / "out")
-    assert ended.code == 0 and f"note   {path}: carries no digest" in ended.out and "1 without a digest" in ended.out
+    assert (
+        ended.code == 0
+        and f"note   {path}: carries no digest" in ended.out
+        and "1 without a digest" in ended.out
+    )
     ended = labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "-q")
     assert "carries no digest; it is made again" in ended.err
 
@@ -108,15 +127,23 @@ def test_another_raw_file_is_named(lab: Path, labpipe: Command) -> None:
 
 def test_the_numbers_are_found_again_by_running(lab: Path, labpipe: Command) -> None:
     assert labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml", "--again").code == 0
-    ended = labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml", "--again", "--set", "identify.plain.band=14-36 Hz")
+    ended = labpipe(
+        "verify", lab / "out", "-c", lab / "pipeline.yaml", "--again", "--set", "identify.plain.band=14-36 Hz"
+    )
     assert ended.code == 1 and f"FAILED {lab}/{RESULT}: running again gives another content" in ended.out
-    edited(lab / "pipeline.yaml", "  - {name: hard, recordings: hard.csv, conditions: {preload: 200 N}}\n", "")
+    edited(
+        lab / "pipeline.yaml", "  - {name: hard, recordings: hard.csv, conditions: {preload: 200 N}}\n", ""
+    )
     ended = labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml", "--again")
     assert ended.code == 1 and "hard.frf.parquet: is not made by this pipeline" in ended.out
 
 
-@pytest.mark.parametrize(("arguments", "said"), [(("none",), "no such folder"), ((".",), "holds no artefact of labpipe")])
-def test_what_cannot_be_verified(tmp_path: Path, labpipe: Command, arguments: tuple[str, ...], said: str) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "said"), [(("none",), "no such folder"), ((".",), "holds no artefact of labpipe")]
+)
+def test_what_cannot_be_verified(
+    tmp_path: Path, labpipe: Command, arguments: tuple[str, ...], said: str
+) -> None:
     ended = labpipe("verify", *(tmp_path / argument for argument in arguments))
     assert ended.code == 2 and said in ended.err
     ended = labpipe("verify", tmp_path, "--again")

@@ -1,4 +1,6 @@
-"""Virtual rig files: every shipped one is read, every kind of the table has one, faults stand at their place."""
+"""Virtual rig files: every shipped one is read, every kind of the table has one, faults stand at their
+place.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,10 @@ def test_an_unknown_entry_is_named_with_its_place(path: Path) -> None:
     ("text", "said"),
     [
         ("name: x\n", "rig.yaml:1:1: kind: is missing; known: virtual-mdof-rig"),
-        ("kind: virtual-mdof\n", "rig.yaml:1:1: kind: unknown virtual rig 'virtual-mdof'; did you mean 'virtual-mdof-rig'?"),
+        (
+            "kind: virtual-mdof\n",
+            "rig.yaml:1:1: kind: unknown virtual rig 'virtual-mdof'; did you mean 'virtual-mdof-rig'?",
+        ),
         ("kind: [a]\n", "kind: is missing"),
         ("- kind\n", "rig.yaml:1:1: a mapping of keys to values is needed"),
     ],
@@ -78,5 +83,9 @@ def test_a_rig_of_no_kind_is_refused(tmp_path: Path, text: str, said: str) -> No
 
 def test_the_kind_may_be_set_from_outside(tmp_path: Path) -> None:
     text = (CONFIGS / "three-dof.yaml").read_text()
-    (tmp_path / "rig.yaml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("kind:")))
-    assert load_virtual_rig(tmp_path / "rig.yaml", ["kind=virtual-mdof-rig"]) == load_virtual_rig(CONFIGS / "three-dof.yaml")
+    (tmp_path / "rig.yaml").write_text(
+        "\n".join(line for line in text.splitlines() if not line.startswith("kind:"))
+    )
+    assert load_virtual_rig(tmp_path / "rig.yaml", ["kind=virtual-mdof-rig"]) == load_virtual_rig(
+        CONFIGS / "three-dof.yaml"
+    )

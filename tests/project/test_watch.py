@@ -1,4 +1,6 @@
-"""A folder is watched: recordings are worked on when they are complete, each once, bad ones are put aside with their reason."""
+"""A folder is watched: recordings are worked on when they are complete, each once, bad ones are put aside
+with their reason.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ def bench(tmp_path: Path) -> Path:
     (tmp_path / "rig.yaml").write_text(RIG)
     (tmp_path / "bench.yaml").write_text(BENCH)
     for number in range(3):
-        (tmp_path / f"runs/{100 * number}N-{number}.csv").write_text(recording(18e3 + 1e3 * number, seed=number))
+        (tmp_path / f"runs/{100 * number}N-{number}.csv").write_text(
+            recording(18e3 + 1e3 * number, seed=number)
+        )
     return tmp_path
 
 
@@ -49,17 +53,24 @@ def arguments(bench: Path, *more: str) -> list[str]:
 
 def done_in(bench: Path) -> list[str]:
     rows = read_rows(bench / "out").to_pylist()
-    return sorted(row["test"] for row in rows if (row["parameter"] == "k" and row["fit"] == "direct") or row["failed"])
+    return sorted(
+        row["test"] for row in rows if (row["parameter"] == "k" and row["fit"] == "direct") or row["failed"]
+    )
 
 
 def log_of(bench: Path) -> list[tuple[str, str]]:
-    return [(line["event"], line["test"]) for line in map(json.loads, (bench / "out" / LOG).read_text().splitlines())]
+    return [
+        (line["event"], line["test"])
+        for line in map(json.loads, (bench / "out" / LOG).read_text().splitlines())
+    ]
 
 
 def test_results_are_those_of_a_run(bench: Path, labpipe) -> None:
     """The same numbers by `labpipe run` over the same files, which knows nothing of watching."""
     assert labpipe(*arguments(bench, *ONCE)).code == 0
-    assert labpipe("run", bench / "bench.yaml", "-o", bench / "run", "--set", "results=dataset", "-q").code == 0
+    assert (
+        labpipe("run", bench / "bench.yaml", "-o", bench / "run", "--set", "results=dataset", "-q").code == 0
+    )
     watched, ran = (read_rows(bench / name).to_pylist() for name in ("out", "run"))
     assert len(watched) == len(ran) > 0
     for mine, other in zip(watched, ran, strict=True):
@@ -98,7 +109,9 @@ def test_bad_recordings_are_put_aside_with_their_reason(bench: Path, labpipe) ->
     assert ("quarantined", "test.csv") in log_of(bench)
 
 
-def test_a_move_that_a_kill_cut_short_is_finished(bench: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_move_that_a_kill_cut_short_is_finished(
+    bench: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (bench / "runs/test.csv").write_text(recording(18e3))
     with monkeypatch.context() as patch:
         patch.setattr(watching.shutil, "move", lambda *_: None)
@@ -117,7 +130,9 @@ def test_names_that_would_share_their_files_are_refused(bench: Path, labpipe) ->
     assert "would have the file name of those of" in reason.read_text() and len(done_in(bench)) == 2
 
 
-def test_a_full_disk_is_no_fault_of_a_recording(bench: Path, labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_no_fault_of_a_recording(
+    bench: Path, labpipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The watch ends with exit code 2 and moves nothing; the next one does all."""
 
     def full(*_: object) -> None:
@@ -186,7 +201,9 @@ def test_results_wait_until_there_is_a_part_of_them(bench: Path) -> None:
     texts = {path: path.read_text() for path in sorted((bench / "runs").glob("*.csv"))}
     for path in texts:
         path.unlink()
-    looks: list[Callable[[], object]] = [lambda path=path, text=text: path.write_text(text) for path, text in texts.items()]
+    looks: list[Callable[[], object]] = [
+        lambda path=path, text=text: path.write_text(text) for path, text in texts.items()
+    ]
     Bench(bench, [*looks, int, int, int], settle=0.0, every=10.0, append=300.0).watch.run()
     assert len(done_in(bench)) == 3 and len(parts(bench / "out")) == 1
 
@@ -195,20 +212,37 @@ def test_metrics_are_those_of_prometheus(bench: Path, labpipe) -> None:
     """The text format: # HELP, # TYPE, then name and number."""
     assert labpipe(*arguments(bench, *ONCE)).code == 0
     lines = (bench / "out" / METRICS).read_text().splitlines()
-    assert all(re.fullmatch(r"# HELP \w+ .+|# TYPE \w+ (counter|gauge)|[a-z_]+ [0-9.e+]+", line) for line in lines)
+    assert all(
+        re.fullmatch(r"# HELP \w+ .+|# TYPE \w+ (counter|gauge)|[a-z_]+ [0-9.e+]+", line) for line in lines
+    )
     assert "labpipe_dataset_tests 3" in lines and "labpipe_watch_results_waiting 0" in lines
 
 
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        (lambda bench: (bench / "bench.yaml").write_text(BENCH.replace("10-40 Hz", "12-40 Hz")), "holds results of other settings"),
-        (lambda bench: (bench / "bench.yaml").write_text(BENCH.replace("- {each: ", "- {name: a, recordings: ")), "recordings to come"),
-        (lambda bench: (bench / "bench.yaml").write_text(BENCH + "compare: {a: {kind: repeat, fit: direct}}\n"), "compare"),
+        (
+            lambda bench: (bench / "bench.yaml").write_text(BENCH.replace("10-40 Hz", "12-40 Hz")),
+            "holds results of other settings",
+        ),
+        (
+            lambda bench: (bench / "bench.yaml").write_text(
+                BENCH.replace("- {each: ", "- {name: a, recordings: ")
+            ),
+            "recordings to come",
+        ),
+        (
+            lambda bench: (bench / "bench.yaml").write_text(
+                BENCH + "compare: {a: {kind: repeat, fit: direct}}\n"
+            ),
+            "compare",
+        ),
         (lambda bench: (bench / "runs").rename(bench / "gone"), "no such folder"),
     ],
 )
-def test_what_cannot_be_watched_is_said(bench: Path, labpipe, change: Callable[[Path], object], what: str) -> None:
+def test_what_cannot_be_watched_is_said(
+    bench: Path, labpipe, change: Callable[[Path], object], what: str
+) -> None:
     assert labpipe(*arguments(bench, *ONCE)).code == 0
     change(bench)
     ended = labpipe(*arguments(bench, *ONCE))
@@ -217,7 +251,9 @@ def test_what_cannot_be_watched_is_said(bench: Path, labpipe, change: Callable[[
 
 def test_it_stops_when_asked_and_only_one_watches(bench: Path, labpipe) -> None:
     """SIGTERM ends a watch with what it has done appended; meanwhile another one is refused."""
-    process = subprocess.Popen([*COMMAND, *arguments(bench, "--settle", "0 s", "--every", "1 s", "--append", "1 h")])
+    process = subprocess.Popen(
+        [*COMMAND, *arguments(bench, "--settle", "0 s", "--every", "1 s", "--append", "1 h")]
+    )
     try:
         end = time.monotonic() + 60
         while not (bench / "out" / METRICS).exists() and time.monotonic() < end:

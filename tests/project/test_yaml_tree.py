@@ -1,4 +1,6 @@
-"""The marked tree as a whole: any plain document comes back, places are those of the text, overrides hit what they name."""
+"""The marked tree as a whole: any plain document comes back, places are those of the text, overrides hit what
+they name.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,18 @@ from labpipe.project.marked_yaml import Marked, parse_marked, set_entry
 
 KEYS = st.text("abcdefgh", min_size=1, max_size=4)
 SCALARS = (
-    st.integers(-(10**6), 10**6) | st.floats(-1e6, 1e6).map(lambda number: round(number, 3)) | st.booleans() | st.text("xyz ", max_size=4)
+    st.integers(-(10**6), 10**6)
+    | st.floats(-1e6, 1e6).map(lambda number: round(number, 3))
+    | st.booleans()
+    | st.text("xyz ", max_size=4)
 )
 DOCUMENTS = st.dictionaries(
     KEYS,
-    st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3), max_leaves=6),
+    st.recursive(
+        SCALARS,
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
+        max_leaves=6,
+    ),
     min_size=1,
     max_size=4,
 )
@@ -27,14 +36,19 @@ DOCUMENTS = st.dictionaries(
 
 @given(DOCUMENTS, st.booleans())
 def test_a_document_comes_back_as_it_was(document: dict[str, Any], flow: bool) -> None:
-    assert parse_marked(yaml.safe_dump(document, default_flow_style=flow, sort_keys=False), "p.yaml").plain() == document
+    assert (
+        parse_marked(yaml.safe_dump(document, default_flow_style=flow, sort_keys=False), "p.yaml").plain()
+        == document
+    )
 
 
 def places(node: Marked) -> list[tuple[str, str]]:
     """(key, place) of all entries of mappings."""
     if isinstance(node.content, dict):
         return [pair for key, entry in node.content.items() for pair in [(key, entry.place), *places(entry)]]
-    return [pair for entry in node.content for pair in places(entry)] if isinstance(node.content, list) else []
+    return (
+        [pair for entry in node.content for pair in places(entry)] if isinstance(node.content, list) else []
+    )
 
 
 @given(DOCUMENTS, st.booleans())
@@ -49,7 +63,9 @@ def test_every_key_stands_where_it_is_said_to_stand(document: dict[str, Any], fl
 
 
 @given(DOCUMENTS, st.data())
-def test_an_override_changes_the_entry_that_it_names_and_no_other(document: dict[str, Any], draw: st.DataObject) -> None:
+def test_an_override_changes_the_entry_that_it_names_and_no_other(
+    document: dict[str, Any], draw: st.DataObject
+) -> None:
     key = draw.draw(st.sampled_from(sorted(document)))
     tree = parse_marked(yaml.safe_dump(document, sort_keys=False), "p.yaml")
     set_entry(tree, f"{key}=3 N")
@@ -88,7 +104,10 @@ def test_the_value_of_an_override_is_yaml_or_plain_text(assignment: str, value: 
         ("a.0.x=5", {"a": [{"x": 5}, 2]}),
         ("a.0.y=5", {"a": [{"x": 1, "y": 5}, 2]}),
         ("a.1=5", {"a": [{"x": 1}, 5]}),
-        ("accept.direct.k_xx.significant=true", {"a": [{"x": 1}, 2], "accept": {"direct.k_xx.significant": True}}),
+        (
+            "accept.direct.k_xx.significant=true",
+            {"a": [{"x": 1}, 2], "accept": {"direct.k_xx.significant": True}},
+        ),
     ],
 )
 def test_overrides_reach_into_mappings_and_lists(assignment: str, document: dict[str, Any]) -> None:

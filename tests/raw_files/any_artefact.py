@@ -26,7 +26,11 @@ def spread(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 def response(seed: int) -> FrequencyResponse:
     rng = np.random.default_rng(seed)
-    n, outputs, inputs = int(rng.integers(2, 5)), ("x", "y")[: int(rng.integers(1, 3))], ("f", "g")[: int(rng.integers(1, 3))]
+    n, outputs, inputs = (
+        int(rng.integers(2, 5)),
+        ("x", "y")[: int(rng.integers(1, 3))],
+        ("f", "g")[: int(rng.integers(1, 3))],
+    )
     shape = (n, len(outputs), len(inputs))
     return FrequencyResponse(
         frequency=np.cumsum(rng.uniform(0.1, 3, n)),
@@ -43,7 +47,9 @@ def response(seed: int) -> FrequencyResponse:
 def recording(seed: int) -> Recording:
     rng = np.random.default_rng(seed)
     channels = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y"))
-    return Recording(channels, spread(rng, int(rng.integers(3, 40)), 2), float(rng.choice([100.0, 1024.0, 3000.0])), "r")
+    return Recording(
+        channels, spread(rng, int(rng.integers(3, 40)), 2), float(rng.choice([100.0, 1024.0, 3000.0])), "r"
+    )
 
 
 def spectra(seed: int) -> ChannelSpectra:
@@ -51,12 +57,22 @@ def spectra(seed: int) -> ChannelSpectra:
     noise = np.abs(spread(rng, 3, 2, 2))
     channels = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y"))
     vectors = spread(rng, 3, 2, 2) + 1j * spread(rng, 3, 2, 2)
-    return ChannelSpectra(np.cumsum(rng.uniform(0.1, 3, 3)), vectors, noise[..., None] * np.eye(2), channels, ("a", "b"), name="s")
+    return ChannelSpectra(
+        np.cumsum(rng.uniform(0.1, 3, 3)),
+        vectors,
+        noise[..., None] * np.eye(2),
+        channels,
+        ("a", "b"),
+        name="s",
+    )
 
 
 def decays(seed: int) -> FreeDecays:
     rng = np.random.default_rng(seed)
-    parts = tuple(FreeDecay(name, float(rng.uniform(0, 9)), spread(rng, int(rng.integers(2, 9)), 1)) for name in ("a", "b"))
+    parts = tuple(
+        FreeDecay(name, float(rng.uniform(0, 9)), spread(rng, int(rng.integers(2, 9)), 1))
+        for name in ("a", "b")
+    )
     return FreeDecays(float(rng.choice([100.0, 3000.0])), (Port("y", "y", "y"),), ("m",), parts, name="d")
 
 
@@ -65,14 +81,29 @@ def fit(seed: int, *names: str, **parts: Any) -> Fit:
     rng = np.random.default_rng(seed)
     errors: list[Any] = [*np.abs(spread(rng, len(names) - 1)), None] if len(names) > 1 else [1.0]
     parameters = tuple(
-        Parameter(name, float(spread(rng)), "N/m", std_error=error, ci95=None if error is None else (-float(error), float(error)))
+        Parameter(
+            name,
+            float(spread(rng)),
+            "N/m",
+            std_error=error,
+            ci95=None if error is None else (-float(error), float(error)),
+        )
         for name, error in zip(names, errors, strict=True)
     )
     corner = float(rng.uniform(-0.9, 0.9))
     correlation = np.eye(len(names)) + corner * (1 - np.eye(len(names)))
     band = (1.0, float(rng.uniform(2, 99)))
-    fields = {"band_hz": band, "lines": 3, "equations": 6, "dof": 4, "gof": Goodness(0.9, 0.8), "condition_number": 2.0}
-    return Fit("a", "sdof", "ml", **fields, parameters=parameters, correlation=correlation, test="=t, 1", **parts)
+    fields = {
+        "band_hz": band,
+        "lines": 3,
+        "equations": 6,
+        "dof": 4,
+        "gof": Goodness(0.9, 0.8),
+        "condition_number": 2.0,
+    }
+    return Fit(
+        "a", "sdof", "ml", **fields, parameters=parameters, correlation=correlation, test="=t, 1", **parts
+    )
 
 
 def result(folder: Path, *fits: Fit, **sections: Any) -> Path:
@@ -89,7 +120,9 @@ def measured(folder: Path, record: Any) -> Path:
             contents = recording_contents(record.channels, record.sample_rate, record.name)
             writer.finish(Header("recording", {}, inputs=(), contents=contents))
         return path
-    path, write = next((folder / f"a.{suffix}.parquet", write) for kind, suffix, write in _KINDS if isinstance(record, kind))
+    path, write = next(
+        (folder / f"a.{suffix}.parquet", write) for kind, suffix, write in _KINDS if isinstance(record, kind)
+    )
     write(path, record, Header(path.suffixes[0][1:], {}, inputs=()))
     return path
 

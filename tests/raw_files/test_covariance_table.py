@@ -13,7 +13,15 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_sources_add_up_to_the_combined_uncertainty(tmp_path: Path, labpipe_without_report) -> None:
-    labpipe_without_report("run", ROOT / "pipelines/budget.yaml", "-o", tmp_path / "out", "-q", "--set", "uncertainty.method=first-order")
+    labpipe_without_report(
+        "run",
+        ROOT / "pipelines/budget.yaml",
+        "-o",
+        tmp_path / "out",
+        "-q",
+        "--set",
+        "uncertainty.method=first-order",
+    )
     result = tmp_path / "out/identification.json"
     for name, read in (("covariance", pd.read_csv), ("covariance-parquet", pd.read_parquet)):
         assert labpipe_without_report("export", result, "--to", name, "-o", tmp_path / name).code == 0
@@ -24,10 +32,21 @@ def test_sources_add_up_to_the_combined_uncertainty(tmp_path: Path, labpipe_with
                 if parameter.get("combined"):
                     rows = own[own.parameter_1 == parameter["name"]]
                     assert np.sqrt(rows.covariance.sum()) == pytest.approx(parameter["combined"], rel=1e-9)
-                    parts = {part["source"]: part["contribution"] for part in parameter["budget"] if part["contribution"]}
-                    assert dict(zip(rows.source, np.sqrt(rows.covariance), strict=True)) == pytest.approx(parts, rel=1e-9)
+                    parts = {
+                        part["source"]: part["contribution"]
+                        for part in parameter["budget"]
+                        if part["contribution"]
+                    }
+                    assert dict(zip(rows.source, np.sqrt(rows.covariance), strict=True)) == pytest.approx(
+                        parts, rel=1e-9
+                    )
     # With a given mass k and c are uncorrelated; a free mass goes with the stiffness.
-    noise = table[(table.fit == "free") & (table.source == "noise") & (table.parameter_1 == "k") & (table.parameter_2 == "m")]
+    noise = table[
+        (table.fit == "free")
+        & (table.source == "noise")
+        & (table.parameter_1 == "k")
+        & (table.parameter_2 == "m")
+    ]
     (free,) = (fit for fit in json.loads(result.read_text())["fits"] if fit["name"] == "free")
     names = [parameter["name"] for parameter in free["parameters"]]
     k, m = (free["parameters"][names.index(name)] for name in "km")
@@ -37,5 +56,7 @@ def test_sources_add_up_to_the_combined_uncertainty(tmp_path: Path, labpipe_with
 
 def test_an_artefact_without_parameters_is_refused(tmp_path: Path, labpipe_without_report) -> None:
     (tmp_path / "a.frf.parquet").write_text("")
-    ended = labpipe_without_report("export", tmp_path / "a.frf.parquet", "--to", "covariance", "-o", tmp_path / "x.csv")
+    ended = labpipe_without_report(
+        "export", tmp_path / "a.frf.parquet", "--to", "covariance", "-o", tmp_path / "x.csv"
+    )
     assert ended.code == 2 and "holds no parameters" in ended.err and not (tmp_path / "x.csv").exists()

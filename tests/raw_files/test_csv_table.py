@@ -24,10 +24,20 @@ def body(delimiter: str, decimal: str) -> str:
     return "\n".join(delimiter.join(str(v).replace(".", decimal) for v in row) for row in ROWS) + "\n"
 
 
-@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")])
+@pytest.mark.parametrize(
+    ("delimiter", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")]
+)
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16"])
-def test_delimiter_decimal_sign_and_encoding(tmp_path: Path, delimiter: str, decimal: str, encoding: str) -> None:
-    table = CsvTable(written(tmp_path, delimiter.join(["t [s]", "force [N]", "x [µm]"]) + "\n" + body(delimiter, decimal), encoding))
+def test_delimiter_decimal_sign_and_encoding(
+    tmp_path: Path, delimiter: str, decimal: str, encoding: str
+) -> None:
+    table = CsvTable(
+        written(
+            tmp_path,
+            delimiter.join(["t [s]", "force [N]", "x [µm]"]) + "\n" + body(delimiter, decimal),
+            encoding,
+        )
+    )
     assert table.columns == ("t [s]", "force [N]", "x [µm]")
     assert table.units == {"t [s]": "s", "force [N]": "N", "x [µm]": "µm"}
     np.testing.assert_array_equal(np.concatenate(list(table.chunks(table.columns))), ROWS)
@@ -44,7 +54,9 @@ def test_delimiter_decimal_sign_and_encoding(tmp_path: Path, delimiter: str, dec
         ("", ("1", "2", "3"), {}),
     ],
 )
-def test_headers_and_unit_rows(tmp_path: Path, header: str, columns: tuple[str, ...], units: dict[str, str]) -> None:
+def test_headers_and_unit_rows(
+    tmp_path: Path, header: str, columns: tuple[str, ...], units: dict[str, str]
+) -> None:
     table = CsvTable(written(tmp_path, header + body(",", ".")))
     assert (table.columns, table.units) == (columns, units)
     assert np.concatenate(list(table.chunks(columns[:1])))[:, 0].tolist() == [0.0, 0.001, 0.002]
@@ -58,7 +70,9 @@ def test_a_trailing_delimiter_is_no_column(tmp_path: Path) -> None:
 
 def test_missing_numbers_are_nan(tmp_path: Path) -> None:
     table = CsvTable(written(tmp_path, "t,f\n0,1\n1,\n2,NaN\n3,-\n4,5\n"))
-    np.testing.assert_array_equal(np.concatenate(list(table.chunks(["f"])))[:, 0], [1, np.nan, np.nan, np.nan, 5])
+    np.testing.assert_array_equal(
+        np.concatenate(list(table.chunks(["f"])))[:, 0], [1, np.nan, np.nan, np.nan, 5]
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,10 +131,14 @@ def test_a_faulty_row_does_not_decide_over_the_delimiter(tmp_path: Path) -> None
         ("Run of 3 March, 2 channels\n1.5     2.5\n\n   -0.3  4   \n", ("1", "2")),
     ],
 )
-def test_any_number_of_blanks_keeps_columns_apart(tmp_path: Path, text: str, columns: tuple[str, ...]) -> None:
+def test_any_number_of_blanks_keeps_columns_apart(
+    tmp_path: Path, text: str, columns: tuple[str, ...]
+) -> None:
     table = CsvTable(written(tmp_path, text))
     assert table.columns == columns
-    np.testing.assert_array_equal(np.concatenate(list(table.chunks(columns[::-1]))), [[2.5, 1.5], [4.0, -0.3]])
+    np.testing.assert_array_equal(
+        np.concatenate(list(table.chunks(columns[::-1]))), [[2.5, 1.5], [4.0, -0.3]]
+    )
 
 
 def test_blanks_of_a_long_file_and_its_faulty_row(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """What is written is read again: every writer of `labpipe export`, with what a random artefact holds.
 
-Expected values are the records themselves. Numbers of CSV, Parquet, MATLAB and binary universal files come back to the last digit,
-those of text universal files to the 13 digits that stand there.
+Expected values are the records themselves. Numbers of CSV, Parquet, MATLAB and binary universal files come
+back to the last digit, those of text universal files to the 13 digits that stand there.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ from labpipe.records.response import FrequencyResponse
 from tests.artefacts.any_record import any_of, fits, same
 from tests.raw_files.any_artefact import decays, fit, measured, recording, response, result, spectra, spread
 
-FEW = settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+FEW = settings(
+    max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
 SEEDS = st.integers(0, 10**6)
 Export = Callable[[str, Path], Path]
 
@@ -52,7 +54,8 @@ def export(tmp_path: Path) -> Export:
 
 
 SUFFIX = {
-    "uff58b": "uff", "shapes": "csv", "covariance": "csv", "covariance-parquet": "parquet", "band": "csv", "plant": "mat",
+    "uff58b": "uff", "shapes": "csv", "covariance": "csv", "covariance-parquet": "parquet", "band": "csv",
+    "plant": "mat",
     "matrix": "csv", "matrix-parquet": "parquet", "rotor": "xlsx", "rotor-csv": "csv",
 }  # fmt: skip
 
@@ -63,7 +66,9 @@ def table_of(path: Path) -> pd.DataFrame:
         return pd.read_parquet(path)
     found = pd.read_csv(path, keep_default_na=False, na_values={}, dtype=str)
     found = found.map(text_of).rename(columns=text_of)
-    return found.apply(lambda column: column if not _all_numbers(column) else column.replace("", "nan").astype(float))
+    return found.apply(
+        lambda column: column if not _all_numbers(column) else column.replace("", "nan").astype(float)
+    )
 
 
 def _all_numbers(column: pd.Series) -> bool:
@@ -94,13 +99,18 @@ def test_plans_and_fits(tmp_path: Path, plan: Plan, made: Fit) -> None:
     write_fits(tmp_path / "fits.json", [made], (), ())
     (again,) = read_fits(tmp_path / "fits.json")
     # Files keep warnings before notes.
-    assert same(again, replace(made, findings=tuple(sorted(made.findings, key=lambda finding: finding.level != WARNING))))
+    assert same(
+        again,
+        replace(made, findings=tuple(sorted(made.findings, key=lambda finding: finding.level != WARNING))),
+    )
 
 
 # Measured data as files of other programs, to be read by labpipe.
 
 
-def check_response(found: FrequencyResponse, record: FrequencyResponse, digits: float, places: float = 1e-15) -> None:
+def check_response(
+    found: FrequencyResponse, record: FrequencyResponse, digits: float, places: float = 1e-15
+) -> None:
     labels = [port.label for port in (*record.outputs, *record.inputs)]
     assert [port.label for port in (*found.outputs, *found.inputs)] == labels and found.form == record.form
     np.testing.assert_allclose(found.frequency, record.frequency, rtol=places)
@@ -111,7 +121,9 @@ def check_response(found: FrequencyResponse, record: FrequencyResponse, digits: 
         np.testing.assert_allclose(found.coherence, record.coherence, rtol=digits)
 
 
-def exported_response(export: Export, folder: Path, name: str, seed: int, digits: float = 0.0, places: float = 1e-15) -> None:
+def exported_response(
+    export: Export, folder: Path, name: str, seed: int, digits: float = 0.0, places: float = 1e-15
+) -> None:
     record = response(seed)
     found = load_response(export(name, measured(folder, record)))
     check_response(found, record, digits, places)
@@ -124,7 +136,12 @@ def exported_response(export: Export, folder: Path, name: str, seed: int, digits
 def exported_recording(export: Export, folder: Path, name: str, seed: int, digits: float = 0.0) -> None:
     record = recording(seed)
     table = open_table(export(name, measured(folder, record)))
-    wanted = [column for channel in ("f", "y") for column in table.columns if column in (channel, f"{channel} [{UNITS[channel]}]")]
+    wanted = [
+        column
+        for channel in ("f", "y")
+        for column in table.columns
+        if column in (channel, f"{channel} [{UNITS[channel]}]")
+    ]
     assert len(wanted) == 2
     np.testing.assert_allclose(np.concatenate(list(table.chunks(wanted))), record.samples, rtol=digits)
     if "t [s]" in table.columns:
@@ -148,14 +165,18 @@ def exported_tables(export: Export, folder: Path, name: str, seed: int) -> None:
         for column, channel in enumerate(record.channels):
             parts = [rows[f"{channel.name}:{part} [{channel.unit}]"] for part in ("re", "im", "std")]
             np.testing.assert_array_equal(parts[0] + 1j * parts[1], record.vectors[:, number, column])
-            np.testing.assert_allclose(parts[2] ** 2, record.covariance[:, number, column, column].real, rtol=1e-14)
+            np.testing.assert_allclose(
+                parts[2] ** 2, record.covariance[:, number, column, column].real, rtol=1e-14
+            )
     ringing = decays(seed)
     found = table_of(export(name, measured(folder, ringing)))
     for number, decay in enumerate(ringing.decays, 1):
         rows = found[found["decay"] == number]
         assert set(rows["recording"]) == {decay.recording}
         np.testing.assert_array_equal(rows["y [m]"], decay.samples[:, 0])
-        np.testing.assert_allclose(rows["t [s]"], decay.start + np.arange(len(rows)) / ringing.sample_rate, rtol=1e-15)
+        np.testing.assert_allclose(
+            rows["t [s]"], decay.start + np.arange(len(rows)) / ringing.sample_rate, rtol=1e-15
+        )
 
 
 def exported_parameters(export: Export, folder: Path, name: str, seed: int) -> None:
@@ -163,7 +184,9 @@ def exported_parameters(export: Export, folder: Path, name: str, seed: int) -> N
     found = table_of(export(name, result(folder, made)))
     assert found["parameter"].tolist() == ["k", "c", "=m"] and set(found["test"]) == {"=t, 1"}
     assert found["value"].tolist() == [parameter.value for parameter in made.parameters]
-    np.testing.assert_array_equal(found["std_error"].astype(float), [p.std_error or np.nan for p in made.parameters])
+    np.testing.assert_array_equal(
+        found["std_error"].astype(float), [p.std_error or np.nan for p in made.parameters]
+    )
 
 
 def round_csv(export: Export, folder: Path, seed: int) -> None:
@@ -180,7 +203,9 @@ def round_parquet(export: Export, folder: Path, seed: int) -> None:
     for o, output in enumerate(record.outputs):
         for i, port in enumerate(record.inputs):
             pair = f"{output.label}/{port.label}"
-            np.testing.assert_array_equal(found[f"{pair}:re"] + 1j * found[f"{pair}:im"], record.matrix[:, o, i])
+            np.testing.assert_array_equal(
+                found[f"{pair}:re"] + 1j * found[f"{pair}:im"], record.matrix[:, o, i]
+            )
     exported_recording(export, folder, "parquet", seed)
     exported_tables(export, folder, "parquet", seed)
     exported_parameters(export, folder, "parquet", seed)
@@ -209,8 +234,10 @@ def round_shapes(export: Export, folder: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     shapes = spread(rng, 2, 2) + 1j * spread(rng, 2, 2)
     modes = Modes(
-        np.array([1.0, 2.0]), rng.uniform(0, 0.1, 2), shapes=shapes, shape_std_errors=np.abs(spread(rng, 2, 2)), scale=shapes[0],
-        participation=shapes[:, :1], points=("=a", "b, c"), references=("b, c",), forces_move=False, mac=np.eye(2), collinearity=np.ones(2),
+        np.array([1.0, 2.0]), rng.uniform(0, 0.1, 2), shapes=shapes, shape_std_errors=np.abs(spread(rng, 2,
+        2)), scale=shapes[0],
+        participation=shapes[:, :1], points=("=a", "b, c"), references=("b, c",), forces_move=False,
+        mac=np.eye(2), collinearity=np.ones(2),
         lower=1, upper=1, dofs=("a.x", "b.y"),
     )  # fmt: skip
     found = table_of(export("shapes", result(folder, fit(seed, "k", details=(modes,)))))
@@ -243,7 +270,9 @@ def plant(seed: int) -> RobustPlant:
     nominal = spread(rng, *shape) + 1j * spread(rng, *shape)
     a, b, c, d = (spread(rng, *size) for size in ((2, 2), (2, 1), (2, 2), (2, 1)))
     radius, weight, overbound = (np.abs(spread(rng, *size)) for size in (shape, shape, (2, 1, 3)))
-    return RobustPlant(np.arange(1.0, 5), nominal, radius, weight, a, b, c, d, overbound, 0.95, "m/A", ("x", "y"), ("i",))
+    return RobustPlant(
+        np.arange(1.0, 5), nominal, radius, weight, a, b, c, d, overbound, 0.95, "m/A", ("x", "y"), ("i",)
+    )
 
 
 def round_band(export: Export, folder: Path, seed: int) -> None:
@@ -257,14 +286,22 @@ def round_band(export: Export, folder: Path, seed: int) -> None:
         # |k (1 + j f / z) / (1 + j f / p)| by hand.
         k, zero, pole = made.overbound[row, 0]
         np.testing.assert_allclose(
-            rows["overbound"], k * np.hypot(1, rows["frequency_hz"] / zero) / np.hypot(1, rows["frequency_hz"] / pole)
+            rows["overbound"],
+            k * np.hypot(1, rows["frequency_hz"] / zero) / np.hypot(1, rows["frequency_hz"] / pole),
         )
 
 
 def round_plant(export: Export, folder: Path, seed: int) -> None:
     made = plant(seed)
     found = loadmat(export("plant", result(folder, fit(seed, "k", details=(made,)))), squeeze_me=False)
-    for name, values in {"A": made.a, "B": made.b, "C": made.c, "D": made.d, "nominal": made.nominal, "radius": made.radius}.items():
+    for name, values in {
+        "A": made.a,
+        "B": made.b,
+        "C": made.c,
+        "D": made.d,
+        "nominal": made.nominal,
+        "radius": made.radius,
+    }.items():
         np.testing.assert_array_equal(np.reshape(found[name], values.shape), values)
     np.testing.assert_array_equal(np.reshape(found["overbound"], made.overbound.shape), made.overbound)
 
@@ -277,10 +314,15 @@ def condition_matrix(seed: int) -> tuple[Fit, ConditionMatrix]:
     rng = np.random.default_rng(seed)
     points = []
     for place in range(2):
-        values = tuple(Repeated(Parameter(name, float(spread(rng)), "N/m", std_error=1.0), 1, theory=2.5) for name in COEFFICIENTS)
+        values = tuple(
+            Repeated(Parameter(name, float(spread(rng)), "N/m", std_error=1.0), 1, theory=2.5)
+            for name in COEFFICIENTS
+        )
         points.append(MatrixPoint((place,), ("=t, 1",), values))
     axis = ConditionAxis("speed", "Hz", (25.0, 50.0))
-    return fit(seed, "k"), ConditionMatrix(name="=m", fit="a", axes=(axis,), names=COEFFICIENTS, points=tuple(points))
+    return fit(seed, "k"), ConditionMatrix(
+        name="=m", fit="a", axes=(axis,), names=COEFFICIENTS, points=tuple(points)
+    )
 
 
 def round_matrix(export: Export, folder: Path, seed: int, name: str = "matrix") -> None:
@@ -310,7 +352,9 @@ def check_rotor(tables: dict[str, pd.DataFrame], made: Fit, matrix: ConditionMat
 
 def round_rotor(export: Export, folder: Path, seed: int) -> None:
     made, matrix = condition_matrix(seed)
-    check_rotor(pd.read_excel(export("rotor", result(folder, made, matrix=(matrix,))), sheet_name=None), made, matrix)
+    check_rotor(
+        pd.read_excel(export("rotor", result(folder, made, matrix=(matrix,))), sheet_name=None), made, matrix
+    )
 
 
 def round_rotor_csv(export: Export, folder: Path, seed: int) -> None:
@@ -327,7 +371,9 @@ ROUNDS: dict[str, Callable[[Export, Path, int], None]] = {
     "mat": round_mat,
     "shapes": round_shapes,
     "covariance": round_covariance,
-    "covariance-parquet": lambda export, folder, seed: round_covariance(export, folder, seed, "covariance-parquet"),
+    "covariance-parquet": lambda export, folder, seed: round_covariance(
+        export, folder, seed, "covariance-parquet"
+    ),
     "band": round_band,
     "plant": round_plant,
     "matrix": round_matrix,

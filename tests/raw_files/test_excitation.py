@@ -29,7 +29,8 @@ def test_schroeder_phases_closed_form() -> None:
 
 def test_optimised_crest_factor_is_below_schroeder_and_random() -> None:
     crest = {name: design_multisine((1.0, 100.0), 0.5, 1.0, phases=name).crest_factor for name in PHASES}
-    # Schroeder's flat multisine of the source's pedestal test: 1.766 (measured here, oversampled); a sine has sqrt(2).
+    # Schroeder's flat multisine of the source's pedestal test: 1.766 (measured here, oversampled); a sine has
+    # sqrt(2).
     assert crest["schroeder"] == pytest.approx(1.766, abs=0.005)
     assert np.sqrt(2) * 0.95 < crest["optimised"] < 0.85 * crest["schroeder"] < crest["random"]
 
@@ -63,7 +64,8 @@ def test_detection_lines_are_left_out_one_of_each_group() -> None:
     missing = sorted(set(full.lines) - set(thinned.lines))
     assert full.lines.size == 50 and len(missing) == 12
     assert thinned.lines[0] == 1 and thinned.lines[-1] == 99
-    # One in each group of four odd lines: neighbours are at most seven odd lines apart, never two in one group.
+    # One in each group of four odd lines: neighbours are at most seven odd lines apart, never two in one
+    # group.
     assert all((b - a) / 2 <= 7 for a, b in pairwise(missing))
     assert [(line - 3) // 8 for line in missing] == list(range(12))
     other = design_multisine((1.0, 99.0), 1.0, 1.0, odd_only=True, leave_out=4, phases="random", seed=4)

@@ -14,14 +14,19 @@ def multisine(period: int, n_sample: int, lines: range) -> np.ndarray:
     """Equal lines with Schroeder's phases."""
     n = np.arange(n_sample)
     phases = [-np.pi * k * (k - 1) / len(lines) for k in range(len(lines))]
-    return sum(np.cos(2 * np.pi * line * n / period + phase) for line, phase in zip(lines, phases, strict=True))
+    return sum(
+        np.cos(2 * np.pi * line * n / period + phase) for line, phase in zip(lines, phases, strict=True)
+    )
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize(
-    ("period", "n_sample", "lines"), [(1000, 5000, range(1, 101)), (2000, 9000, range(20, 60)), (333, 1000, range(1, 20))]
+    ("period", "n_sample", "lines"),
+    [(1000, 5000, range(1, 101)), (2000, 9000, range(20, 60)), (333, 1000, range(1, 20))],
 )
-def test_a_multisine_shows_its_period_and_its_lines(rng, period: int, n_sample: int, lines: range, noise: float) -> None:
+def test_a_multisine_shows_its_period_and_its_lines(
+    rng, period: int, n_sample: int, lines: range, noise: float
+) -> None:
     force = multisine(period, n_sample, lines)
     found = look(3 + force + noise * np.std(force) * rng.normal(size=n_sample), RATE)
     assert (found.kind, found.length, found.repeats) == ("periodic", period, n_sample // period)
@@ -64,6 +69,8 @@ def test_silence_has_no_period(signal: np.ndarray) -> None:
     assert find_period(signal) == 0
 
 
-@pytest.mark.parametrize(("samples", "rounded"), [(1, 1), (9, 5), (10, 10), (49, 20), (2500, 2000), (99_999, 50_000)])
+@pytest.mark.parametrize(
+    ("samples", "rounded"), [(1, 1), (9, 5), (10, 10), (49, 20), (2500, 2000), (99_999, 50_000)]
+)
 def test_lengths_are_round(samples: int, rounded: int) -> None:
     assert round_down(samples) == rounded

@@ -1,4 +1,6 @@
-"""FRF tables and variables of any layout: every layout gives the closed form it was written from, every fault its place."""
+"""FRF tables and variables of any layout: every layout gives the closed form it was written from, every fault
+its place.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ SIGNED = [f"{value.real:.12e}{value.imag:+.12e}" for value in H]
 
 
 def rows(*columns: np.ndarray, between: str = " ", decimal: str = ".") -> str:
-    return "".join(between.join(f"{value:.12e}".replace(".", decimal) for value in row) + "\n" for row in zip(*columns, strict=True))
+    return "".join(
+        between.join(f"{value:.12e}".replace(".", decimal) for value in row) + "\n"
+        for row in zip(*columns, strict=True)
+    )
 
 
 def read(path: Path, text: str, columns: dict[str, str], dofs: Dofs = X_F, **entries: object):
@@ -34,38 +39,74 @@ def read(path: Path, text: str, columns: dict[str, str], dofs: Dofs = X_F, **ent
 
 SI = {"form": "receptance"}
 LAYOUTS = [
-    pytest.param(rows(FREQUENCY, H.real, H.imag), {"frequency": "1", "re": "2", "im": "3"}, id="blanks, no header"),
-    pytest.param("f re im\n" + rows(FREQUENCY, H.real, H.imag), {"frequency": "f", "re": "re", "im": "im"}, id="names"),
-    pytest.param(rows(H.real, H.imag, OMEGA, between=",  "), {"omega": "3", "re": "1", "im": "2"}, id="omega"),
+    pytest.param(
+        rows(FREQUENCY, H.real, H.imag), {"frequency": "1", "re": "2", "im": "3"}, id="blanks, no header"
+    ),
+    pytest.param(
+        "f re im\n" + rows(FREQUENCY, H.real, H.imag), {"frequency": "f", "re": "re", "im": "im"}, id="names"
+    ),
+    pytest.param(
+        rows(H.real, H.imag, OMEGA, between=",  "), {"omega": "3", "re": "1", "im": "2"}, id="omega"
+    ),
     pytest.param(
         rows(FREQUENCY, abs(H), np.rad2deg(np.angle(H)), between=";", decimal=","),
         {"frequency": "1", "amplitude": "2", "phase_deg": "3"},
         id="degrees, decimal commas",
     ),
-    pytest.param(rows(FREQUENCY, abs(H), np.angle(H) + 2 * np.pi), {"frequency": "1", "amplitude": "2", "phase_rad": "3"}, id="radians"),
     pytest.param(
-        rows(FREQUENCY, 20 * np.log10(abs(H)), np.rad2deg(np.angle(H))), {"frequency": "1", "amplitude_db": "2", "phase_deg": "3"}, id="dB"
+        rows(FREQUENCY, abs(H), np.angle(H) + 2 * np.pi),
+        {"frequency": "1", "amplitude": "2", "phase_rad": "3"},
+        id="radians",
     ),
     pytest.param(
-        "".join(f"{f};{value}j\n" for f, value in zip(FREQUENCY, SIGNED, strict=True)), {"frequency": "1", "complex": "2"}, id="complex, j"
+        rows(FREQUENCY, 20 * np.log10(abs(H)), np.rad2deg(np.angle(H))),
+        {"frequency": "1", "amplitude_db": "2", "phase_deg": "3"},
+        id="dB",
     ),
     pytest.param(
-        "f\tH\n" + "".join(f"{f:g}\t({value}i)\n".replace(".", ",") for f, value in zip(FREQUENCY, SIGNED, strict=True)),
+        "".join(f"{f};{value}j\n" for f, value in zip(FREQUENCY, SIGNED, strict=True)),
+        {"frequency": "1", "complex": "2"},
+        id="complex, j",
+    ),
+    pytest.param(
+        "f\tH\n"
+        + "".join(
+            f"{f:g}\t({value}i)\n".replace(".", ",") for f, value in zip(FREQUENCY, SIGNED, strict=True)
+        ),
         {"frequency": "f", "complex": "H"},
         id="complex, i, commas",
     ),
-    pytest.param("f [kHz],r,i\n" + rows(FREQUENCY / 1e3, H.real, H.imag, between=","), {"frequency": "1", "re": "r", "im": "i"}, id="kHz"),
-    pytest.param(rows(H.real, H.imag), {"start": "2 Hz", "step": "0.5 Hz", "re": "1", "im": "2"}, id="no frequency column"),
-    pytest.param("a,a,a\n" + rows(FREQUENCY, H.real, H.imag, between=","), {"frequency": "1", "re": "2", "im": "3"}, id="one name for all"),
+    pytest.param(
+        "f [kHz],r,i\n" + rows(FREQUENCY / 1e3, H.real, H.imag, between=","),
+        {"frequency": "1", "re": "r", "im": "i"},
+        id="kHz",
+    ),
+    pytest.param(
+        rows(H.real, H.imag),
+        {"start": "2 Hz", "step": "0.5 Hz", "re": "1", "im": "2"},
+        id="no frequency column",
+    ),
+    pytest.param(
+        "a,a,a\n" + rows(FREQUENCY, H.real, H.imag, between=","),
+        {"frequency": "1", "re": "2", "im": "3"},
+        id="one name for all",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("text", "columns"), LAYOUTS)
-def test_every_layout_gives_the_response_it_was_written_from(tmp_path: Path, text: str, columns: dict[str, str]) -> None:
+def test_every_layout_gives_the_response_it_was_written_from(
+    tmp_path: Path, text: str, columns: dict[str, str]
+) -> None:
     response = read(tmp_path / "h.txt", text, columns, **SI)
     np.testing.assert_allclose(response.frequency, FREQUENCY, rtol=1e-11)
     np.testing.assert_allclose(response.matrix[:, 0, 0], H, rtol=1e-10)
-    assert (response.form, response.outputs[0].dof, response.outputs[0].angle, response.inputs[0].label) == ("receptance", "x", 0.0, "f")
+    assert (response.form, response.outputs[0].dof, response.outputs[0].angle, response.inputs[0].label) == (
+        "receptance",
+        "x",
+        0.0,
+        "f",
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +124,12 @@ def test_every_layout_gives_the_response_it_was_written_from(tmp_path: Path, tex
 )
 def test_the_unit_says_form_and_scale(tmp_path: Path, unit: str, form: str, factor: float) -> None:
     """Factors of the definitions: g = 9.80665 m/s^2, lbf = 4.4482216152605 N, in = 25.4 mm."""
-    response = read(tmp_path / "h.txt", rows(FREQUENCY, A.real, A.imag), {"frequency": "1", "re": "2", "im": "3"}, unit=unit)
+    response = read(
+        tmp_path / "h.txt",
+        rows(FREQUENCY, A.real, A.imag),
+        {"frequency": "1", "re": "2", "im": "3"},
+        unit=unit,
+    )
     assert response.form == form
     np.testing.assert_allclose(response.matrix[:, 0, 0], A * factor, rtol=1e-10)
 
@@ -91,11 +137,16 @@ def test_the_unit_says_form_and_scale(tmp_path: Path, unit: str, form: str, fact
 def test_several_elements_of_one_file_with_their_coherence(tmp_path: Path) -> None:
     """Two responses to one force: H and 3 H."""
     coherence = np.linspace(0.9, 1.0, FREQUENCY.size)
-    elements = {name: ElementColumns(re=str(2 + 3 * n), im=str(3 + 3 * n), coherence=str(4 + 3 * n)) for n, name in enumerate(("x", "y/f"))}
+    elements = {
+        name: ElementColumns(re=str(2 + 3 * n), im=str(3 + 3 * n), coherence=str(4 + 3 * n))
+        for n, name in enumerate(("x", "y/f"))
+    }
     text = rows(FREQUENCY, H.real, H.imag, coherence, 3 * H.real, 3 * H.imag, coherence**2)
     response = read(tmp_path / "h.txt", text, {"frequency": "1"}, Dofs((), ("f",)), elements=elements, **SI)
     np.testing.assert_allclose(response.matrix[:, :, 0], np.column_stack([H, 3 * H]), rtol=1e-10)
-    np.testing.assert_allclose(response.coherence[:, :, 0], np.column_stack([coherence, coherence**2]), rtol=1e-10)
+    np.testing.assert_allclose(
+        response.coherence[:, :, 0], np.column_stack([coherence, coherence**2]), rtol=1e-10
+    )
     assert [port.label for port in response.outputs] == ["x", "y"]
 
 
@@ -106,7 +157,11 @@ def matrix() -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("stored", "axes"),
-    [(matrix(), ()), (matrix().transpose(1, 2, 0), ()), (matrix().transpose(2, 1, 0), ("input", "output", "frequency"))],
+    [
+        (matrix(), ()),
+        (matrix().transpose(1, 2, 0), ()),
+        (matrix().transpose(2, 1, 0), ("input", "output", "frequency")),
+    ],
 )
 @pytest.mark.parametrize("save", [savemat, lambda path, arrays: h5_of(path, arrays)], ids=["mat", "hdf5"])
 def test_a_matrix_of_variables_in_any_order(
@@ -129,8 +184,12 @@ def test_the_structures_of_an_analyser(tmp_path: Path) -> None:
     """Axis by start and increment, values in a structure, as Simcenter Testlab exports them."""
     axis = {"start_value": 2.0, "increment": 0.5, "number_of_values": 14}
     savemat(tmp_path / "h.mat", {"FRF": {"x_values": axis, "y_values": {"values": H[:, None]}}})
-    columns = FrfColumns(start="FRF.x_values.start_value", step="FRF.x_values.increment", complex="FRF.y_values.values")
-    response = read_described(tmp_path / "h.mat", FrfLayout(file="h.mat", variables=columns, form="receptance"), X_F)
+    columns = FrfColumns(
+        start="FRF.x_values.start_value", step="FRF.x_values.increment", complex="FRF.y_values.values"
+    )
+    response = read_described(
+        tmp_path / "h.mat", FrfLayout(file="h.mat", variables=columns, form="receptance"), X_F
+    )
     np.testing.assert_allclose(response.frequency, FREQUENCY, rtol=1e-12)
     np.testing.assert_allclose(response.matrix[:, 0, 0], H, rtol=1e-12)
 
@@ -138,12 +197,19 @@ def test_the_structures_of_an_analyser(tmp_path: Path) -> None:
 def test_a_square_matrix_needs_the_order_of_its_dimensions(tmp_path: Path) -> None:
     savemat(tmp_path / "h.mat", {"H": matrix()[:, :, :2], "f": FREQUENCY})
     layout = FrfLayout(file="h.mat", variables=FrfColumns(frequency="f", matrix="H"), form="receptance")
-    with pytest.raises(DataError, match=r"could be ordered in several ways; name their order, for example axes: \[output"):
+    with pytest.raises(
+        DataError, match=r"could be ordered in several ways; name their order, for example axes: \[output"
+    ):
         raise_text(tmp_path / "h.mat", layout, Dofs(("x", "y"), ("a", "b")))
     layout = FrfLayout(
-        file="h.mat", variables=FrfColumns(frequency="f", matrix="H"), form="receptance", axes=("frequency", "output", "input")
+        file="h.mat",
+        variables=FrfColumns(frequency="f", matrix="H"),
+        form="receptance",
+        axes=("frequency", "output", "input"),
     )
-    np.testing.assert_allclose(read_described(tmp_path / "h.mat", layout, Dofs(("x", "y"), ("a", "b"))).matrix, matrix()[:, :, :2])
+    np.testing.assert_allclose(
+        read_described(tmp_path / "h.mat", layout, Dofs(("x", "y"), ("a", "b"))).matrix, matrix()[:, :, :2]
+    )
 
 
 def raise_text(path: Path, layout: FrfLayout, dofs: Dofs = X_F) -> None:
@@ -167,11 +233,31 @@ RE_IM = {"frequency": "1", "re": "2", "im": "3"}
         (GOOD + "8 1 1\n", RE_IM, SI, "h.txt:15: column '1': the frequency does not increase (8)"),
         (GOOD, {**RE_IM, "im": "4"}, SI, "h.txt: no column 4: the table has 3"),
         ("f Re Im\n" + GOOD, {**RE_IM, "im": "Imm"}, SI, "h.txt: no column 'Imm'; did you mean 'Im'?"),
-        ("f r r\n" + GOOD, {**RE_IM, "re": "r"}, SI, "h.txt: the column 'r' appears 2 times; write its number, counted from 1"),
-        (GOOD, {"frequency": "1", "complex": "2"}, SI, "h.txt: column '2' has no imaginary part anywhere; an amplitude needs its phase"),
+        (
+            "f r r\n" + GOOD,
+            {**RE_IM, "re": "r"},
+            SI,
+            "h.txt: the column 'r' appears 2 times; write its number, counted from 1",
+        ),
+        (
+            GOOD,
+            {"frequency": "1", "complex": "2"},
+            SI,
+            "h.txt: column '2' has no imaginary part anywhere; an amplitude needs its phase",
+        ),
         (GOOD, AMPLITUDE, SI, "holds the negative amplitude"),
-        ("f;H\n" + "1;1+2j\n2;2+1j\n", {"frequency": "f", "re": "H", "im": "f"}, SI, "h.txt:2: column 'H' holds complex numbers"),
-        ("f,a (um/N),p\n1,2,3\n2,3,4\n", {"frequency": "f", "amplitude": "2", "phase_deg": "p"}, SI, "is in um/N by the file's own header"),
+        (
+            "f;H\n" + "1;1+2j\n2;2+1j\n",
+            {"frequency": "f", "re": "H", "im": "f"},
+            SI,
+            "h.txt:2: column 'H' holds complex numbers",
+        ),
+        (
+            "f,a (um/N),p\n1,2,3\n2,3,4\n",
+            {"frequency": "f", "amplitude": "2", "phase_deg": "p"},
+            SI,
+            "is in um/N by the file's own header",
+        ),
         (
             "f,a,p [rad]\n1,2,3\n2,3,4\n",
             {"frequency": "f", "amplitude": "2", "phase_deg": "3"},
@@ -186,7 +272,9 @@ RE_IM = {"frequency": "1", "re": "2", "im": "3"}
         ),
     ],
 )
-def test_faults_have_their_place(tmp_path: Path, text: str, columns: dict[str, str], entries: dict[str, str], fault: str) -> None:
+def test_faults_have_their_place(
+    tmp_path: Path, text: str, columns: dict[str, str], entries: dict[str, str], fault: str
+) -> None:
     with pytest.raises(DataError) as caught:
         read(tmp_path / "h.txt", text, columns, **entries)
     assert fault in str(caught.value)
@@ -199,12 +287,32 @@ def test_faults_have_their_place(tmp_path: Path, text: str, columns: dict[str, s
         ({"file": "a", "each": ("b",)}, "one of 'file' and 'each' is needed"),
         ({"file": "a", "unit": "g/N"}, "neither 'columns' nor 'variables'"),
         ({"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}}, "form or unit is needed"),
-        ({"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}, "unit": "kg"}, "'kg' has the wrong dimension"),
+        (
+            {"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}, "unit": "kg"},
+            "'kg' has the wrong dimension",
+        ),
         ({"file": "a", "columns": {"frequency": "1"}, "form": "mobility"}, "name no element of H"),
-        ({"file": "a", "columns": {"frequency": "1", "re": "2"}, "form": "mobility"}, "re alone is no complex number"),
-        ({"file": "a", "columns": {"re": "2", "im": "3"}, "form": "mobility"}, "one frequency axis is needed"),
-        ({"file": "a", "columns": {"start": "2 Hz", "re": "2", "im": "3"}, "form": "mobility"}, "one frequency axis is needed"),
-        ({"file": "a", "variables": {"frequency": "f", "matrix": "H"}, "form": "mobility", "axes": ("output",)}, "must name frequency"),
+        (
+            {"file": "a", "columns": {"frequency": "1", "re": "2"}, "form": "mobility"},
+            "re alone is no complex number",
+        ),
+        (
+            {"file": "a", "columns": {"re": "2", "im": "3"}, "form": "mobility"},
+            "one frequency axis is needed",
+        ),
+        (
+            {"file": "a", "columns": {"start": "2 Hz", "re": "2", "im": "3"}, "form": "mobility"},
+            "one frequency axis is needed",
+        ),
+        (
+            {
+                "file": "a",
+                "variables": {"frequency": "f", "matrix": "H"},
+                "form": "mobility",
+                "axes": ("output",),
+            },
+            "must name frequency",
+        ),
     ],
 )
 def test_descriptions_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:

@@ -1,4 +1,6 @@
-"""Geometry files: CSV by hand, universal files as another program (pyuff) writes them, and shapes as that program reads them."""
+"""Geometry files: CSV by hand, universal files as another program (pyuff) writes them, and shapes as that
+program reads them.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def table(tmp_path: Path):
 
 
 def test_a_table_of_points(table) -> None:
-    found = read_geometry(table("# plate\npoint; x [mm]; y [in]; z; to\na;100;1;0.5;b c\nb;200;0;0;\nc;0;0;0;a\n"))
+    found = read_geometry(
+        table("# plate\npoint; x [mm]; y [in]; z; to\na;100;1;0.5;b c\nb;200;0;0;\nc;0;0;0;a\n")
+    )
     assert found.names == ("a", "b", "c")
     np.testing.assert_allclose(found.positions, [[0.1, 0.0254, 0.5], [0.2, 0, 0], [0, 0, 0]])
     assert found.lines.tolist() == [[0, 1], [0, 2], [2, 0]]
@@ -69,7 +73,15 @@ def written(path: Path, *sets: dict[str, object]) -> Path:
 def test_nodes_lines_and_elements_of_another_program(tmp_path: Path) -> None:
     nodes, x, y, z = [11, 12, 15, 20], [0.0, 1.5, 1.5, 0.0], [0.0, 0.0, -2.5, -2.5], [0.0, 0.25, 0.5, 0.75]
     # Millimetres: SI value = value / factor.
-    units = pyuff.prepare_164(units_code=5, units_description="mm", temp_mode=1, length=1000.0, force=1.0, temp=1.0, temp_offset=273.15)
+    units = pyuff.prepare_164(
+        units_code=5,
+        units_description="mm",
+        temp_mode=1,
+        length=1000.0,
+        force=1.0,
+        temp=1.0,
+        temp_offset=273.15,
+    )
     line = pyuff.prepare_82(trace_num=1, n_nodes=4, color=1, id="line", nodes=np.array([11, 12, 0, 20]))
     single = pyuff.prepare_15(node_nums=nodes, def_cs=[0] * 4, disp_cs=[0] * 4, color=[0] * 4, x=x, y=y, z=z)
     found = read_geometry(written(tmp_path / "test.uff", units, single, line))
@@ -77,9 +89,25 @@ def test_nodes_lines_and_elements_of_another_program(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.positions, 1e-3 * np.array([x, y, z]).T, rtol=1e-5)
     arrays = [np.array(values) for values in (nodes, [0] * 4, [0] * 4, [0] * 4)]
     keys = ("node_nums", "def_cs", "disp_cs", "color")
-    double = pyuff.prepare_2411(**dict(zip(keys, arrays, strict=True)), x=np.array(x) / 3, y=np.array(y), z=np.array(z))
-    element = {"element_nums": 1, "fe_descriptor": 44, "phys_table": 1, "mat_table": 1, "color": 1, "num_nodes": 4, "nodes_nums": nodes}
-    rod = {**element, "fe_descriptor": 11, "beam_orientation": 0, "beam_foreend_cross": 1, "beam_aftend_cross": 1}
+    double = pyuff.prepare_2411(
+        **dict(zip(keys, arrays, strict=True)), x=np.array(x) / 3, y=np.array(y), z=np.array(z)
+    )
+    element = {
+        "element_nums": 1,
+        "fe_descriptor": 44,
+        "phys_table": 1,
+        "mat_table": 1,
+        "color": 1,
+        "num_nodes": 4,
+        "nodes_nums": nodes,
+    }
+    rod = {
+        **element,
+        "fe_descriptor": 11,
+        "beam_orientation": 0,
+        "beam_foreend_cross": 1,
+        "beam_aftend_cross": 1,
+    }
     rod |= {"num_nodes": 2, "nodes_nums": [11, 15]}
     found = read_geometry(written(tmp_path / "mesh.unv", double, {"type": 2412, 44: [element], 11: [rod]}))
     np.testing.assert_allclose(found.positions[:, 0], np.array(x) / 3, rtol=1e-15)
@@ -93,7 +121,10 @@ def test_nodes_lines_and_elements_of_another_program(tmp_path: Path) -> None:
         ("    -1\n    82\n         1         1         1\nname\n         1\n    -1\n", "holds no nodes"),
         ("not a universal file", "holds no nodes"),
         ("    -1\n    1\xb2\n    -1\n", "holds no nodes"),
-        ("    -1\n    15\n 1 0 0 0 0. 0. 0.\n    -1\n    -1\n    82\n 1 2 1\nname\n 1 9\n    -1\n", "leads to node 9, which is not in"),
+        (
+            "    -1\n    15\n 1 0 0 0 0. 0. 0.\n    -1\n    -1\n    82\n 1 2 1\nname\n 1 9\n    -1\n",
+            "leads to node 9, which is not in",
+        ),
     ],
 )
 def test_faults_of_a_universal_file_are_said(table, text: str, message: str) -> None:
@@ -103,7 +134,9 @@ def test_faults_of_a_universal_file_are_said(table, text: str, message: str) -> 
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    (found,) = identify(beam(1), FitSettings("modal", name="beam", model_settings=ModalSettings(structure=beam_geometry())))
+    (found,) = identify(
+        beam(1), FitSettings("modal", name="beam", model_settings=ModalSettings(structure=beam_geometry()))
+    )
     return found
 
 
@@ -128,13 +161,21 @@ def test_shapes_are_read_by_another_program(fit: Fit, tmp_path: Path) -> None:
 def test_directions_alone_are_those_of_one_node_and_tilts_are_left_out(fit: Fit, tmp_path: Path) -> None:
     """Dofs x, z and by of a shaft: the shape's first two rows stand in x and z of node 1."""
     assert fit.detail(Modes) is not None
-    shaft = replace(fit.detail(Modes), geometry=None, dofs=("x", "z", "by"), points=("x", "z", "by"), shapes=fit.detail(Modes).shapes[:3])
+    shaft = replace(
+        fit.detail(Modes),
+        geometry=None,
+        dofs=("x", "z", "by"),
+        points=("x", "z", "by"),
+        shapes=fit.detail(Modes).shapes[:3],
+    )
     write_shapes_uff(tmp_path / "shaft.uff", [replace(fit, details=(shaft,))])
     mode = pyuff.UFF(str(tmp_path / "shaft.uff")).read_sets(2)
     assert mode["node_nums"].tolist() == [1] and not mode["r2"].any()
     np.testing.assert_allclose([mode["r1"][0], mode["r3"][0]], shaft.shapes[:2, 0], atol=1e-5)
     with pytest.raises(DataError, match="has tilts only"):
-        write_shapes_uff(tmp_path / "tilts.uff", [replace(fit, details=(replace(shaft, dofs=("bx", "by", "bz")),))])
+        write_shapes_uff(
+            tmp_path / "tilts.uff", [replace(fit, details=(replace(shaft, dofs=("bx", "by", "bz")),))]
+        )
 
 
 def test_shapes_as_a_table(fit: Fit) -> None:

@@ -1,4 +1,6 @@
-"""Frequency responses in HDF5: as MATLAB 7.3 lays them out (written here with h5py after MathWorks' description), and plain."""
+"""Frequency responses in HDF5: as MATLAB 7.3 lays them out (written here with h5py after MathWorks'
+description), and plain.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def test_a_response_of_matlab_7_3(tmp_path: Path, rng) -> None:
     np.testing.assert_array_equal(read.matrix, values)
     np.testing.assert_array_equal(read.frequency, FREQUENCY)
     assert read.form == "accelerance"
-    assert [port.label for port in read.outputs] == ["x", "y", "tilt"] and [port.label for port in read.inputs] == ["f1", "f2"]
+    assert [port.label for port in read.outputs] == ["x", "y", "tilt"] and [
+        port.label for port in read.inputs
+    ] == ["f1", "f2"]
     np.testing.assert_array_equal(read.coherence, np.abs(values) / 10)
 
 

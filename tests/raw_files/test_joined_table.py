@@ -15,7 +15,9 @@ from labpipe.raw_files.joined_table import JoinedTable
 class Rows:
     """A table in memory whose chunks have the lengths that a test wants."""
 
-    def __init__(self, name: str, columns: dict[str, np.ndarray], length: int, rate: float | None = None) -> None:
+    def __init__(
+        self, name: str, columns: dict[str, np.ndarray], length: int, rate: float | None = None
+    ) -> None:
         self.path, self.columns, self.units, self.sample_rate = Path(name), tuple(columns), {}, rate
         self._columns, self._length = columns, length
 
@@ -30,7 +32,11 @@ N = np.arange(100.0)
 
 def timed(name: str, start: int, stop: int, length: int, **columns: np.ndarray) -> Rows:
     """Rows start to stop of a run at 10 Hz, in chunks of *length*."""
-    return Rows(name, {"t": N[start:stop] / 10, **{key: values[start:stop] for key, values in columns.items()}}, length)
+    return Rows(
+        name,
+        {"t": N[start:stop] / 10, **{key: values[start:stop] for key, values in columns.items()}},
+        length,
+    )
 
 
 def read(table: JoinedTable, *columns: str) -> np.ndarray:
@@ -39,7 +45,9 @@ def read(table: JoinedTable, *columns: str) -> np.ndarray:
 
 @pytest.mark.parametrize("lengths", [(7, 11, 100), (100, 3, 5), (50, 50, 50)])
 def test_rows_of_one_time_stand_side_by_side(lengths: tuple[int, int, int]) -> None:
-    """Values n, n^2, 3 n at the times n / 10, from rows 0, 12 and 5 on and up to rows 100, 90 and 95: rows 12 to 90 are left."""
+    """Values n, n^2, 3 n at the times n / 10, from rows 0, 12 and 5 on and up to rows 100, 90 and 95: rows 12
+    to 90 are left.
+    """
     parts = [
         timed("a.csv", 0, 100, lengths[0], f=N),
         timed("b.csv", 12, 90, lengths[1], y=N**2),
@@ -47,7 +55,9 @@ def test_rows_of_one_time_stand_side_by_side(lengths: tuple[int, int, int]) -> N
     ]
     table = JoinedTable(parts, "t")
     assert table.columns == ("t", "f", "b/t", "y", "c/t", "c/f")
-    np.testing.assert_array_equal(read(table, "t", "c/f", "y", "f"), np.column_stack([N / 10, 3 * N, N**2, N])[12:90])
+    np.testing.assert_array_equal(
+        read(table, "t", "c/f", "y", "f"), np.column_stack([N / 10, 3 * N, N**2, N])[12:90]
+    )
     assert [finding.message for finding in table.findings()] == [
         "a.csv: 12 samples at its start and 10 at its end are cut, where another file has none",
         "c.csv: 7 samples at its start and 5 at its end are cut, where another file has none",
@@ -74,8 +84,14 @@ LOST = {"t": np.delete(N, 40) / 10, "y": np.delete(N, 40)}
 @pytest.mark.parametrize(
     ("second", "fault"),
     [
-        (Rows("b.csv", {"t": N / 10 + 0.05, "y": N}, 50), "the times of b.csv lie 0.50 steps beside those of a.csv"),
-        (Rows("b.csv", {"t": N / 20, "y": N}, 50), "the time steps of b.csv (0.05) differ from those of a.csv (0.1)"),
+        (
+            Rows("b.csv", {"t": N / 10 + 0.05, "y": N}, 50),
+            "the times of b.csv lie 0.50 steps beside those of a.csv",
+        ),
+        (
+            Rows("b.csv", {"t": N / 20, "y": N}, 50),
+            "the time steps of b.csv (0.05) differ from those of a.csv (0.1)",
+        ),
         (Rows("b.csv", LOST, 30), "the times of b.csv and a.csv run apart: 4.1 and 4 at common row 41"),
         (Rows("b.csv", {"t": 20 + N / 10, "y": N}, 50), "the files have no time in common"),
     ],

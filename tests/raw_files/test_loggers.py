@@ -55,16 +55,23 @@ def test_scaling_properties_are_applied(tmp_path: Path) -> None:
     """y = 2 + 0.5 n of a linear scale, y = 1 + n^2 of a polynomial one, by hand."""
     n = np.arange(50, dtype=np.int16)
     linear = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Linear", "NI_Scale[0]_Linear_Slope": 0.5,
-              "NI_Scale[0]_Linear_Y_Intercept": 2.0, "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF}  # fmt: skip
-    square = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Polynomial", "NI_Scale[0]_Polynomial_Coefficients_Size": 3,
+              "NI_Scale[0]_Linear_Y_Intercept": 2.0,
+              "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF}  # fmt: skip
+    square = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Polynomial",
+    "NI_Scale[0]_Polynomial_Coefficients_Size": 3,
               "NI_Scale[0]_Polynomial_Coefficients[0]": 1.0, "NI_Scale[0]_Polynomial_Coefficients[1]": 0.0,
-              "NI_Scale[0]_Polynomial_Coefficients[2]": 1.0, "NI_Scale[0]_Polynomial_Input_Source": 0xFFFFFFFF}  # fmt: skip
-    table = open_table(tdms(tmp_path / "r.tdms", ChannelObject("g", "a", n, linear), ChannelObject("g", "b", n, square)))
+              "NI_Scale[0]_Polynomial_Coefficients[2]": 1.0,
+              "NI_Scale[0]_Polynomial_Input_Source": 0xFFFFFFFF}  # fmt: skip
+    table = open_table(
+        tdms(tmp_path / "r.tdms", ChannelObject("g", "a", n, linear), ChannelObject("g", "b", n, square))
+    )
     np.testing.assert_array_equal(whole(table), np.column_stack([2 + 0.5 * n, 1.0 + n.astype(float) ** 2]))
 
 
 @pytest.mark.skipif(not SHIPPED.is_dir(), reason="this npTDMS ships no files")
-@pytest.mark.parametrize(("name", "shape", "rate"), [("big_endian.tdms", (3500, 2), 1000.0), ("raw1.tdms", (2000, None), None)])
+@pytest.mark.parametrize(
+    ("name", "shape", "rate"), [("big_endian.tdms", (3500, 2), 1000.0), ("raw1.tdms", (2000, None), None)]
+)
 def test_shipped_tdms_files(name: str, shape: tuple, rate: float | None) -> None:
     table = open_table(SHIPPED / name)
     samples = whole(table)
@@ -83,7 +90,10 @@ def test_broken_tdms_files(tmp_path: Path) -> None:
     path.write_bytes(b"MZ" + content)
     with pytest.raises(DataError, match="is not a readable TDMS file"):
         open_table(path)
-    rates = [ChannelObject("g", name, np.arange(5.0), {"wf_increment": step}) for name, step in (("a", 0.1), ("b", 0.2))]
+    rates = [
+        ChannelObject("g", name, np.arange(5.0), {"wf_increment": step})
+        for name, step in (("a", 0.1), ("b", 0.2))
+    ]
     with pytest.raises(DataError, match="one rate is required"):
         open_table(tdms(path, *rates))
     with pytest.raises(DataError, match="no channel of numbers"):
@@ -121,7 +131,9 @@ TEXT = b"t [s];x [um]\n" + b"".join(b"%d,5;%d\n" % (n, n * n) for n in range(200
 
 
 def packed(path: Path, content: bytes) -> Path:
-    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else pa.Codec("zstd").compress(content, asbytes=True))
+    path.write_bytes(
+        gzip.compress(content) if path.suffix == ".gz" else pa.Codec("zstd").compress(content, asbytes=True)
+    )
     return path
 
 

@@ -27,7 +27,11 @@ def whole(table) -> np.ndarray:
 @pytest.mark.parametrize("version", ["4", "5"])
 def test_vectors_matrices_and_rates(tmp_path: Path, rng, version: str) -> None:
     x, matrix = rng.normal(size=(70, 1)), rng.normal(size=(70, 2))
-    savemat(tmp_path / "r.mat", {"x": x, "m": matrix, "row": x.T, "short": np.ones(5), "Fs": 5000.0, "dt": 2e-4}, format=version)
+    savemat(
+        tmp_path / "r.mat",
+        {"x": x, "m": matrix, "row": x.T, "short": np.ones(5), "Fs": 5000.0, "dt": 2e-4},
+        format=version,
+    )
     table = open_table(tmp_path / "r.mat")
     assert (table.columns, table.sample_rate) == (("x", "m_1", "m_2", "row"), 5000.0)
     np.testing.assert_array_equal(whole(table), np.column_stack([x, matrix, x]))
@@ -57,17 +61,27 @@ def test_hdf5_in_blocks_with_attributes(tmp_path: Path, rng) -> None:
         file["run/x"].attrs["sample_rate"] = 51200
         file["elsewhere"] = h5py.ExternalLink("other.h5", "/x")
     table = open_table(tmp_path / "r.h5")
-    assert (table.columns, table.units, table.sample_rate) == (("run/m_1", "run/m_2", "run/x"), {"run/x": "um"}, 51200.0)
+    assert (table.columns, table.units, table.sample_rate) == (
+        ("run/m_1", "run/m_2", "run/x"),
+        {"run/x": "um"},
+        51200.0,
+    )
     chunks = list(table.chunks(["run/x", "run/m_2"]))
     assert max(len(chunk) for chunk in chunks) < N
     np.testing.assert_array_equal(np.concatenate(chunks), np.column_stack([x, m[1]]))
 
 
 def test_matlab_7_3_is_hdf5_behind_its_own_block(tmp_path: Path, rng) -> None:
-    """The layout MATLAB writes: 512 bytes of text, matrices transposed, chars as numbers, references aside."""
+    """The layout MATLAB writes: 512 bytes of text, matrices transposed, chars as numbers, references
+    aside.
+    """
     x = rng.normal(size=(1, 50))
     with h5py.File(tmp_path / "r.mat", "w", userblock_size=512) as file:
-        for name, values, kind in (("x", x, b"double"), ("fs", [[200.0]], b"double"), ("label", [[104] * 50], b"char")):
+        for name, values, kind in (
+            ("x", x, b"double"),
+            ("fs", [[200.0]], b"double"),
+            ("label", [[104] * 50], b"char"),
+        ):
             file[name] = np.array(values)
             file[name].attrs["MATLAB_class"] = np.bytes_(kind)
         file["#refs#/a"] = np.ones(90)
@@ -87,7 +101,14 @@ def test_round_trip_of_a_response(tmp_path: Path, rng, n_input: int) -> None:
     frequency = np.sort(rng.uniform(1, 9, 6))
     coherence = rng.random(matrix.shape)
     made = FrequencyResponse(
-        frequency, matrix, outputs, inputs, form="mobility", covariance=covariance, coherence=coherence, covariance_dof=17.5
+        frequency,
+        matrix,
+        outputs,
+        inputs,
+        form="mobility",
+        covariance=covariance,
+        coherence=coherence,
+        covariance_dof=17.5,
     )
     write_frf_mat(tmp_path / "h.mat", made)
     read = read_frf_mat(tmp_path / "h.mat")
@@ -101,7 +122,11 @@ def test_round_trip_of_a_recording(tmp_path: Path, rng) -> None:
     made = Recording(channels, rng.normal(size=(40, 2)), 12345.5)
     write_recording_mat(tmp_path / "r.mat", made)
     table = open_table(tmp_path / "r.mat")
-    assert (table.columns, table.units, table.sample_rate) == (("f_1", "x2y"), {"f_1": "N", "x2y": "m"}, 12345.5)
+    assert (table.columns, table.units, table.sample_rate) == (
+        ("f_1", "x2y"),
+        {"f_1": "N", "x2y": "m"},
+        12345.5,
+    )
     np.testing.assert_array_equal(whole(table), made.samples)
 
 
@@ -136,7 +161,13 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, variables: dict, fragme
 
 
 CELL = np.array(["x"], object)
-FRF = {"frequency_hz": np.arange(3.0), "H": np.ones((3, 1, 1)) * 1j, "form": "receptance", "outputs": CELL, "inputs": CELL}
+FRF = {
+    "frequency_hz": np.arange(3.0),
+    "H": np.ones((3, 1, 1)) * 1j,
+    "form": "receptance",
+    "outputs": CELL,
+    "inputs": CELL,
+}
 
 
 @pytest.mark.parametrize(
@@ -144,14 +175,23 @@ FRF = {"frequency_hz": np.arange(3.0), "H": np.ones((3, 1, 1)) * 1j, "form": "re
     [
         ({"H": None}, "lacks the variable H"),
         ({"H": np.ones((2, 1, 1)) * 1j}, "H has the size"),
-        ({"H": np.ones((3, 2)) * 1j, "outputs": np.array(["x", "y"], object), "inputs": np.array(["x", "y"], object)}, "H has the size"),
+        (
+            {
+                "H": np.ones((3, 2)) * 1j,
+                "outputs": np.array(["x", "y"], object),
+                "inputs": np.array(["x", "y"], object),
+            },
+            "H has the size",
+        ),
         ({"H": "text"}, "H holds no numbers"),
         ({"form": "reluctance"}, "unknown form 'reluctance'"),
         ({"output_dofs": np.array(["x", "y"], object)}, "differ in length"),
     ],
 )
 def test_what_is_no_response_is_refused(tmp_path: Path, changes: dict, fragment: str) -> None:
-    savemat(tmp_path / "h.mat", {key: value for key, value in {**FRF, **changes}.items() if value is not None})
+    savemat(
+        tmp_path / "h.mat", {key: value for key, value in {**FRF, **changes}.items() if value is not None}
+    )
     with pytest.raises(DataError, match=fragment):
         read_frf_mat(tmp_path / "h.mat")
 
@@ -162,7 +202,9 @@ def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, com
     savemat(tmp_path / "r.mat", {"x": rng.normal(size=60), "s": {"a": np.ones(9)}}, do_compression=compressed)
     content = (tmp_path / "r.mat").read_bytes()
     for place in range(128, min(len(content), 200)):
-        (tmp_path / "r.mat").write_bytes(content[:place] + bytes([content[place] ^ 0x5A]) + content[place + 1 :])
+        (tmp_path / "r.mat").write_bytes(
+            content[:place] + bytes([content[place] ^ 0x5A]) + content[place + 1 :]
+        )
         with contextlib.suppress(DataError):
             whole(open_table(tmp_path / "r.mat"))
 

@@ -1,4 +1,6 @@
-"""LabVIEW, NumPy, Excel and MDF files as tables: what other libraries wrote is read back, faults have their place."""
+"""LabVIEW, NumPy, Excel and MDF files as tables: what other libraries wrote is read back, faults have their
+place.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,13 @@ def test_lvm_without_x_values_has_units_and_rate_and_no_comments(tmp_path: Path)
     np.testing.assert_array_equal(whole(table.path, "a", "F"), [[-1.5, 0.5], [2e-3, 1.0], [np.nan, 1.5]])
 
 
-@pytest.mark.parametrize(("step", "rate"), [("0.000977", 1024.0), ("0.000488", 2050.0), ("0.001000", 1000.0), ("2.441406E-4", 4096.0)])
-def test_a_rounded_step_stands_for_the_rate_of_fewest_digits_that_it_may_be(tmp_path: Path, step: str, rate: float) -> None:
+@pytest.mark.parametrize(
+    ("step", "rate"),
+    [("0.000977", 1024.0), ("0.000488", 2050.0), ("0.001000", 1000.0), ("2.441406E-4", 4096.0)],
+)
+def test_a_rounded_step_stands_for_the_rate_of_fewest_digits_that_it_may_be(
+    tmp_path: Path, step: str, rate: float
+) -> None:
     """1/1024 s is 0.000977 within its digits, 1/1023 s is not; of 0.000488 the shortest rate is 2050 Hz."""
     assert open_table(lvm(tmp_path / "r.lvm", SEGMENT + ROWS, step=step)).sample_rate == rate
 
@@ -62,10 +69,16 @@ def test_lvm_with_decimal_commas_and_two_segments_with_x_values(tmp_path: Path) 
     ("text", "fault"),
     [
         (SEGMENT + ROWS + "\tx\t1\n", "r.lvm:16: column 'F': 'x' is not a number"),
-        (SEGMENT + ROWS + "\n" + SEGMENT + ROWS, "r.lvm:23: a second segment begins, and no X values say when"),
+        (
+            SEGMENT + ROWS + "\n" + SEGMENT + ROWS,
+            "r.lvm:23: a second segment begins, and no X values say when",
+        ),
         (SEGMENT[:60], "r.lvm: is cut off in its header"),
         (SEGMENT.replace("3\t3", "0\t0") + ROWS, "r.lvm: holds no channel with samples"),
-        (SEGMENT.replace("{step}\t{step}", "0.1\t0.2") + ROWS, "r.lvm: the channels have different rates (Delta_X)"),
+        (
+            SEGMENT.replace("{step}\t{step}", "0.1\t0.2") + ROWS,
+            "r.lvm: the channels have different rates (Delta_X)",
+        ),
     ],
 )
 def test_faults_of_lvm(tmp_path: Path, text: str, fault: str) -> None:
@@ -80,7 +93,10 @@ def test_numpy_files(tmp_path: Path) -> None:
     assert open_table(tmp_path / "r.npy").columns == ("1", "2")
     np.testing.assert_array_equal(whole(tmp_path / "r.npy"), rows)
     np.savez(tmp_path / "r.npz", f=rows[:, 0], y=rows[:, 1], fs=512)
-    assert (open_table(tmp_path / "r.npz").columns, open_table(tmp_path / "r.npz").sample_rate) == (("f", "y"), 512.0)
+    assert (open_table(tmp_path / "r.npz").columns, open_table(tmp_path / "r.npz").sample_rate) == (
+        ("f", "y"),
+        512.0,
+    )
     np.save(tmp_path / "s.npy", np.array([(1.0, 2), (3.0, 4)], [("t", float), ("x", int)]))
     np.testing.assert_array_equal(whole(tmp_path / "s.npy", "x", "t"), [[2, 1], [4, 3]])
 
@@ -94,7 +110,9 @@ def test_pickled_objects_are_never_read(tmp_path: Path) -> None:
 def test_frfs_in_variables_of_npz(tmp_path: Path) -> None:
     np.savez(tmp_path / "h.npz", f=np.array([1.0, 2.0]), H=np.array([1 + 1j, 2 + 2j]))
     layout = FrfLayout(file="h.npz", variables=FrfColumns(frequency="f", complex="H"), form="mobility")
-    np.testing.assert_array_equal(read_described(tmp_path / "h.npz", layout, Dofs(("x",), ("f",))).matrix.ravel(), [1 + 1j, 2 + 2j])
+    np.testing.assert_array_equal(
+        read_described(tmp_path / "h.npz", layout, Dofs(("x",), ("f",))).matrix.ravel(), [1 + 1j, 2 + 2j]
+    )
 
 
 def workbook(path: Path, *rows: list[object], second: bool = False) -> Path:
@@ -112,7 +130,9 @@ def test_the_sheet_of_an_excel_workbook(tmp_path: Path) -> None:
     path = workbook(tmp_path / "r.xlsx", ["Run 3"], ["Time", "force", "x"], [None, "N", "um"], *rows)
     table = open_table(path)
     assert table.columns == ("Time", "force", "x") and table.units == {"force": "N", "x": "um"}
-    np.testing.assert_array_equal(whole(path, "x", "Time"), [[0, 36000], [np.nan, 36001], [2, 36002], [3, 36003]])
+    np.testing.assert_array_equal(
+        whole(path, "x", "Time"), [[0, 36000], [np.nan, 36001], [2, 36002], [3, 36003]]
+    )
 
 
 def test_faults_of_workbooks(tmp_path: Path) -> None:
@@ -137,7 +157,9 @@ def test_the_longest_group_of_an_mdf_file(tmp_path: Path) -> None:
         file.save(tmp_path / "r.mf4")
     table = open_table(tmp_path / "r.mf4")
     assert table.columns == ("time [s]", "f", "n") and table.units == {"f": "N"}
-    np.testing.assert_array_equal(whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force]))
+    np.testing.assert_array_equal(
+        whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force])
+    )
 
 
 def mdf(path: Path) -> bytearray:
@@ -151,7 +173,8 @@ def mdf(path: Path) -> bytearray:
 
 
 def test_more_samples_than_an_mdf_file_can_hold_are_refused_at_once(tmp_path: Path) -> None:
-    """A channel group ##CG: the number of its samples at byte 80, then the bytes of a sample and of its marks at 96 and 100.
+    """A channel group ##CG: the number of its samples at byte 80, then the bytes of a sample and of its marks
+    at 96 and 100.
 
     The library made room for four gigabytes, at each of its channels.
     """
@@ -165,7 +188,9 @@ def test_more_samples_than_an_mdf_file_can_hold_are_refused_at_once(tmp_path: Pa
             open_table(tmp_path / "r.mf4")
 
 
-def test_what_a_library_prints_of_a_damaged_file_is_not_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_a_library_prints_of_a_damaged_file_is_not_shown(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """A channel ##CN whose data stand far behind those of its sample (byte offset at 92)."""
     content = mdf(tmp_path / "r.mf4")
     channel = content.rindex(b"##CN")
@@ -177,7 +202,9 @@ def test_what_a_library_prints_of_a_damaged_file_is_not_shown(tmp_path: Path, ca
 
 
 def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
-    """Bytes overwritten: what the libraries throw, and what half-made objects of theirs say when they go, is one message."""
+    """Bytes overwritten: what the libraries throw, and what half-made objects of theirs say when they go, is
+    one message.
+    """
     from asammdf import MDF, Signal
 
     with MDF(version="4.10") as file:
@@ -195,7 +222,9 @@ def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
         assert len(str(caught.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(("module", "suffix", "extra"), [("openpyxl", ".xlsx", "excel"), ("asammdf", ".mf4", "mdf")])
+@pytest.mark.parametrize(
+    ("module", "suffix", "extra"), [("openpyxl", ".xlsx", "excel"), ("asammdf", ".mf4", "mdf")]
+)
 def test_a_library_that_is_not_there_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, extra: str
 ) -> None:
@@ -203,15 +232,23 @@ def test_a_library_that_is_not_there_is_named_with_its_extra(
     (tmp_path / f"r{suffix}").write_bytes(b"1")
     with pytest.raises(DataError) as caught:
         open_table(tmp_path / f"r{suffix}")
-    assert str(caught.value).endswith(f"r{suffix}: needs the package {module}; pip install 'labpipe[{extra}]'")
+    assert str(caught.value).endswith(
+        f"r{suffix}: needs the package {module}; pip install 'labpipe[{extra}]'"
+    )
 
 
 @pytest.mark.parametrize(
-    ("title", "dimension"), [("Acceleration (FFT - (RMS))", "Time"), ("a (Power Spectrum)", "Time"), ("a", "Frequency")]
+    ("title", "dimension"),
+    [("Acceleration (FFT - (RMS))", "Time"), ("a (Power Spectrum)", "Time"), ("a", "Frequency")],
 )
 def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dimension: str) -> None:
-    """LabVIEW says Time of an FFT as well; with or without X values no rate follows from the distance of the lines."""
-    head = SEGMENT.replace("\tF\ta\tComment", f"\t{title}\t{title} 2\tComment").replace("Time\tTime", f"{dimension}\t{dimension}")
+    """LabVIEW says Time of an FFT as well.
+
+    With or without X values no rate follows from the distance of the lines.
+    """
+    head = SEGMENT.replace("\tF\ta\tComment", f"\t{title}\t{title} 2\tComment").replace(
+        "Time\tTime", f"{dimension}\t{dimension}"
+    )
     path = lvm(tmp_path / "s.lvm", head + "0.0\t1\t2\n0.5\t3\t4\n1.0\t5\t6\n", step="0.5")
     table = open_table(path)
     assert table.units["X_Value"] == "Hz" and table.sample_rate is None
@@ -220,6 +257,12 @@ def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dime
     assert overview.rate == "a spectrum: 'X_Value' is a frequency in Hz, no time"
     assert open_table(lvm(tmp_path / "w.lvm", head + "\t1\t2\n\t3\t4\n", step="0.5")).sample_rate is None
     rig = tmp_path / "rig.yaml"
-    rig.write_text(f"name: R\ntime: X_Value\nchannels:\n  a: {{column: '{title}', quantity: acceleration, role: output}}\n")
-    with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="'X_Value' is a frequency, no time"):
+    rig.write_text(
+        f"name: R\ntime: X_Value\nchannels:\n  a: {{column: '{title}', quantity: acceleration, "
+        "role: output}\n"
+    )
+    with (
+        output_folder(tmp_path / "out") as output,
+        pytest.raises(DataError, match="'X_Value' is a frequency, no time"),
+    ):
         ingest(path, load_rig(rig), output, "s", tmp_path)

@@ -1,4 +1,6 @@
-"""Envelope and spectrum fed block by block, against the whole signal at once (envelope) and scipy's Welch (spectrum)."""
+"""Envelope and spectrum fed block by block, against the whole signal at once (envelope) and scipy's Welch
+(spectrum).
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,16 @@ def fed(track: EnvelopeTrack | SpectrumTrack, rows: np.ndarray, cuts: list[int])
         track.add(block)
 
 
-@pytest.mark.parametrize(("n", "stretches"), [(10, 16), (64, 16), (65, 16), (1000, 16), (4097, 64), (5000, 15)])
-def test_the_envelope_is_that_of_the_whole_signal_however_it_is_cut(rng: np.random.Generator, n: int, stretches: int) -> None:
-    """Independent: smallest and largest of every step samples of the whole array; the step is the least power of two that suffices."""
+@pytest.mark.parametrize(
+    ("n", "stretches"), [(10, 16), (64, 16), (65, 16), (1000, 16), (4097, 64), (5000, 15)]
+)
+def test_the_envelope_is_that_of_the_whole_signal_however_it_is_cut(
+    rng: np.random.Generator, n: int, stretches: int
+) -> None:
+    """Independent: smallest and largest of every step samples of the whole array.
+
+    The step is the least power of two that suffices.
+    """
     rows = rng.normal(size=(n, 2))
     track = EnvelopeTrack(2, stretches)
     fed(track, rows, sorted(rng.integers(0, n, 5).tolist()))
@@ -37,11 +46,20 @@ def test_a_long_recording_needs_no_more_than_a_short_one(rng: np.random.Generato
         block = rng.normal(size=(5000, 1))
         envelope.add(block)
         spectrum.add(block)
-        held.append(sum(part.nbytes for track in (envelope, spectrum) for part in vars(track).values() if isinstance(part, np.ndarray)))
+        held.append(
+            sum(
+                part.nbytes
+                for track in (envelope, spectrum)
+                for part in vars(track).values()
+                if isinstance(part, np.ndarray)
+            )
+        )
     assert max(held[150:]) <= 2 * max(held[:10])
 
 
-def test_missing_numbers_are_passed_over_by_the_envelope_and_their_blocks_by_the_spectrum(rng: np.random.Generator) -> None:
+def test_missing_numbers_are_passed_over_by_the_envelope_and_their_blocks_by_the_spectrum(
+    rng: np.random.Generator,
+) -> None:
     rows = rng.normal(size=(4 * 256, 2))
     rows[300, 0] = np.nan
     envelope, spectrum = EnvelopeTrack(2, 8), SpectrumTrack(2, 256)

@@ -11,7 +11,9 @@ from labpipe.errors import DataError
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 
 
-def screened(samples: np.ndarray, block: int, limits: list[tuple[float, float] | None] | None = None) -> ChannelScreen:
+def screened(
+    samples: np.ndarray, block: int, limits: list[tuple[float, float] | None] | None = None
+) -> ChannelScreen:
     screen = ChannelScreen([f"ch{n}" for n in range(samples.shape[1])], limits)
     for start in range(0, samples.shape[0], block):
         screen.add(samples[start : start + block])
@@ -53,8 +55,14 @@ def test_findings_name_channel_and_first_sample() -> None:
     samples[[20, 30], 1] = np.nan
     samples[:, 2] = 0.0
     clipped, gap, constant = screened(samples, 12).findings()
-    assert clipped.code == "clipped" and "channel ch0: 4 samples" in clipped.message and "first is sample 10" in clipped.message
-    assert gap.code == "gap" and gap.message == "channel ch1: 2 of 50 samples are no numbers, the first is sample 20"
+    assert (
+        clipped.code == "clipped"
+        and "channel ch0: 4 samples" in clipped.message
+        and "first is sample 10" in clipped.message
+    )
+    assert gap.code == "gap" and gap.message == (
+        "channel ch1: 2 of 50 samples are no numbers, the first is sample 20"
+    )
     assert constant.message == "channel ch2 does not vary at all"
 
 
@@ -66,11 +74,16 @@ def test_a_known_range_excuses_equal_peaks_inside_it() -> None:
 
 
 def test_a_known_range_finds_peaks_that_do_not_repeat() -> None:
-    # Noise behind the saturated amplifier: no two samples are equal, yet all of them stand at or beyond the end of the range.
+    # Noise behind the saturated amplifier: no two samples are equal, yet all of them stand at or beyond the
+    # end of the range.
     samples = np.sin(np.arange(300) / 9)[:, None]
     samples[[40, 41, 200], 0] = [10.0, 10.001, -10.0002]
     (clipped,) = screened(samples, 50, [(-10.0, 10.0)]).findings()
-    assert clipped.code == "clipped" and "3 samples" in clipped.message and "first is sample 40" in clipped.message
+    assert (
+        clipped.code == "clipped"
+        and "3 samples" in clipped.message
+        and "first is sample 40" in clipped.message
+    )
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1 / 3, 1e6])
@@ -115,10 +128,15 @@ def test_white_noise_that_is_cut_off_is_seen_though_no_run_is_long(block: int) -
 
 @pytest.mark.parametrize("amplitude", [20.2, 64.5, 127.0])
 def test_the_turn_of_a_coarse_sine_is_no_clipping(amplitude: float) -> None:
-    """A quantised sine dwells at its extreme: of 2 q / A samples several times as many as on the next step, but not ten times."""
+    """A quantised sine dwells at its extreme: of 2 q / A samples several times as many as on the next step,
+    but not ten times.
+    """
     t = np.arange(20_000) / 1000
     for phase in np.linspace(0, 6, 13):
-        assert screened(np.round(amplitude * np.sin(2 * np.pi * 137.3 * t + phase))[:, None], 4096).findings() == ()
+        assert (
+            screened(np.round(amplitude * np.sin(2 * np.pi * 137.3 * t + phase))[:, None], 4096).findings()
+            == ()
+        )
 
 
 def test_a_sine_in_step_with_the_samples_is_no_clipping() -> None:
@@ -195,7 +213,10 @@ def test_uneven_times_are_refused(change, message: str) -> None:  # type: ignore
     ],
 )
 def test_equal_steps_within_their_printed_digits(rate: int, printed: str, n_sample: int) -> None:
-    """Times n / rate as loggers print them give the rate itself; one lost sample in the middle is still refused."""
+    """Times n / rate as loggers print them give the rate itself.
+
+    One lost sample in the middle is still refused.
+    """
     times = np.array([float(printed % (n / rate)) for n in range(n_sample + 1)])
     assert rate_of(times[:-1]) == rate
     with pytest.raises(DataError, match="are not equal"):
@@ -216,7 +237,10 @@ def rate_of(times: np.ndarray) -> float:
 
 
 def test_the_zeros_of_a_force_window_are_no_clipping() -> None:
-    """A push of a hammer under a force window: half its samples are its lowest value, zero; cut off at the top it is clipped."""
+    """A push of a hammer under a force window: half its samples are its lowest value, zero.
+
+    Cut off at the top it is clipped.
+    """
     force = np.zeros(400)
     force[20:40] = np.sin(np.pi * (np.arange(20) + 0.5) / 20)
     assert screened(force[:, None], 64).findings() == ()
@@ -224,7 +248,9 @@ def test_the_zeros_of_a_force_window_are_no_clipping() -> None:
     assert finding.code == "clipped" and "first is sample 26" in finding.message
 
 
-@pytest.mark.parametrize(("n_clipped", "percent"), [(1000, "100 %"), (996, "100 %"), (990, "99 %"), (123, "12 %"), (3, "0.3 %")])
+@pytest.mark.parametrize(
+    ("n_clipped", "percent"), [(1000, "100 %"), (996, "100 %"), (990, "99 %"), (123, "12 %"), (3, "0.3 %")]
+)
 def test_shares_are_written_without_powers_of_ten(n_clipped: int, percent: str) -> None:
     samples = np.where(np.arange(1000) < n_clipped, 5.0, np.linspace(-4, 4, 1000))
     samples[-1] = -4.5

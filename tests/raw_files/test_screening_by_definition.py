@@ -1,4 +1,6 @@
-"""Findings of the screening, block by block and by extremes, against their definitions over whole channels, written plainly."""
+"""Findings of the screening, block by block and by extremes, against their definitions over whole channels,
+written plainly.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,9 @@ def clipped_at_limit(x: np.ndarray, limit: float) -> tuple[int, int]:
 
 
 def clipped_at_extreme(x: np.ndarray) -> tuple[int, int]:
-    """(number, first) of the samples at the maximum: all, where ten times as many have it as each of the 15 next values, to the digits of
-    single precision; or those in runs of three and more."""
+    """(number, first) of the samples at the maximum: all, where ten times as many have it as each of the 15
+    next values, to the digits of single precision; or those in runs of three and more.
+    """
     finite = x[np.isfinite(x)]
     peak = finite.max()
     if peak == 0:
@@ -38,7 +41,9 @@ def clipped_at_extreme(x: np.ndarray) -> tuple[int, int]:
     return count, first
 
 
-def findings_by_definition(names: list[str], samples: np.ndarray, limits: list[tuple[float, float] | None]) -> tuple[Finding, ...]:
+def findings_by_definition(
+    names: list[str], samples: np.ndarray, limits: list[tuple[float, float] | None]
+) -> tuple[Finding, ...]:
     found: list[Finding] = []
     for name, x, limit in zip(names, samples.T, limits, strict=True):
         finite = np.isfinite(x)
@@ -62,21 +67,31 @@ def findings_by_definition(names: list[str], samples: np.ndarray, limits: list[t
             percent = f"{share:.0f}" if share >= 99.5 else f"{share:.2g}"
             first = min(first for number, first in runs if number)
             what = f"{count} samples ({percent} %) stand at the end of the range, the first is sample {first}"
-            found.append(Finding("clipped", f"channel {name}: {what}; the peaks are cut off and amplitudes come out too small"))
+            found.append(
+                Finding(
+                    "clipped",
+                    f"channel {name}: {what}; the peaks are cut off and amplitudes come out too small",
+                )
+            )
     return tuple(found)
 
 
-# Each makes a channel of a fault from sound samples (n,); many leave the extreme late, so that blocks before it are skipped by their ends.
+# Each makes a channel of a fault from sound samples (n,); many leave the extreme late, so that blocks before
+# it are skipped by their ends.
 FAULTS = {
     "sound": lambda x, rng: x,
     "clipped noise": lambda x, rng: np.clip(x, *np.quantile(x, [rng.uniform(0, 0.05), rng.uniform(0.95, 1)])),
-    "a clipped sine": lambda x, rng: np.clip(np.sin(np.arange(x.size) / 9), -0.8, 0.9) + 1e-3 * (np.abs(x) < 0.01),
+    "a clipped sine": lambda x, rng: (
+        np.clip(np.sin(np.arange(x.size) / 9), -0.8, 0.9) + 1e-3 * (np.abs(x) < 0.01)
+    ),
     "a burst late": lambda x, rng: np.where(
         (np.arange(x.size) >= (late := rng.integers(3000, 3900))) & (np.arange(x.size) < late + 5), 9.0, x
     ),
     "bursts of two": lambda x, rng: np.where(np.isin(np.arange(x.size) % 500, [3, 4]), 9.0, x),
     "gaps": lambda x, rng: np.where(rng.random(x.size) < 0.002, np.nan, x),
-    "infinities": lambda x, rng: np.where(rng.random(x.size) < 0.001, rng.choice([np.inf, -np.inf], x.size), x),
+    "infinities": lambda x, rng: np.where(
+        rng.random(x.size) < 0.001, rng.choice([np.inf, -np.inf], x.size), x
+    ),
     "nothing": lambda x, rng: np.full(x.size, np.nan),
     "at rest": lambda x, rng: np.full(x.size, float(rng.choice([0.0, 3.0]))),
     "at rest, then not": lambda x, rng: np.where(np.arange(x.size) < 2500, 1.0, x),
@@ -84,7 +99,9 @@ FAULTS = {
     "many levels": lambda x, rng: np.round(x * 200) / 200,
     "a window": lambda x, rng: np.where(np.arange(x.size) % 1000 < 50, np.abs(x), 0.0),
     "single precision": lambda x, rng: x.astype(np.float32).astype(float),
-    "a gap in a burst": lambda x, rng: np.where(np.arange(x.size) == 2001, np.nan, np.where(np.abs(np.arange(x.size) - 2001) < 4, -7.0, x)),
+    "a gap in a burst": lambda x, rng: np.where(
+        np.arange(x.size) == 2001, np.nan, np.where(np.abs(np.arange(x.size) - 2001) < 4, -7.0, x)
+    ),
 }
 
 
@@ -102,7 +119,9 @@ def test_findings_are_those_of_the_definitions(seed: int) -> None:
         for start in range(0, N_SAMPLE, size):
             block = samples[start : start + size]
             screen.add(block)
-            if not by_extremes.add_between(block.min(axis=0), block.max(axis=0), block.shape[0], block.T.__getitem__):
+            if not by_extremes.add_between(
+                block.min(axis=0), block.max(axis=0), block.shape[0], block.T.__getitem__
+            ):
                 by_extremes.add(block)
         assert screen.findings() == expected
         assert by_extremes.findings() == expected

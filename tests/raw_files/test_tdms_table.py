@@ -22,7 +22,9 @@ INTERLEAVED = 1 << 5
 def write(path: Path, *segments: dict[str, np.ndarray]) -> Path:
     with TdmsWriter(str(path)) as writer:
         for segment in segments:
-            writer.write_segment([RootObject(), *(ChannelObject("g", name, part) for name, part in segment.items())])
+            writer.write_segment(
+                [RootObject(), *(ChannelObject("g", name, part) for name, part in segment.items())]
+            )
     return path
 
 
@@ -30,7 +32,9 @@ def patched(path: Path, more: bytes = b"", flags: int = 0) -> None:
     """Give the only segment further raw data and flags."""
     content = path.read_bytes()
     mark, toc, version, following, raw = LEAD_IN.unpack_from(content)
-    path.write_bytes(LEAD_IN.pack(mark, toc | flags, version, following + len(more), raw) + content[LEAD_IN.size :] + more)
+    path.write_bytes(
+        LEAD_IN.pack(mark, toc | flags, version, following + len(more), raw) + content[LEAD_IN.size :] + more
+    )
 
 
 def numbers(path: Path, *names: str) -> np.ndarray:
@@ -38,10 +42,14 @@ def numbers(path: Path, *names: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_segments_of_any_lengths_and_kinds(tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_segments_of_any_lengths_and_kinds(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tdms_table, "CHUNK_ROWS", 101)
     rng = np.random.default_rng(seed)
-    kinds = dict(zip("abc", rng.choice([np.float32, np.float64, np.int16, np.int32, np.uint8], 3), strict=True))
+    kinds = dict(
+        zip("abc", rng.choice([np.float32, np.float64, np.int16, np.int32, np.uint8], 3), strict=True)
+    )
     segments = []
     for _ in range(rng.integers(1, 7)):
         length = int(rng.integers(1, 200))
@@ -71,7 +79,9 @@ def test_interleaved_values(tmp_path: Path) -> None:
 
 
 def test_every_chunk_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of one long segment as well, of which npTDMS reads a channel from end to end for every part that is asked for."""
+    """Of one long segment as well, of which npTDMS reads a channel from end to end for every part that is
+    asked for.
+    """
     path = write(tmp_path / "r.tdms", {"x": np.arange(5000.0), "y": np.arange(5000.0)})
     monkeypatch.setattr(tdms_table, "CHUNK_ROWS", 100)
     n_read, fromfile = [], base_segment.fromfile
@@ -85,7 +95,9 @@ def test_every_chunk_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert sum(values.nbytes for values in n_read) == 2 * 5000 * 8
 
 
-def test_a_file_that_ends_while_it_is_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_ends_while_it_is_read_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = write(tmp_path / "r.tdms", *({"x": np.arange(1000.0)} for _ in range(5)))
     monkeypatch.setattr(tdms_table, "CHUNK_ROWS", 100)
     chunks = open_table(path).chunks(["x"])

@@ -12,7 +12,13 @@ from labpipe.errors import DataError
 from labpipe.raw_files.text_table import CsvTable, StampClock, is_stamp
 
 START = datetime(2024, 2, 29, 23, 59, 59)
-FORMATS = ["%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%fZ", "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %I:%M:%S.%f %p", "%H:%M:%S.%f"]
+FORMATS = [
+    "%Y-%m-%d %H:%M:%S.%f",
+    "%Y-%m-%dT%H:%M:%S.%fZ",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+    "%H:%M:%S.%f",
+]
 
 
 @pytest.mark.parametrize("written", FORMATS)
@@ -29,7 +35,9 @@ def test_a_column_of_stamps_with_decimal_commas(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("Uhrzeit;x\n" + rows)
     table = CsvTable(tmp_path / "run.csv")
     values = np.concatenate(list(table.chunks(["x", "Uhrzeit"])))
-    np.testing.assert_allclose(values, np.column_stack([np.arange(30) + 0.5, 36000 + np.arange(30) / 10]), rtol=1e-15)
+    np.testing.assert_allclose(
+        values, np.column_stack([np.arange(30) + 0.5, 36000 + np.arange(30) / 10]), rtol=1e-15
+    )
 
 
 def test_a_faulty_stamp_has_its_line(tmp_path: Path) -> None:
@@ -40,7 +48,9 @@ def test_a_faulty_stamp_has_its_line(tmp_path: Path) -> None:
 
 
 def test_time_that_is_left_out_is_refused() -> None:
-    with pytest.raises(DataError, match="the column 't' leaves out time between 2024-03-01 and 2024-03-02 10:00:01"):
+    with pytest.raises(
+        DataError, match="the column 't' leaves out time between 2024-03-01 and 2024-03-02 10:00:01"
+    ):
         StampClock("t").seconds(["2024-03-01 10:00:00", "2024-03-02 10:00:01"])
 
 

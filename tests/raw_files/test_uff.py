@@ -1,4 +1,6 @@
-"""Universal files: labpipe's writer and reader against each other and against pyuff, an independent program."""
+"""Universal files: labpipe's writer and reader against each other and against pyuff, an independent
+program.
+"""
 
 from __future__ import annotations
 
@@ -22,29 +24,44 @@ from labpipe.records.response import FrequencyResponse, Port
 FREQUENCY = 10 + 0.125 * np.arange(9)
 
 
-def response(rng: np.random.Generator, frequency: np.ndarray = FREQUENCY, form: str = "receptance") -> FrequencyResponse:
+def response(
+    rng: np.random.Generator, frequency: np.ndarray = FREQUENCY, form: str = "receptance"
+) -> FrequencyResponse:
     matrix = rng.normal(size=(frequency.size, 2, 2)) + 1j * rng.normal(size=(frequency.size, 2, 2))
     ports = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
     forces = (Port("f", "f", "x", 0.0), Port("45 deg", "45 deg", "45 deg", np.pi / 4))
-    return FrequencyResponse(frequency, matrix * 1e-6, ports, forces, form=form, coherence=rng.random(matrix.shape), name="run 1")
+    return FrequencyResponse(
+        frequency, matrix * 1e-6, ports, forces, form=form, coherence=rng.random(matrix.shape), name="run 1"
+    )
 
 
 def function(rng: np.random.Generator, **entries: object) -> dict:
     """One pyuff record: accelerance 1+X per force 2+Y, 9 lines."""
     values = rng.normal(size=9) + 1j * rng.normal(size=9)
     known = {
-        "type": 58, "func_type": 4, "rsp_node": 1, "rsp_dir": 1, "ref_node": 2, "ref_dir": 2, "data": values, "x": FREQUENCY,
-        "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
+        "type": 58, "func_type": 4, "rsp_node": 1, "rsp_dir": 1, "ref_node": 2, "ref_dir": 2, "data": values,
+        "x": FREQUENCY,
+        "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12,
+        "orddenom_spec_data_type": 13,
     }  # fmt: skip
     return {**known, **entries}
 
 
 def units(length: float, force: float) -> dict:
-    return {"type": 164, "units_code": 9, "length": length, "force": force, "temp": 1.0, "temp_offset": 273.15}
+    return {
+        "type": 164,
+        "units_code": 9,
+        "length": length,
+        "force": force,
+        "temp": 1.0,
+        "temp_offset": 273.15,
+    }
 
 
 def written(path: Path, *sets: dict) -> Path:
-    """A new file by pyuff, which overwrites its own binary headers in any mode but "add", and leaves files open."""
+    """A new file by pyuff, which overwrites its own binary headers in any mode but "add", and leaves files
+    open.
+    """
     path.unlink(missing_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
@@ -70,16 +87,24 @@ def test_uneven_frequencies_keep_what_the_format_holds(tmp_path: Path, rng, bina
     """Text: six digits in 13 columns; binary: all of them."""
     made = response(rng, np.sort(rng.uniform(10, 20, 7)))
     write_frf_uff(tmp_path / "h.uff", made, binary)
-    np.testing.assert_allclose(read_frf_uff(tmp_path / "h.uff").frequency, made.frequency, rtol=0 if binary else 5e-6)
+    np.testing.assert_allclose(
+        read_frf_uff(tmp_path / "h.uff").frequency, made.frequency, rtol=0 if binary else 5e-6
+    )
 
 
 @pytest.mark.parametrize("binary", [False, True])
 def test_pyuff_reads_what_labpipe_writes(tmp_path: Path, rng, binary: bool) -> None:
     made = response(rng)
     write_frf_uff(tmp_path / "h.uff", made, binary)
-    sets = [entry for entry in pyuff.UFF(str(tmp_path / "h.uff")).read_sets() if entry["type"] == 58 and entry["func_type"] == 4]
+    sets = [
+        entry
+        for entry in pyuff.UFF(str(tmp_path / "h.uff")).read_sets()
+        if entry["type"] == 58 and entry["func_type"] == 4
+    ]
     assert [(entry["rsp_dir"], entry["ref_dir"]) for entry in sets] == [(1, 1), (1, 0), (2, 1), (2, 0)]
-    np.testing.assert_allclose(np.array([entry["data"] for entry in sets]).T.reshape(made.matrix.shape), made.matrix, rtol=1e-11)
+    np.testing.assert_allclose(
+        np.array([entry["data"] for entry in sets]).T.reshape(made.matrix.shape), made.matrix, rtol=1e-11
+    )
     np.testing.assert_allclose(sets[3]["x"], made.frequency, rtol=1e-12)
     assert (sets[0]["ordinate_spec_data_type"], sets[0]["orddenom_spec_data_type"]) == (8, 13)
 
@@ -87,17 +112,27 @@ def test_pyuff_reads_what_labpipe_writes(tmp_path: Path, rng, binary: bool) -> N
 @pytest.mark.parametrize("binary", [0, 1])
 @pytest.mark.parametrize("even", [0, 1])
 def test_what_pyuff_writes(tmp_path: Path, rng, binary: int, even: int) -> None:
-    """Several records per file; pyuff's binary abscissa is in double precision, which the format does not provide."""
+    """Several records per file.
+
+    Pyuff's binary abscissa is in double precision, which the format does not provide.
+    """
     made = [function(rng, rsp_dir=d, binary=binary, abscissa_spacing=even) for d in (1, 2)]
     read = read_frf_uff(written(tmp_path / "h.uff", *[dict(entry) for entry in made]))
-    assert [(port.label, port.dof, port.angle) for port in read.outputs] == [("1.x", "1.x", 0.0), ("1.y", "1.y", np.pi / 2)]
+    assert [(port.label, port.dof, port.angle) for port in read.outputs] == [
+        ("1.x", "1.x", 0.0),
+        ("1.y", "1.y", np.pi / 2),
+    ]
     assert (read.inputs[0].label, read.form) == ("2.y", "accelerance")
-    np.testing.assert_allclose(read.matrix[:, :, 0], np.array([entry["data"] for entry in made]).T, rtol=1e-10)
+    np.testing.assert_allclose(
+        read.matrix[:, :, 0], np.array([entry["data"] for entry in made]).T, rtol=1e-10
+    )
     np.testing.assert_allclose(read.frequency, FREQUENCY, rtol=1e-7)
 
 
 def big_endian(path: Path, rng, n: int = 9, ordinate: int = 6) -> np.ndarray:
-    """The file of `function` in binary, its numbers turned to the byte order of the other kind of machine by hand."""
+    """The file of `function` in binary, its numbers turned to the byte order of the other kind of machine by
+    hand.
+    """
     values = rng.normal(size=2 * n)
     text = written(path, function(rng, binary=1)).read_bytes()
     head = b"".join(text.splitlines(True)[:13]).replace(b"58b     1", b"58b     2", 1)
@@ -136,7 +171,13 @@ def test_units_of_record_164(tmp_path: Path, rng, sets, factor: float) -> None:
 
 @pytest.mark.parametrize(
     ("label", "per", "factor"),
-    [("mm/s2", "NONE", 1e-3), ("g", "N", 9.80665), ("g/N", "N", 9.80665), ("m/s^2", "kN", 1e-3), ("(m/s^2)/N", "NONE", 1.0)],
+    [
+        ("mm/s2", "NONE", 1e-3),
+        ("g", "N", 9.80665),
+        ("g/N", "N", 9.80665),
+        ("m/s^2", "kN", 1e-3),
+        ("(m/s^2)/N", "NONE", 1.0),
+    ],
 )
 def test_units_of_labels(tmp_path: Path, rng, label: str, per: str, factor: float) -> None:
     entry = function(rng, ordinate_axis_units_lab=label, orddenom_axis_units_lab=per)
@@ -154,7 +195,10 @@ def test_units_of_labels(tmp_path: Path, rng, label: str, per: str, factor: floa
         ([{}, {"rsp_dir": 2, "ref_dir": 1}], "no FRF record for response 1 x and reference 2 x"),
         ([{}, {"rsp_dir": 2, "ordinate_spec_data_type": 8}], "is a receptance"),
         ([{}, {"rsp_dir": 2, "x": FREQUENCY + 0.05}], "the frequencies of record 2"),
-        ([{}, {"rsp_dir": 2, "x": FREQUENCY[:5], "data": np.ones(5) + 1j}], "has 5 frequencies, the first FRF record 9"),
+        (
+            [{}, {"rsp_dir": 2, "x": FREQUENCY[:5], "data": np.ones(5) + 1j}],
+            "has 5 frequencies, the first FRF record 9",
+        ),
         ([{"data": np.ones(9)}], "an FRF of real numbers"),
         ([{"func_type": 1}], "holds no FRF records"),
     ],
@@ -172,7 +216,10 @@ def test_a_label_that_contradicts_record_164(tmp_path: Path, rng) -> None:
         read_frf_uff(path)
 
 
-CHANNELS = (Channel("force", "force", "input", "x", 0.0), Channel("acc", "acceleration", "output", "y", np.pi / 2))
+CHANNELS = (
+    Channel("force", "force", "input", "x", 0.0),
+    Channel("acc", "acceleration", "output", "y", np.pi / 2),
+)
 
 
 @pytest.mark.parametrize("binary", [False, True])
@@ -181,15 +228,21 @@ def test_round_trip_of_a_recording(tmp_path: Path, rng, binary: bool, rate: floa
     made = Recording(CHANNELS, rng.normal(size=(1001, 2)), rate)
     write_recording_uff(tmp_path / "r.uff", made, binary)
     table = open_table(tmp_path / "r.uff")
-    assert (table.columns, table.units, table.sample_rate) == (("force", "acc"), {"force": "N", "acc": "m/s^2"}, rate)
+    assert (table.columns, table.units, table.sample_rate) == (
+        ("force", "acc"),
+        {"force": "N", "acc": "m/s^2"},
+        rate,
+    )
     read = np.concatenate(list(table.chunks(("acc", "force"))))
     np.testing.assert_allclose(read[:, ::-1], made.samples, rtol=0 if binary else 1e-11, atol=0)
 
 
 def sine(n: int = 50, **entries: object) -> dict:
     known = {
-        "type": 58, "func_type": 1, "rsp_node": 3, "rsp_dir": 2, "ref_node": 0, "ref_dir": 0, "data": np.sin(0.1 * np.arange(n)),
-        "x": 0.01 * np.arange(n), "abscissa_spacing": 1, "abscissa_spec_data_type": 17, "ordinate_spec_data_type": 12,
+        "type": 58, "func_type": 1, "rsp_node": 3, "rsp_dir": 2, "ref_node": 0, "ref_dir": 0,
+        "data": np.sin(0.1 * np.arange(n)),
+        "x": 0.01 * np.arange(n), "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
+        "ordinate_spec_data_type": 12,
         "orddenom_spec_data_type": 0,
     }  # fmt: skip
     return {**known, **entries}
@@ -207,13 +260,17 @@ def test_names_and_units_of_time_records(tmp_path: Path) -> None:
     table = UffTable(path)
     assert table.columns == ("3+Y", "3+Y_2", "Mic 1", "strain 7", "probe")
     assert table.units == {"Mic 1": "Pa", "probe": "gn"} and table.sample_rate == 100.0
-    np.testing.assert_allclose(np.concatenate(list(table.chunks(["probe"])))[:, 0], sine()["data"], rtol=1e-15)
+    np.testing.assert_allclose(
+        np.concatenate(list(table.chunks(["probe"])))[:, 0], sine()["data"], rtol=1e-15
+    )
 
 
 def test_record_164_scales_time_records(tmp_path: Path) -> None:
     table = UffTable(written(tmp_path / "r.uff", units(1000.0, 1.0), sine()))
     assert table.units == {"3+Y": "m/s^2"}
-    np.testing.assert_allclose(np.concatenate(list(table.chunks(table.columns)))[:, 0], 1e-3 * sine()["data"], rtol=1e-10)
+    np.testing.assert_allclose(
+        np.concatenate(list(table.chunks(table.columns)))[:, 0], 1e-3 * sine()["data"], rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize(
@@ -281,11 +338,16 @@ def test_long_exponents_that_touch_and_exponents_with_d(tmp_path: Path) -> None:
     lines[8] = lines[8].replace("         4         6", "         2         6")
     for text in ("".join(values), "  ".join(values).replace("E", "D")):
         path.write_text("\n".join([*lines[:13], text, "    -1", ""]))
-        np.testing.assert_array_equal(np.concatenate(list(UffTable(path).chunks(["3+Y"])))[:, 0], [-5e-5, -1.25] * 3)
+        np.testing.assert_array_equal(
+            np.concatenate(list(UffTable(path).chunks(["3+Y"])))[:, 0], [-5e-5, -1.25] * 3
+        )
 
 
 def test_names_too_long_for_the_format(tmp_path: Path, rng) -> None:
-    channels = (Channel("temperature 1", "temperature", "reference", "none"), Channel("temperature 2", "temperature", "reference", "none"))
+    channels = (
+        Channel("temperature 1", "temperature", "reference", "none"),
+        Channel("temperature 2", "temperature", "reference", "none"),
+    )
     with pytest.raises(DataError, match="the same name in a universal file"):
         write_recording_uff(tmp_path / "r.uff", Recording(channels, rng.normal(size=(10, 2)), 1.0))
 

@@ -24,7 +24,9 @@ def test_values_shape_and_type_are_kept(shape: tuple[int, ...], dtype: type) -> 
 
 @settings(derandomize=True, max_examples=40)
 @given(SHAPES, st.data())
-def test_the_first_number_that_is_none_is_named_by_its_index(shape: tuple[int, ...], draw: st.DataObject) -> None:
+def test_the_first_number_that_is_none_is_named_by_its_index(
+    shape: tuple[int, ...], draw: st.DataObject
+) -> None:
     values = np.zeros(shape)
     index = tuple(draw.draw(st.integers(0, n - 1)) for n in shape)
     values[index] = draw.draw(st.sampled_from([np.nan, np.inf, -np.inf]))

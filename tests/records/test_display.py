@@ -1,4 +1,6 @@
-"""Values with uncertainty and unit as people read them, against JCGM 100:2008, 7.2.6, and by what rounding must keep."""
+"""Values with uncertainty and unit as people read them, against JCGM 100:2008, 7.2.6, and by what rounding
+must keep.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,17 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from labpipe.display import NOT_DETERMINED, amount_text, number, plain_text, shown_unit, significant, two_digits, with_error, written
+from labpipe.display import (
+    NOT_DETERMINED,
+    amount_text,
+    number,
+    plain_text,
+    shown_unit,
+    significant,
+    two_digits,
+    with_error,
+    written,
+)
 from labpipe.quantities import parse_unit
 
 SIZES = st.floats(min_value=1e-12, max_value=1e15)
@@ -38,7 +50,9 @@ ROUNDING = 1e-9
         (12.3, 1e-12, ("12.3", "1.0e-12")),
     ],
 )
-def test_the_value_ends_where_the_second_digit_of_its_uncertainty_stands(value: float, error: float, texts: tuple[str, str]) -> None:
+def test_the_value_ends_where_the_second_digit_of_its_uncertainty_stands(
+    value: float, error: float, texts: tuple[str, str]
+) -> None:
     assert written(value, error) == texts
 
 
@@ -56,7 +70,9 @@ def test_what_is_not_finite_is_not_determined(value: float) -> None:
 
 
 @given(value=SIGNED, error=SIZES)
-def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_the_last_place(value: float, error: float) -> None:
+def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_the_last_place(
+    value: float, error: float
+) -> None:
     shown, uncertainty = written(value, error)
     place = 10.0 ** (int(f"{error:.1e}".partition("e")[2]) - 1)
     assert float(uncertainty) == pytest.approx(float(f"{error:.1e}"), rel=ROUNDING)
@@ -76,7 +92,9 @@ def test_value_and_uncertainty_end_at_one_place_and_share_a_power(value: float, 
 @given(low=SIGNED, value=SIGNED, error=SIZES)
 def test_ends_of_an_interval_stand_at_the_place_of_the_value(low: float, value: float, error: float) -> None:
     shown, _, end = written(value, error, low)
-    assert end.partition("e")[2] == shown.partition("e")[2] or "e" not in shown + end or number(low, 12) == end
+    assert (
+        end.partition("e")[2] == shown.partition("e")[2] or "e" not in shown + end or number(low, 12) == end
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,16 +138,34 @@ def test_one_text() -> None:
     assert with_error(12.3, 1e-12) == "12.3 ± 1.0e-12"
     assert with_error(293.15 - 273.15, 0.51, "degC") == "20.00 ± 0.51 degC"
     assert two_digits(4.8e2) == "480" and two_digits(0.1) == "0.10" and two_digits(3.2e-9) == "3.2e-9"
-    assert two_digits(3.2e-5) == "3.2e-5" and two_digits(3.2e-5, 0.0057) == "0.000032" and two_digits(0.0, 3.0) == "0"
+    assert (
+        two_digits(3.2e-5) == "3.2e-5"
+        and two_digits(3.2e-5, 0.0057) == "0.000032"
+        and two_digits(0.0, 3.0) == "0"
+    )
 
 
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
-    [(1.38e-5, "m", "13.8 um"), (8.7617e5, "Pa", "876.17 kPa"), (16.0, "1", "16"), (2.147e8, "N/m", "214.7 MN/m"), (0.0, "N", "0 N")],
+    [
+        (1.38e-5, "m", "13.8 um"),
+        (8.7617e5, "Pa", "876.17 kPa"),
+        (16.0, "1", "16"),
+        (2.147e8, "N/m", "214.7 MN/m"),
+        (0.0, "N", "0 N"),
+    ],
 )
-def test_amounts_without_an_uncertainty_have_the_unit_that_suits_them(value: float, unit: str, text: str) -> None:
+def test_amounts_without_an_uncertainty_have_the_unit_that_suits_them(
+    value: float, unit: str, text: str
+) -> None:
     assert plain_text(value, unit) == text
 
 
 def test_digits_of_a_table_are_counted_with_their_zeros() -> None:
-    assert [significant(value, 4) for value in (459000.0, 22.8, 1486.0, 0.0, -4893.2)] == ["4.590e+05", "22.80", "1486", "0", "-4893"]
+    assert [significant(value, 4) for value in (459000.0, 22.8, 1486.0, 0.0, -4893.2)] == [
+        "4.590e+05",
+        "22.80",
+        "1486",
+        "0",
+        "-4893",
+    ]

@@ -20,14 +20,19 @@ def factors(rng: np.random.Generator, n_line: int = 4) -> FactoredCovariance:
 
 def response(covariance: FactoredCovariance | np.ndarray | None) -> FrequencyResponse:
     outputs, inputs = (
-        tuple(Port(f"{kind}{n}", f"{kind}{n}", f"{kind}{n}") for n in range(number)) for kind, number in (("y", 3), ("f", 2))
+        tuple(Port(f"{kind}{n}", f"{kind}{n}", f"{kind}{n}") for n in range(number))
+        for kind, number in (("y", 3), ("f", 2))
     )
-    return FrequencyResponse(np.arange(1.0, 5.0), np.ones((4, 3, 2), complex), outputs, inputs, covariance=covariance)
+    return FrequencyResponse(
+        np.arange(1.0, 5.0), np.ones((4, 3, 2), complex), outputs, inputs, covariance=covariance
+    )
 
 
 def test_a_response_reads_as_with_the_kronecker_product(rng: np.random.Generator) -> None:
     covariance = factors(rng)
-    expected = np.array([np.kron(left, right) for left, right in zip(covariance.outputs, covariance.inputs, strict=True)])
+    expected = np.array(
+        [np.kron(left, right) for left, right in zip(covariance.outputs, covariance.inputs, strict=True)]
+    )
     given, kept = response(expected), response(covariance)
     assert given.variance is not None and kept.variance is not None
     np.testing.assert_allclose(kept.variance, given.variance, rtol=1e-14)

@@ -1,4 +1,7 @@
-"""Notes and warnings: told apart by files, terminal, report, rules and tables; only warnings weigh on the verdict."""
+"""Notes and warnings: told apart by files, terminal, report, rules and tables.
+
+Only warnings weigh on the verdict.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,13 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
     clean = (1 / (134.5e3 - 0.79 * w**2 + 3.7j * w))[:, None, None]
     noise = 1e-7 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
     ports = (Port("y", "y", "y"),), (Port("f", "f", "y"),)
-    return FrequencyResponse(frequency, clean + noise, *ports, covariance=uncorrelated(np.full(clean.shape, 1e-14)), findings=(MASKED,))
+    return FrequencyResponse(
+        frequency,
+        clean + noise,
+        *ports,
+        covariance=uncorrelated(np.full(clean.shape, 1e-14)),
+        findings=(MASKED,),
+    )
 
 
 def identification(response: FrequencyResponse, *of_fit: Finding) -> Identification:
@@ -64,23 +73,38 @@ def test_the_level_survives_files(response: FrequencyResponse, tmp_path: Path) -
 def test_rules_on_warnings_do_not_see_notes(response: FrequencyResponse, word: str, passed: bool) -> None:
     fits = identification(response, MASKED).fits
     rule = Rule(
-        section="accept", address="pedestal.warnings", fit="pedestal", which="", item="warnings", kind="=", bound=word, place="p.yaml:3"
+        section="accept",
+        address="pedestal.warnings",
+        fit="pedestal",
+        which="",
+        item="warnings",
+        kind="=",
+        bound=word,
+        place="p.yaml:3",
     )
     assert [outcome.passed for outcome in judge([rule], fits, {})] == [passed]
 
 
 def test_the_report_counts_warnings_and_shows_notes_apart(response: FrequencyResponse) -> None:
     text = html_report(identification(response)).decode()
-    assert "No warnings." in text and re.search(r"Notes</h2>.*masked: measurement: lines of the shaft speed", text, re.DOTALL)
+    assert "No warnings." in text and re.search(
+        r"Notes</h2>.*masked: measurement: lines of the shaft speed", text, re.DOTALL
+    )
     text = html_report(identification(response, CLIPPED)).decode()
     warnings, notes = text.index("Warnings</h2>"), text.index("Notes</h2>")
-    assert "1 kind(s) of warning" in text and warnings < text.index("clipped:") < notes < text.index("masked:")
+    assert "1 kind(s) of warning" in text and warnings < text.index("clipped:") < notes < text.index(
+        "masked:"
+    )
     assert "Notes</h2>" not in html_report(identification(replace(response, findings=()), CLIPPED)).decode()
 
 
-def test_the_terminal_names_the_level(response: FrequencyResponse, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_terminal_names_the_level(
+    response: FrequencyResponse, capsys: pytest.CaptureFixture[str]
+) -> None:
     echo_identification(identification(response, CLIPPED), quiet=False)
     out = capsys.readouterr().out
-    assert "note masked: lines of" in out and "warning clipped: channel y" in out and "warning masked" not in out
+    assert (
+        "note masked: lines of" in out and "warning clipped: channel y" in out and "warning masked" not in out
+    )
     echo_measured(replace(response, findings=(MASKED, CLIPPED)), quiet=True)
     assert capsys.readouterr().out == "  warning clipped: channel y clips at 3 samples\n"

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.quantities import QUANTITIES, UnitError, display_unit, parse_unit, parse_value, readable_unit, to_display
+from labpipe.quantities import (
+    QUANTITIES,
+    UnitError,
+    display_unit,
+    parse_unit,
+    parse_value,
+    readable_unit,
+    to_display,
+)
 
 
 @pytest.mark.parametrize(
@@ -66,14 +74,18 @@ def test_every_quantity_reads_and_displays_its_own_units() -> None:
         si, display = parse_unit(quantity.si_unit), parse_unit(quantity.display_unit)
         assert si.factor == pytest.approx(1.0), quantity.name
         periods = {(0, 0, -1, 0, 0, 0), (0, 0, -1, 0, 0, 1)}
-        assert si.dimension == display.dimension or {si.dimension, display.dimension} <= periods, quantity.name
+        assert si.dimension == display.dimension or {si.dimension, display.dimension} <= periods, (
+            quantity.name
+        )
 
 
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(-1e9, 1e9), st.sampled_from(["um", "kN/m", "deg", "N.s/m", "degC"]))
 def test_display_is_the_inverse_of_parsing(value: float, unit: str) -> None:
     si_unit = {"um": "m", "kN/m": "N/m", "deg": "rad", "N.s/m": "N.s/m", "degC": "K"}[unit]
-    assert to_display(parse_value(f"{value!r} {unit}", si_unit), unit) == pytest.approx(value, rel=1e-9, abs=1e-9)
+    assert to_display(parse_value(f"{value!r} {unit}", si_unit), unit) == pytest.approx(
+        value, rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize(

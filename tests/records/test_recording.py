@@ -31,7 +31,14 @@ def test_a_channel_states_the_si_unit_of_its_quantity(quantity: str) -> None:
 
 @pytest.mark.parametrize(
     ("quantity", "unit"),
-    [("force", "N"), ("displacement", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2"), ("temperature", "K"), ("current", "A")],
+    [
+        ("force", "N"),
+        ("displacement", "m"),
+        ("velocity", "m/s"),
+        ("acceleration", "m/s^2"),
+        ("temperature", "K"),
+        ("current", "A"),
+    ],
 )
 def test_units_of_common_quantities(quantity: str, unit: str) -> None:
     assert Channel("a", quantity, "reference", "a").unit == unit
@@ -102,7 +109,9 @@ def test_a_sample_that_is_no_number_is_named_by_sample_and_channel() -> None:
 def test_blocks_together_are_the_recording(n_sample: int, block: int) -> None:
     whole = recording(n_sample)
     parts = list(whole.blocks(block))
-    assert [len(part) for part in parts] == [block] * (n_sample // block) + ([n_sample % block] if n_sample % block else [])
+    assert [len(part) for part in parts] == [block] * (n_sample // block) + (
+        [n_sample % block] if n_sample % block else []
+    )
     np.testing.assert_array_equal(np.concatenate(parts) if parts else np.zeros((0, 2)), whole.samples)
 
 

@@ -43,7 +43,9 @@ def test_every_form_is_allowed_and_has_a_unit(form: str) -> None:
 
 
 def test_forms_follow_from_one_another_by_seconds() -> None:
-    """Mobility is receptance per second, accelerance mobility per second: two dimensions that differ by s^-1 each."""
+    """Mobility is receptance per second, accelerance mobility per second: two dimensions that differ by s^-1
+    each.
+    """
     seconds = [parse_unit(FORMS[form]).dimension[2] for form in ("receptance", "mobility", "accelerance")]
     assert seconds == [2.0, 1.0, 0.0]
 
@@ -51,7 +53,9 @@ def test_forms_follow_from_one_another_by_seconds() -> None:
 def test_another_form_is_refused_with_the_known_ones() -> None:
     with pytest.raises(DataError) as caught:
         response(form="inertance")
-    assert str(caught.value) == "unknown form 'inertance'; known: receptance, mobility, accelerance, transmissibility, other"
+    assert str(caught.value) == (
+        "unknown form 'inertance'; known: receptance, mobility, accelerance, transmissibility, other"
+    )
 
 
 @pytest.mark.parametrize("frequency", [[1.0, 1.0, 2.0], [3.0, 2.0, 1.0], [1.0, 3.0, 2.0]])
@@ -65,7 +69,9 @@ def test_a_frequency_that_is_none_is_refused() -> None:
         response(frequency=np.array([1.0, 2.0, np.inf]))
 
 
-@pytest.mark.parametrize(("side", "ports"), [("outputs", (X, X)), ("inputs", (F, dataclasses.replace(G, label="f")))])
+@pytest.mark.parametrize(
+    ("side", "ports"), [("outputs", (X, X)), ("inputs", (F, dataclasses.replace(G, label="f")))]
+)
 def test_two_rows_or_columns_of_one_label_are_refused(side: str, ports: tuple[Port, ...]) -> None:
     label = ports[0].label
     with pytest.raises(DataError, match=f"two rows or columns of '427N' have one label: {label}, {label}"):
@@ -130,8 +136,12 @@ def test_without_covariance_there_is_no_variance() -> None:
 
 @settings(derandomize=True, max_examples=40)
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_variance_is_the_diagonal_of_the_covariance_output_by_output(n_output: int, n_input: int, n_frequency: int, seed: int) -> None:
-    """Index = output * n_input + input: the entry (o, i) of the variance stands at that place of the diagonal."""
+def test_variance_is_the_diagonal_of_the_covariance_output_by_output(
+    n_output: int, n_input: int, n_frequency: int, seed: int
+) -> None:
+    """Index = output * n_input + input: the entry (o, i) of the variance stands at that place of the
+    diagonal.
+    """
     rng = np.random.default_rng(seed)
     n = n_output * n_input
     root = rng.normal(size=(n_frequency, n, n)) + 1j * rng.normal(size=(n_frequency, n, n))
@@ -151,7 +161,9 @@ def test_variance_is_the_diagonal_of_the_covariance_output_by_output(n_output: i
 
 @settings(derandomize=True, max_examples=30)
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.integers(0, 2**32 - 1))
-def test_elements_without_correlation_have_their_variance_back(n_output: int, n_input: int, n_frequency: int, seed: int) -> None:
+def test_elements_without_correlation_have_their_variance_back(
+    n_output: int, n_input: int, n_frequency: int, seed: int
+) -> None:
     variance = np.random.default_rng(seed).uniform(size=(n_frequency, n_output, n_input))
     covariance = uncorrelated(variance)
     n = n_output * n_input

@@ -11,7 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.methods.rotor.unbalance import UnbalanceCase, UnbalanceRuns
-from labpipe.methods.run_ups.records import Amount, MeasuredRun, MetamodelResult, RunPrediction, RunUpMethod, RunUpResult, Surface
+from labpipe.methods.run_ups.records import (
+    Amount,
+    MeasuredRun,
+    MetamodelResult,
+    RunPrediction,
+    RunUpMethod,
+    RunUpResult,
+    Surface,
+)
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, note, of_level
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome
@@ -42,7 +50,9 @@ FIT = Fit(
 @pytest.mark.parametrize(("band", "centre"), [((65.0, 80.0), 72.5), ((0.0, 1.0), 0.5), ((10.0, 10.0), 10.0)])
 def test_the_centre_of_a_band_lies_halfway(band: tuple[float, float], centre: float) -> None:
     assert dataclasses.replace(FIT, band_hz=band).centre_hz == centre
-    assert ComparedBand("t", "k", "N/m", band_hz=band, value=1.0, ci95=(0.0, 2.0), other=1.0).centre_hz == centre
+    assert (
+        ComparedBand("t", "k", "N/m", band_hz=band, value=1.0, ci95=(0.0, 2.0), other=1.0).centre_hz == centre
+    )
 
 
 def test_a_parameter_goes_by_its_name() -> None:
@@ -89,18 +99,29 @@ def outcome(passed: bool) -> RuleOutcome:
         ((), ("b",), False),
     ],
 )
-def test_accepted_needs_every_rule_and_every_test(outcomes: tuple[bool, ...], failed: tuple[str, ...], accepted: bool) -> None:
-    whole = Identification((FIT,), outcomes=tuple(map(outcome, outcomes)), failed=tuple(Failed(name, "gap") for name in failed))
+def test_accepted_needs_every_rule_and_every_test(
+    outcomes: tuple[bool, ...], failed: tuple[str, ...], accepted: bool
+) -> None:
+    whole = Identification(
+        (FIT,), outcomes=tuple(map(outcome, outcomes)), failed=tuple(Failed(name, "gap") for name in failed)
+    )
     assert whole.accepted is accepted
 
 
 def response(name: str, **conditions: str) -> FrequencyResponse:
     port = (Port("x", "x", "x"),)
-    return FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, name=name, conditions=conditions)
+    return FrequencyResponse(
+        np.array([1.0]), np.ones((1, 1, 1)), port, port, name=name, conditions=conditions
+    )
 
 
 def test_conditions_are_those_listed_and_those_the_responses_had() -> None:
-    listed = {"tests": [{"name": "a", "conditions": {"preload": "1 N"}}, {"name": "b", "conditions": {"preload": "2 N"}}]}
+    listed = {
+        "tests": [
+            {"name": "a", "conditions": {"preload": "1 N"}},
+            {"name": "b", "conditions": {"preload": "2 N"}},
+        ]
+    }
     whole = Identification((), settings=listed, responses=(response("b", preload="2.1 N"), response("c")))
     assert whole.test_conditions == {"a": {"preload": "1 N"}, "b": {"preload": "2.1 N"}, "c": {}}
 
@@ -130,9 +151,14 @@ def test_an_amount_goes_by_its_name() -> None:
         COMPARISON.amount("slope")
 
 
-@pytest.mark.parametrize(("other", "holds"), [(0.9, True), (1.1, True), (1.0, True), (0.89, False), (1.11, False)])
+@pytest.mark.parametrize(
+    ("other", "holds"), [(0.9, True), (1.1, True), (1.0, True), (0.89, False), (1.11, False)]
+)
 def test_an_interval_holds_its_ends(other: float, holds: bool) -> None:
-    assert ComparedBand("t", "k", "N/m", band_hz=(1.0, 2.0), value=1.0, ci95=(0.9, 1.1), other=other).holds is holds
+    assert (
+        ComparedBand("t", "k", "N/m", band_hz=(1.0, 2.0), value=1.0, ci95=(0.9, 1.1), other=other).holds
+        is holds
+    )
 
 
 # run-ups
@@ -182,7 +208,9 @@ def test_methods_and_runs_go_by_their_names() -> None:
 @settings(derandomize=True, max_examples=30)
 @given(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
 def test_bias_is_mean_less_truth(truth: float, mean: float) -> None:
-    studied = StudiedParameter("k", "N/m", truth=truth, mean=mean, rmse=1.0, bound=None, std_error=None, coverage=None)
+    studied = StudiedParameter(
+        "k", "N/m", truth=truth, mean=mean, rmse=1.0, bound=None, std_error=None, coverage=None
+    )
     assert studied.bias == mean - truth
     # A root mean square error holds the bias: rmse^2 = bias^2 + variance.
     assert truth + studied.bias == pytest.approx(mean, abs=1e-6)
@@ -232,7 +260,8 @@ def channel(name: str, unit: str = "") -> ChannelOverview:
 
 
 @pytest.mark.parametrize(
-    ("name", "unit", "label"), [("x", "um", "x [um]"), ("x [um]", "um", "x [um]"), ("x", "", "x"), ("t [s]", "s", "t [s]")]
+    ("name", "unit", "label"),
+    [("x", "um", "x [um]"), ("x [um]", "um", "x [um]"), ("x", "", "x"), ("t [s]", "s", "t [s]")],
 )
 def test_a_label_states_the_unit_once(name: str, unit: str, label: str) -> None:
     assert channel(name, unit).label == label
@@ -253,7 +282,9 @@ def test_time_is_not_plotted() -> None:
     assert len(dataclasses.replace(whole, time="").plotted) == 3
 
 
-@pytest.mark.parametrize(("frequency", "density"), [([0.0, 1.0], [0.1]), ([0.0], [0.1, 0.2]), ([0.0, 1.0], [0.1, np.nan])])
+@pytest.mark.parametrize(
+    ("frequency", "density"), [([0.0, 1.0], [0.1]), ([0.0], [0.1, 0.2]), ([0.0, 1.0], [0.1, np.nan])]
+)
 def test_a_spectrum_has_a_density_for_each_frequency(frequency: list[float], density: list[float]) -> None:
     with pytest.raises(Exception, match=r"density (has the shape|is not finite)"):
         Spectrum(np.array(frequency), np.array(density), 1)

@@ -1,4 +1,6 @@
-"""A parameter is declared once: what the declaration says is what the readers, the help and the schema get."""
+"""A parameter is declared once: what the declaration says is what the readers, the help and the schema
+get.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,11 @@ def test_plain_fields_are_no_settings() -> None:
 
 
 def test_what_has_no_default_must_be_given() -> None:
-    assert {name: needed for name, (_, needed) in settings_of(Outer).items()} == {"period": True, "window": False, "sliding": False}
+    assert {name: needed for name, (_, needed) in settings_of(Outer).items()} == {
+        "period": True,
+        "window": False,
+        "sliding": False,
+    }
 
 
 def test_a_declaration_is_kept_whole() -> None:
@@ -78,7 +84,10 @@ STAGES = (
 def every_setting(owner: type) -> list[tuple[str, Setting]]:
     """All settings of a dataclass and of its sections."""
     below = [(f"{owner.__name__}.{name}", found) for name, (found, _) in settings_of(owner).items()]
-    return [*below, *(pair for _, found in below if found.section is not None for pair in every_setting(found.section))]
+    return [
+        *below,
+        *(pair for _, found in below if found.section is not None for pair in every_setting(found.section)),
+    ]
 
 
 @pytest.mark.parametrize("address", STAGES)
@@ -106,12 +115,17 @@ def test_the_schema_knows_every_entry_and_lets_no_other_in(schema: dict) -> None
     assert len(keys) > 10
     for key, entry in keys.items():
         if "properties" in entry:
-            assert entry["additionalProperties"] is False and set(entry.get("required", [])) <= set(entry["properties"]), key
+            assert entry["additionalProperties"] is False and set(entry.get("required", [])) <= set(
+                entry["properties"]
+            ), key
 
 
 def test_the_schema_states_units_and_choices_as_declared() -> None:
     keys = dict(described(pipeline_schema()))
     assert keys["frf.period"]["description"].endswith("[s]")
-    assert keys["identify.*.band"] == {"type": "string", "description": keys["identify.*.band"]["description"]}
+    assert keys["identify.*.band"] == {
+        "type": "string",
+        "description": keys["identify.*.band"]["description"],
+    }
     declared = settings_of(import_module("labpipe.spectra.settings").FrfSettings)["estimator"][0]
     assert keys["frf.estimator"]["enum"] == list(declared.choices)

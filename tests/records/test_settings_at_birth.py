@@ -1,4 +1,6 @@
-"""Settings check and convert their values at birth, whoever makes them: every settings class of labpipe, every field."""
+"""Settings check and convert their values at birth, whoever makes them: every settings class of labpipe,
+every field.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,11 @@ def all_settings() -> list[type]:
 
 
 def _is_settings(owner: type) -> bool:
-    return owner.__module__.startswith("labpipe.") and dataclasses.is_dataclass(owner) and not inspect.isabstract(owner)
+    return (
+        owner.__module__.startswith("labpipe.")
+        and dataclasses.is_dataclass(owner)
+        and not inspect.isabstract(owner)
+    )
 
 
 OWNERS = all_settings()
@@ -81,7 +87,9 @@ def unchecked(owner: type, **fields: Any) -> Any:
 def test_every_kind_of_setting_has_an_example_here() -> None:
     plain = [kind for kind in CONVERTERS if kind not in ("section", "sections", "entries")]
     assert all(example(Setting(kind, "", unit="m", choices=("a",))) is not None for kind in plain)
-    assert {declared.kind for owner in OWNERS for declared, _ in settings_of(owner).values()} <= set(CONVERTERS)
+    assert {declared.kind for owner in OWNERS for declared, _ in settings_of(owner).values()} <= set(
+        CONVERTERS
+    )
 
 
 def test_dataclasses_that_declare_settings_are_settings() -> None:
@@ -112,17 +120,31 @@ def test_what_people_write_becomes_si_once(owner: type) -> None:
         first = getattr(instance, name)
         _convert(instance)
         assert getattr(instance, name) == first
-        assert declared.kind not in ("value", "values", "band", "uncertain", "mass") or not isinstance(first, str)
+        assert declared.kind not in ("value", "values", "band", "uncertain", "mass") or not isinstance(
+            first, str
+        )
 
 
 def test_units_are_welcome_from_python() -> None:
     """The same settings, in words and in SI."""
     combination_text = FitSettings(
-        "sdof", mass="790 g", band="60-70 Hz", subtract=Support("134.5 kN/m +- 1 %"), sliding={"width": "15 Hz", "step": "3 Hz"}
+        "sdof",
+        mass="790 g",
+        band="60-70 Hz",
+        subtract=Support("134.5 kN/m +- 1 %"),
+        sliding={"width": "15 Hz", "step": "3 Hz"},
     )
-    in_si = FitSettings("sdof", mass=0.79, band=(60.0, 70.0), subtract=Support(Uncertain(134.5e3, 1345.0)), sliding=Sliding(15.0, 3.0))
+    in_si = FitSettings(
+        "sdof",
+        mass=0.79,
+        band=(60.0, 70.0),
+        subtract=Support(Uncertain(134.5e3, 1345.0)),
+        sliding=Sliding(15.0, 3.0),
+    )
     assert combination_text == in_si
-    assert FrfSettings("periodic", period="500 ms", overlap="50 %") == FrfSettings("periodic", period=0.5, overlap=0.5)
+    assert FrfSettings("periodic", period="500 ms", overlap="50 %") == FrfSettings(
+        "periodic", period=0.5, overlap=0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +162,10 @@ def test_units_are_welcome_from_python() -> None:
         ({"symmetric": "yes"}, "symmetric: 'yes' is neither true nor false"),
         ({"input": [1]}, "input: '1' is not a text"),
         ({"sliding": "15 Hz"}, "sliding: '15 Hz' is not a section of settings"),
-        ({"sliding": {"width": "15 Hz", "stepp": 3.0}}, "sliding: got an unexpected keyword argument 'stepp'"),
+        (
+            {"sliding": {"width": "15 Hz", "stepp": 3.0}},
+            "sliding: got an unexpected keyword argument 'stepp'",
+        ),
         ({"fixed": {"q_1": 3.0}}, "fixed: 'q_1' is no coefficient"),
         ({"peaks": {}}, "peaks: '(a mapping)' is not a mapping of dofs to bands"),
         ({"tied": "k_1"}, "tied: 'k_1' is not a list of names"),
@@ -172,7 +197,9 @@ def test_checks_of_a_class_see_si_numbers() -> None:
 
 
 def test_phasors_and_matrices() -> None:
-    unbalance = CONVERTERS["phasors"]({"disc": "50 g.mm at 90 deg", "rim": 1e-5}, Setting("phasors", "", unit="kg.m"))
+    unbalance = CONVERTERS["phasors"](
+        {"disc": "50 g.mm at 90 deg", "rim": 1e-5}, Setting("phasors", "", unit="kg.m")
+    )
     assert unbalance[0][1] == pytest.approx(5e-5j) and unbalance[1] == ("rim", 1e-5 + 0j)
     with pytest.raises(UnitError, match="disc: 'g' has the wrong dimension"):
         CONVERTERS["phasors"]({"disc": "50 g"}, Setting("phasors", "", unit="kg.m"))

@@ -1,4 +1,7 @@
-"""Units by their algebra: products, powers, prefixes and round trips, for generated units; suggestions for slips of the pen."""
+"""Units by their algebra: products, powers, prefixes and round trips, for generated units.
+
+Suggestions for slips of the pen.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,24 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from labpipe.quantities import QUANTITIES, UnitError, check_dimension, nearest_unit, parse_unit, parse_value, si_amount, to_display
+from labpipe.quantities import (
+    QUANTITIES,
+    UnitError,
+    check_dimension,
+    nearest_unit,
+    parse_unit,
+    parse_value,
+    si_amount,
+    to_display,
+)
 
 PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
 BASES = ["m", "s", "A", "K", "N", "Pa", "V", "Hz", "J", "W", "T", "H"]
 # Prefix and base that are another unit, or that read as one.
 AMBIGUOUS = {"min", "mil", "cd", "Pa", "pA", "h"}
-FORMS = [f"{prefix}{base}" for prefix in ["", *PREFIXES] for base in BASES if f"{prefix}{base}" not in AMBIGUOUS]
+FORMS = [
+    f"{prefix}{base}" for prefix in ["", *PREFIXES] for base in BASES if f"{prefix}{base}" not in AMBIGUOUS
+]
 UNITS = st.sampled_from(FORMS)
 POWERS = st.integers(1, 4)
 
@@ -38,13 +52,17 @@ def test_a_product_multiplies_factors_and_adds_dimensions(one: str, other: str, 
 @given(UNITS, UNITS)
 def test_a_quotient_is_a_product_with_a_negative_power(one: str, other: str) -> None:
     quotient, product = parse_unit(f"{one}/{other}"), parse_unit(f"{one}.{other}^-1")
-    assert quotient.dimension == product.dimension and quotient.factor == pytest.approx(product.factor, rel=1e-12)
+    assert quotient.dimension == product.dimension and quotient.factor == pytest.approx(
+        product.factor, rel=1e-12
+    )
 
 
 @given(UNITS, POWERS)
 def test_a_power_is_a_repeated_product(unit: str, power: int) -> None:
     raised, repeated = parse_unit(f"{unit}^{power}"), parse_unit(".".join([unit] * power))
-    assert raised.dimension == repeated.dimension and raised.factor == pytest.approx(repeated.factor, rel=1e-12)
+    assert raised.dimension == repeated.dimension and raised.factor == pytest.approx(
+        repeated.factor, rel=1e-12
+    )
 
 
 @given(UNITS, UNITS, UNITS)
@@ -73,14 +91,7 @@ def test_derived_units_are_what_they_are_derived_from(text: str, same: str) -> N
     assert parse_unit(text).factor == pytest.approx(parse_unit(same).factor, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("text", "si"),
-    [
-        ("1 in", 0.0254),
-        ("1 mil", 2.54e-5),
-        ("1000 mil", 0.0254),
-    ],
-)
+@pytest.mark.parametrize(("text", "si"), [("1 in", 0.0254), ("1 mil", 2.54e-5), ("1000 mil", 0.0254)])
 def test_inches(text: str, si: float) -> None:
     assert parse_value(text, "m") == pytest.approx(si, rel=1e-14)
 
@@ -112,7 +123,9 @@ def test_an_angle_is_no_pure_number() -> None:
         parse_value("50 %", "rad")
 
 
-@pytest.mark.parametrize(("one", "other"), [("m", "N"), ("Hz", "s"), ("Pa", "N"), ("V", "A"), ("rad", "1"), ("K", "s")])
+@pytest.mark.parametrize(
+    ("one", "other"), [("m", "N"), ("Hz", "s"), ("Pa", "N"), ("V", "A"), ("rad", "1"), ("K", "s")]
+)
 def test_dimensions_that_differ_are_refused(one: str, other: str) -> None:
     with pytest.raises(UnitError, match=f"'{one}' has the wrong dimension, {other} is needed"):
         check_dimension(one, parse_unit(one), other)
@@ -145,7 +158,12 @@ def test_an_amount_of_any_usual_dimension(text: str, amount: tuple[float, str]) 
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("up", "is no amount"), ("3 m^7", "has an unusual dimension"), ("3 foo", "unknown unit 'foo'"), ("1e999 N", "finite")],
+    [
+        ("up", "is no amount"),
+        ("3 m^7", "has an unusual dimension"),
+        ("3 foo", "unknown unit 'foo'"),
+        ("1e999 N", "finite"),
+    ],
 )
 def test_what_is_no_amount(text: str, said: str) -> None:
     with pytest.raises(UnitError, match=said):
@@ -153,7 +171,8 @@ def test_what_is_no_amount(text: str, said: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("slip", "meant"), [("umm", "um"), ("hz", "Hz"), ("RPM", "rpm"), ("KN", "kN"), ("pa", "Pa"), ("degg", "deg"), ("Nn", "nN")]
+    ("slip", "meant"),
+    [("umm", "um"), ("hz", "Hz"), ("RPM", "rpm"), ("KN", "kN"), ("pa", "Pa"), ("degg", "deg"), ("Nn", "nN")],
 )
 def test_a_slip_of_the_pen_is_named(slip: str, meant: str) -> None:
     assert nearest_unit(slip) == f"did you mean '{meant}'?"
@@ -195,7 +214,10 @@ def test_a_pure_number_is_read_to_the_last_digit(number: float) -> None:
     ],
 )
 def test_units_of_workshops_and_the_two_meanings_of_g(text: str, si_unit: str, value: float) -> None:
-    """Definitions: g = 9.80665 m/s^2 (CGPM 1901), lbf = 0.45359237 kg times it, in = 25.4 mm; the dimension says which g is meant."""
+    """Definitions: g = 9.80665 m/s^2 (CGPM 1901), lbf = 0.45359237 kg times it, in = 25.4 mm.
+
+    The dimension says which g is meant.
+    """
     assert parse_value(text, si_unit) == pytest.approx(value, rel=1e-12)
 
 

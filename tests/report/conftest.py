@@ -36,8 +36,9 @@ X = np.array([1.0, 2.0, 4.0])
 
 @pytest.fixture(scope="session")
 def every_kind() -> Chart:
-    """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a gap, hollow dots,
-    words."""
+    """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a
+    gap, hollow dots, words.
+    """
     above = (
         curve("k", X, X**2, 0, marker=".", band=(X**2 - 0.5, X**2 + 1)),
         curve("gap", X, [1.0, np.nan, 100.0], 1, "--"),
@@ -66,16 +67,32 @@ def every_kind() -> Chart:
 def heat_map() -> Chart:
     """A correlation of two parameters."""
     axis = Axis(ticks=named_ticks(["k", "c"]))
-    return Chart((Panel(axis, axis, (cells([[1.0, 0.5], [-0.5, 1.0]], [["1", "half"], ["-half", "1"]], "correlation"),)),), size=(3.0, 2.5))
+    return Chart(
+        (
+            Panel(
+                axis,
+                axis,
+                (cells([[1.0, 0.5], [-0.5, 1.0]], [["1", "half"], ["-half", "1"]], "correlation"),),
+            ),
+        ),
+        size=(3.0, 2.5),
+    )
 
 
 @pytest.fixture(scope="session")
 def drawings() -> dict[str, Drawing]:
     """kind -> a drawing of that kind."""
     theta = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    film = PressureField(theta, np.array([-0.005, 0.0, 0.005]), np.outer(1.5 + np.sin(theta), [1e5, 3e5, 1e5]), 5e-5 + 1e-5 * np.cos(theta))
+    film = PressureField(
+        theta,
+        np.array([-0.005, 0.0, 0.005]),
+        np.outer(1.5 + np.sin(theta), [1e5, 3e5, 1e5]),
+        5e-5 + 1e-5 * np.cos(theta),
+    )
     values = np.arange(24.0).reshape(4, 2, 3)
-    surfaces = CoefficientSurfaces(np.array([500.0, 1000.0, 1500.0]), np.array([3.0, 6.0]), values, ("k_xx", "k_xy", "k_yx", "k_yy"))
+    surfaces = CoefficientSurfaces(
+        np.array([500.0, 1000.0, 1500.0]), np.array([3.0, 6.0]), values, ("k_xx", "k_xy", "k_yx", "k_yy")
+    )
     geometry = Geometry(("1", "2", "3"), 0.1 * np.eye(3), np.array([[0, 1], [1, 2]]))
     modes = Modes(
         np.array([20.0, 30.0]),

@@ -1,4 +1,7 @@
-"""A campaign of made-up results: trends, control chart and differences say what was put in; figures come as files, all or none."""
+"""A campaign of made-up results: trends, control chart and differences say what was put in.
+
+Figures come as files, all or none.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ from labpipe.report.document import Figure, Paragraph, Table
 
 
 def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0)) -> Identification:
-    parameter = Parameter("k", k, "N/m", std_error=50.0, t_ratio=k / 50, ci95=(k - 98.0, k + 98.0), significant=True)
+    parameter = Parameter(
+        "k", k, "N/m", std_error=50.0, t_ratio=k / 50, ci95=(k - 98.0, k + 98.0), significant=True
+    )
     gof = Goodness(0.99, 0.99)
     fit = Fit(
         "direct",
@@ -40,7 +45,12 @@ def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.
     )
     settings = {"tests": [{"name": "run", "conditions": {"preload": preload, "date": day}}]}
     return Identification(
-        (fit,), "Campaign", pipeline="p.yaml", sources=({"path": "a.csv", "sha256": "ab" * 32},), settings=settings, version="0.1.0"
+        (fit,),
+        "Campaign",
+        pipeline="p.yaml",
+        sources=({"path": "a.csv", "sha256": "ab" * 32},),
+        settings=settings,
+        version="0.1.0",
     )
 
 
@@ -53,7 +63,12 @@ def campaign(values: list[float], preloads: list[int] | None = None) -> list[tup
 
 def told(results: list[tuple[str, Identification]]) -> str:
     document = campaign_document(results)
-    return " ".join(block.text for section in document.sections for block in section.blocks if isinstance(block, Paragraph))
+    return " ".join(
+        block.text
+        for section in document.sections
+        for block in section.blocks
+        if isinstance(block, Paragraph)
+    )
 
 
 def test_a_series_is_sorted_by_date_and_knows_its_conditions() -> None:
@@ -65,9 +80,15 @@ def test_a_series_is_sorted_by_date_and_knows_its_conditions() -> None:
 
 def test_a_steady_rig_is_in_control_and_a_jump_is_named() -> None:
     steady = [10000.0, 10040.0, 9970.0, 10010.0, 10030.0, 9990.0]
-    assert "In control" in told(campaign(steady)) and "Trends beyond chance, of 1 looked at: none" in told(campaign(steady))
+    assert "In control" in told(campaign(steady)) and "Trends beyond chance, of 1 looked at: none" in told(
+        campaign(steady)
+    )
     jumped = told(campaign([*steady, 10600.0]))
-    assert "OUT OF CONTROL: 1 of 1 charts" in jumped and "outside: r6, run" in jumped and "1 of 7 values differ" in jumped
+    assert (
+        "OUT OF CONTROL: 1 of 1 charts" in jumped
+        and "outside: r6, run" in jumped
+        and "1 of 7 values differ" in jumped
+    )
 
 
 def test_a_stiffness_that_rises_with_preload_is_a_trend_with_its_slope() -> None:
@@ -96,29 +117,41 @@ def test_results_that_share_nothing_are_refused() -> None:
 def test_every_format_is_written_from_the_same_document() -> None:
     document = campaign_document(campaign([10000.0, 10040.0, 9970.0]))
     html, markdown, pdf = (DOCUMENTS.load(name)(document) for name in ("html", "md", "pdf"))
-    assert b"mean moving range / 1.128" in html and b"mean moving range / 1.128" in markdown and pdf.startswith(b"%PDF-")
+    assert (
+        b"mean moving range / 1.128" in html
+        and b"mean moving range / 1.128" in markdown
+        and pdf.startswith(b"%PDF-")
+    )
 
 
 def test_the_numbers_of_every_figure_come_as_csv() -> None:
     document = campaign_document(campaign([10000.0, 10040.0, 9970.0]))
     files = figure_files(document)
-    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [
+        block for section in document.sections for block in section.blocks if isinstance(block, Figure)
+    ]
     assert sorted(Path(name).suffix for name in files) == sorted([".svg", ".png", ".csv"] * len(figures))
     text = files[next(name for name in files if name.endswith(".csv"))].decode()
     assert text.startswith("# k of direct over date")
     rows = [row for row in csv.DictReader(io.StringIO(text.partition("\n")[2])) if row["series"] == "tests"]
     assert [(float(row["x"]), float(row["y"])) for row in rows] == [(0.0, 10.0), (1.0, 10.04), (2.0, 9.97)]
-    assert [float(row["low"]) for row in rows] == pytest.approx([9.902, 9.942, 9.872]) and rows[0]["y axis"] == "k [kN/m]"
+    assert [float(row["low"]) for row in rows] == pytest.approx([9.902, 9.942, 9.872]) and rows[0][
+        "y axis"
+    ] == "k [kN/m]"
     assert files == figure_files(document)
 
 
 def test_figures_hold_the_tests_the_trend_and_the_limits() -> None:
     document = campaign_document(campaign([10000.0, 10040.0, 9970.0, 10600.0]))
-    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [
+        block for section in document.sections for block in section.blocks if isinstance(block, Figure)
+    ]
     trend, chart = (figure.graphic for figure in figures)
     assert [one.name for one in trend.panels[0].series] == ["trend", "tests"]
     assert [one.interval for one in trend.panels[0].series] == ["shaded", "bar"]
-    assert [one.kind for one in chart.panels[0].series].count("hline") == 3 and chart.panels[0].x.ticks[0] == (1.0, "2026-03-01")
+    assert [one.kind for one in chart.panels[0].series].count("hline") == 3 and chart.panels[0].x.ticks[
+        0
+    ] == (1.0, "2026-03-01")
 
 
 def test_the_command_reads_a_folder_of_results_and_writes_all_or_nothing(tmp_path: Path) -> None:
@@ -126,8 +159,15 @@ def test_the_command_reads_a_folder_of_results_and_writes_all_or_nothing(tmp_pat
         (tmp_path / "results" / name).mkdir(parents=True)
         write_identification(tmp_path / "results" / name / "identification.json", result)
     page, figures = tmp_path / "c.html", tmp_path / "figures"
-    done = CliRunner().invoke(report, [str(tmp_path / "results"), "-o", str(page), "--figures", str(figures)], catch_exceptions=False)
+    done = CliRunner().invoke(
+        report,
+        [str(tmp_path / "results"), "-o", str(page), "--figures", str(figures)],
+        catch_exceptions=False,
+    )
     assert done.exit_code == 0 and page.exists() and len(list(figures.iterdir())) == 6
     (tmp_path / "file").write_text("")
-    refused = CliRunner().invoke(report, [str(tmp_path / "results"), "-o", str(tmp_path / "d.html"), "--figures", str(tmp_path / "file")])
+    refused = CliRunner().invoke(
+        report,
+        [str(tmp_path / "results"), "-o", str(tmp_path / "d.html"), "--figures", str(tmp_path / "file")],
+    )
     assert isinstance(refused.exception, DataError) and not (tmp_path / "d.html").exists()

@@ -40,7 +40,11 @@ def test_a_series_keeps_its_own_numbers() -> None:
     values = np.array([1.0, 4.0, 16.0])
     series = curve("k", X, values, band=(values - 1, values + 1))
     values[0] = 9.0
-    assert series.y.tolist() == [1.0, 4.0, 16.0] and series.low is not None and series.low.tolist() == [0.0, 3.0, 15.0]
+    assert (
+        series.y.tolist() == [1.0, 4.0, 16.0]
+        and series.low is not None
+        and series.low.tolist() == [0.0, 3.0, 15.0]
+    )
     with pytest.raises(ValueError, match="read-only"):
         series.y[0] = 2.0
 
@@ -54,15 +58,26 @@ def test_a_series_keeps_its_own_numbers() -> None:
         ("line", X, X, {"low": X[:2], "high": X[:2]}, "as long as its values"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(kind: str, x: list[float], y: list[float], more: dict[str, list[float]], message: str) -> None:
+def test_what_cannot_be_drawn_is_refused(
+    kind: str, x: list[float], y: list[float], more: dict[str, list[float]], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
-        Series(kind, "k", x=np.array(x), y=np.array(y), **{name: np.array(values) for name, values in more.items()})
+        Series(
+            kind,
+            "k",
+            x=np.array(x),
+            y=np.array(y),
+            **{name: np.array(values) for name, values in more.items()},
+        )
     with pytest.raises(ValueError, match="2 panels in 1 x 1"):
         Chart((panel(), panel()))
 
 
 def test_limits_hold_all_values_their_intervals_and_a_twentieth_more() -> None:
-    chart = stacked([panel(curve("k", X, [1.0, np.nan, 9.0], bars=([0.0, 0.0, 8.0], [2.0, 0.0, 10.0])), level(-10.0))], 3.0)
+    chart = stacked(
+        [panel(curve("k", X, [1.0, np.nan, 9.0], bars=([0.0, 0.0, 8.0], [2.0, 0.0, 10.0])), level(-10.0))],
+        3.0,
+    )
     assert chart.limits(0, "x") == pytest.approx((0.85, 4.15))
     assert chart.limits(0, "y") == pytest.approx((-11.0, 11.0))
 
@@ -85,11 +100,16 @@ def test_limits_of_one_value_of_none_and_as_stated() -> None:
 
 
 def test_panels_over_one_abscissa_share_its_limits_and_alone_they_do_not() -> None:
-    near, far = panel(curve("k", [0.0, 1.0], [0.0, 1.0])), panel(curve("c", [9.0, 10.0], [5.0, 6.0]), upright(20.0))
+    near, far = (
+        panel(curve("k", [0.0, 1.0], [0.0, 1.0])),
+        panel(curve("c", [9.0, 10.0], [5.0, 6.0]), upright(20.0)),
+    )
     together, apart = stacked([near, far], 4.0), Chart((near, far), 1, 2)
     assert together.limits(0, "x") == together.limits(1, "x") == pytest.approx((-1.0, 21.0))
     assert together.limits(0, "y") == pytest.approx((-0.05, 1.05))
-    assert [together.group(1, which) for which in "xy"] == [0, 1] and [apart.group(1, which) for which in "xy"] == [1, 1]
+    assert [together.group(1, which) for which in "xy"] == [0, 1] and [
+        apart.group(1, which) for which in "xy"
+    ] == [1, 1]
     assert apart.limits(0, "x") == pytest.approx((-0.05, 1.05)) and stacked([near], 3.0).shared == ""
 
 
@@ -107,7 +127,13 @@ def test_cells_have_their_edges_and_their_first_row_above() -> None:
 
 
 def test_names_come_once_and_lines_across_have_no_abscissa() -> None:
-    chart = stacked([panel(curve("k", X, X), dots("k", X, X)), panel(outline("region", X, X), span(1.0, 2.0, 0), level(1.0))], 4.0)
+    chart = stacked(
+        [
+            panel(curve("k", X, X), dots("k", X, X)),
+            panel(outline("region", X, X), span(1.0, 2.0, 0), level(1.0)),
+        ],
+        4.0,
+    )
     assert chart.names == ("k", "region")
     across, shade = level(2.0, name="limit"), span(1.0, 3.0, 2)
     assert (across.kind, across.x.size, across.y.tolist(), across.colour) == ("hline", 0, [2.0], GREY)
@@ -117,7 +143,13 @@ def test_names_come_once_and_lines_across_have_no_abscissa() -> None:
 
 
 def test_more_curves_than_colours_are_dashed() -> None:
-    assert [look(number) for number in (0, 6, 7, 14, 21)] == [(0, "-"), (6, "-"), (0, "--"), (0, ":"), (0, "-")]
+    assert [look(number) for number in (0, 6, 7, 14, 21)] == [
+        (0, "-"),
+        (6, "-"),
+        (0, "--"),
+        (0, ":"),
+        (0, "-"),
+    ]
 
 
 def test_dots_are_not_joined_and_curves_without_marker_have_no_size() -> None:

@@ -1,4 +1,6 @@
-"""Charts drawn by matplotlib: every kind of series is there with its numbers, the axes are those of the chart, every name stands once."""
+"""Charts drawn by matplotlib: every kind of series is there with its numbers, the axes are those of the
+chart, every name stands once.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,32 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure as Canvas
 
-from labpipe.document.charts import DRAWINGS, GREY_TONE, PAINTERS, PALETTE, canvas_of, chart_canvas, png_bytes, svg_text, tone
+from labpipe.document.charts import (
+    DRAWINGS,
+    GREY_TONE,
+    PAINTERS,
+    PALETTE,
+    canvas_of,
+    chart_canvas,
+    png_bytes,
+    svg_text,
+    tone,
+)
 from labpipe.document.html_page import page_part
-from labpipe.report.chart import GREY, INK, KINDS, PALETTE_SIZE, Axis, Chart, Drawing, Panel, curve, dots, named_ticks, stacked
+from labpipe.report.chart import (
+    GREY,
+    INK,
+    KINDS,
+    PALETTE_SIZE,
+    Axis,
+    Chart,
+    Drawing,
+    Panel,
+    curve,
+    dots,
+    named_ticks,
+    stacked,
+)
 
 X = np.array([1.0, 2.0, 4.0])
 
@@ -37,7 +62,9 @@ def test_every_kind_of_series_has_its_painter() -> None:
 def test_curves_bands_and_bars_hold_their_numbers(every_kind: Chart) -> None:
     above, below = chart_canvas(every_kind).axes
     k, c = line(above, "k"), line(below, "c")
-    assert np.asarray(k.get_ydata()).tolist() == [1.0, 4.0, 16.0] and to_hex(k.get_color()) == PALETTE[0].lower()
+    assert (
+        np.asarray(k.get_ydata()).tolist() == [1.0, 4.0, 16.0] and to_hex(k.get_color()) == PALETTE[0].lower()
+    )
     assert (k.get_linestyle(), k.get_marker(), c.get_linestyle(), c.get_marker()) == ("-", ".", "None", "o")
     shade = above.collections[0].get_paths()[0].vertices
     assert (shade[:, 1].min(), shade[:, 1].max()) == (0.5, 17.0)
@@ -51,7 +78,11 @@ def test_what_lies_across_a_panel_is_where_the_chart_says(every_kind: Chart) -> 
     above, below = chart_canvas(every_kind).axes
     across = next(drawn for drawn in above.get_lines() if list(drawn.get_xdata()) == [0, 1])
     upright = next(drawn for drawn in above.get_lines() if list(drawn.get_ydata()) == [0, 1])
-    assert list(across.get_ydata()) == [10.0, 10.0] and to_hex(across.get_color()) == GREY_TONE and list(upright.get_xdata()) == [3.0, 3.0]
+    assert (
+        list(across.get_ydata()) == [10.0, 10.0]
+        and to_hex(across.get_color()) == GREY_TONE
+        and list(upright.get_xdata()) == [3.0, 3.0]
+    )
     assert [text.get_text() for text in above.texts] == ["limit"]
     span, outline = above.patches[0].get_window_extent(), below.patches[0]
     low, high = above.transData.inverted().transform([[0, span.y0], [0, span.y1]])[:, 1]
@@ -65,9 +96,9 @@ def test_what_lies_across_a_panel_is_where_the_chart_says(every_kind: Chart) -> 
 def test_axes_have_the_limits_labels_and_scales_of_the_chart(every_kind: Chart) -> None:
     above, below = chart_canvas(every_kind).axes
     for number, axes in enumerate((above, below)):
-        assert axes.get_xlim() == pytest.approx(every_kind.limits(number, "x")) and axes.get_ylim() == pytest.approx(
-            every_kind.limits(number, "y")
-        )
+        assert axes.get_xlim() == pytest.approx(
+            every_kind.limits(number, "x")
+        ) and axes.get_ylim() == pytest.approx(every_kind.limits(number, "y"))
     assert (above.get_yscale(), below.get_yscale()) == ("log", "linear") and above.get_title() == "stiffness"
     assert (above.get_xlabel(), below.get_xlabel(), below.get_ylabel()) == ("", "speed [rpm]", "c [N s/m]")
 
@@ -76,7 +107,11 @@ def test_every_name_stands_in_one_legend(every_kind: Chart) -> None:
     above, below = chart_canvas(every_kind).axes
     assert legend(above) == ["k", "gap"] and legend(below) == ["c", "outside", "region"]
     again = stacked(
-        [Panel(Axis("x"), Axis("y"), (curve("k", X, X),)), Panel(Axis("x"), Axis("z"), (curve("k", X, X), dots("c", X, X)))], 4.0
+        [
+            Panel(Axis("x"), Axis("y"), (curve("k", X, X),)),
+            Panel(Axis("x"), Axis("z"), (curve("k", X, X), dots("c", X, X))),
+        ],
+        4.0,
     )
     assert [legend(axes) for axes in chart_canvas(again).axes] == [["k"], ["c"]]
     assert [legend(axes) for axes in chart_canvas(replace(again, legend="none")).axes] == [[], []]
@@ -85,7 +120,9 @@ def test_every_name_stands_in_one_legend(every_kind: Chart) -> None:
 
 
 def test_a_grid_says_the_same_labels_once_and_has_no_axes_without_a_panel() -> None:
-    panels = tuple(Panel(Axis("x", "um"), Axis("y", "um"), (curve("orbit", X, X),), equal=True) for _ in range(7))
+    panels = tuple(
+        Panel(Axis("x", "um"), Axis("y", "um"), (curve("orbit", X, X),), equal=True) for _ in range(7)
+    )
     canvas = chart_canvas(Chart(panels, 2, 4, shared="xy", legend="above"))
     assert canvas.get_supxlabel() == "x [um]" and canvas.get_supylabel() == "y [um]"
     assert len(canvas.axes) == 7
@@ -103,7 +140,9 @@ def test_long_names_of_places_are_turned_and_short_ones_not() -> None:
     def rotation(names: list[str]) -> float:
         axis = Axis(ticks=named_ticks(names))
         return (
-            chart_canvas(stacked([Panel(axis, Axis(), (dots("k", range(len(names)), range(len(names))),))], 3.0))
+            chart_canvas(
+                stacked([Panel(axis, Axis(), (dots("k", range(len(names)), range(len(names))),))], 3.0)
+            )
             .axes[0]
             .get_xticklabels()[0]
             .get_rotation()
@@ -123,7 +162,9 @@ def test_a_heat_map_has_texts_colours_and_a_scale(heat_map: Chart) -> None:
 
 
 def test_a_panel_without_series_says_why() -> None:
-    (axes,) = chart_canvas(stacked([Panel(Axis("frequency", "Hz"), Axis(), (), note="no uncertainty is stated")], 2.0)).axes
+    (axes,) = chart_canvas(
+        stacked([Panel(Axis("frequency", "Hz"), Axis(), (), note="no uncertainty is stated")], 2.0)
+    ).axes
     assert [text.get_text() for text in axes.texts] == ["no uncertainty is stated"]
 
 
@@ -136,14 +177,21 @@ def test_every_drawing_is_drawn_in_its_size(kind: str, drawings: dict[str, Drawi
 def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Chart) -> None:
     first, second = chart_canvas(every_kind), chart_canvas(every_kind)
     assert svg_text(first) == svg_text(second) == svg_text(first)
-    assert png_bytes(first).startswith(b"\x89PNG") and "<text" in svg_text(first) and "<text" not in svg_text(first, outlined=True)
+    assert (
+        png_bytes(first).startswith(b"\x89PNG")
+        and "<text" in svg_text(first)
+        and "<text" not in svg_text(first, outlined=True)
+    )
 
 
 def test_one_name_in_two_colours_stands_twice_and_a_dot_of_its_curve_not() -> None:
     series = (curve("x", X, X, 0), curve("x", X, 2 * X, 3), dots("x", X[:1], X[:1], 0, marker="o"))
     (axes,) = chart_canvas(stacked([Panel(Axis("f"), Axis("snr"), series)], 3.0)).axes
     assert legend(axes) == ["x", "x"]
-    assert [to_hex(handle.get_color()) for handle in axes.get_legend().legend_handles] == [PALETTE[0].lower(), PALETTE[3].lower()]  # type: ignore[union-attr]
+    assert [to_hex(handle.get_color()) for handle in axes.get_legend().legend_handles] == [
+        PALETTE[0].lower(),
+        PALETTE[3].lower(),
+    ]  # type: ignore[union-attr]
 
 
 def test_names_of_many_cells_stand_upright(heat_map: Chart) -> None:
@@ -163,11 +211,19 @@ def ticks(axis: Axis, limits: tuple[float, float]) -> list[str]:
 
 
 def test_numbers_of_axes_are_round_and_say_what_they_need() -> None:
-    assert ticks(Axis("phase", "deg"), (-190.0, 190.0)) == ["\N{MINUS SIGN}180", "\N{MINUS SIGN}90", "0", "90", "180"]
+    assert ticks(Axis("phase", "deg"), (-190.0, 190.0)) == [
+        "\N{MINUS SIGN}180",
+        "\N{MINUS SIGN}90",
+        "0",
+        "90",
+        "180",
+    ]
     assert ticks(Axis("k", logarithmic=True), (0.9, 2000.0)) == ["1", "10", "100", "1000"]
     assert ticks(Axis("k", logarithmic=True), (9.0, 110.0)) == ["10", "20", "50", "100"]
     assert {len(text.partition(".")[2]) for text in ticks(Axis("k"), (1.0, 1.3))} == {2}
-    assert all(text == "0" or "e\N{MINUS SIGN}" in text or "e-" in text for text in ticks(Axis("k"), (0.0, 1e-8)))
+    assert all(
+        text == "0" or "e\N{MINUS SIGN}" in text or "e-" in text for text in ticks(Axis("k"), (0.0, 1e-8))
+    )
 
 
 def test_numbers_of_the_palette_go_round_and_grey_is_apart() -> None:

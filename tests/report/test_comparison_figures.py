@@ -1,4 +1,6 @@
-"""What the figures of comparisons show: every test with its interval, the law, the common value, in the units people read."""
+"""What the figures of comparisons show: every test with its interval, the law, the common value, in the units
+people read.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ AMOUNTS = (
     Parameter("within", 1e5, "N/m", ci95=(5e4, 2e5)),
     Parameter("p_value", float("nan"), "1"),
 )
-OVERLAY = Overlay("test 1", "accelerance", (10.0, 20.0, 30.0), (1.0, 5.0, 1.0), (5.0, 1.0, 0.5), (1.0, 5.1, 1.0))
+OVERLAY = Overlay(
+    "test 1", "accelerance", (10.0, 20.0, 30.0), (1.0, 5.0, 1.0), (5.0, 1.0, 0.5), (1.0, 5.1, 1.0)
+)
 LAW = ((100.0, 1e7), (300.0, 3e7))
 BASE = Comparison(
     name="axial",
@@ -65,11 +69,16 @@ def test_a_trend_shows_tests_with_bars_and_the_law_in_kilonewtons() -> None:
     tests, law = named(panel)["tests"], named(panel)["fitted law"]
     np.testing.assert_allclose(tests.y, [1e4, 1e4, 2e4, 2e4, 3e4, 3e4])
     np.testing.assert_allclose(law.y, [1e4, 3e4])
-    assert tests.interval == "bar" and (tests.x[0], tests.low[0], tests.high[0]) == pytest.approx((100, 0.9e4, 1.1e4))
+    assert tests.interval == "bar" and (tests.x[0], tests.low[0], tests.high[0]) == pytest.approx(
+        (100, 0.9e4, 1.1e4)
+    )
 
 
 def test_a_difference_tells_the_groups_apart_and_shows_how_far_they_are() -> None:
-    points = tuple(replace(point, value=point.value * (1.02 if point.group == "down" else 0.98), ci95=None) for point in POINTS)
+    points = tuple(
+        replace(point, value=point.value * (1.02 if point.group == "down" else 0.98), ci95=None)
+        for point in POINTS
+    )
     above, below = panels(replace(BASE, kind="difference", points=points))
     assert list(named(above)) == ["up", "down"]
     np.testing.assert_allclose(named(below)["up"].y, [-2.0] * 3)
@@ -102,7 +111,9 @@ def test_overlays_draw_the_measured_and_both_theoretical_curves() -> None:
 
 def test_tests_without_a_condition_are_numbered() -> None:
     points = tuple(replace(point, condition=None) for point in POINTS)
-    (panel,) = panels(replace(BASE, points=points, condition="", condition_unit="1", line=((1.0, 1e7), (6.0, 3e7))))
+    (panel,) = panels(
+        replace(BASE, points=points, condition="", condition_unit="1", line=((1.0, 1e7), (6.0, 3e7)))
+    )
     assert named(panel)["tests"].x.tolist() == [1, 2, 3, 4, 5, 6] and panel.x.label == "test"
 
 
@@ -111,7 +122,9 @@ def test_reciprocal_pairs_are_drawn_on_each_other() -> None:
     ports = Port("x", "x", "x"), Port("y", "y", "y")
     response = FrequencyResponse(frequency, matrix, ports, ports, name="test 1")
     pair = replace(
-        BASE, kind="reciprocity", points=(ComparedPoint("test 1", 0.4, group="x-y"), ComparedPoint("elsewhere", 0.1, group="x-y"))
+        BASE,
+        kind="reciprocity",
+        points=(ComparedPoint("test 1", 0.4, group="x-y"), ComparedPoint("elsewhere", 0.1, group="x-y")),
     )
     (figure,) = comparison_figures(pair, (response,))
     shown = named(figure.graphic.panels[0])
@@ -127,6 +140,8 @@ def test_tables_leave_out_what_no_test_has_and_say_what_was_not_tested() -> None
     assert amounts.rows[-1][1] == "not tested"
     assert tests.header[:3] == ("test", "preload [N]", "group")
     assert tests.rows[0][:5] == ("test 1", "100", "up", "10000", "9000 to 11000")
-    bare = replace(BASE, points=tuple(ComparedPoint(p.test, p.value) for p in POINTS), line=((1.0, 1e7), (6.0, 3e7)))
+    bare = replace(
+        BASE, points=tuple(ComparedPoint(p.test, p.value) for p in POINTS), line=((1.0, 1e7), (6.0, 3e7))
+    )
     (_, plain) = (block for block in comparison_blocks(bare, ()) if isinstance(block, Table))
     assert plain.header == ("test", "value [kN/m]")

@@ -23,13 +23,21 @@ from labpipe.report.document import Code, Document, Figure, Paragraph, Section, 
 PAGE = re.compile(rb"/Type /Page\n")
 RULE = RuleOutcome("accept", "a.k > 0", 1.0, True)
 RESULT = Identification(
-    (), "Report", pipeline="p.yaml", sources=({"path": "a.csv", "sha256": "ab" * 32},), outcomes=(RULE,), version="0.1.0"
+    (),
+    "Report",
+    pipeline="p.yaml",
+    sources=({"path": "a.csv", "sha256": "ab" * 32},),
+    outcomes=(RULE,),
+    version="0.1.0",
 )
 
 
 @pytest.fixture(scope="module")
 def document(every_kind: Chart, heat_map: Chart, drawings: dict[str, Drawing]) -> Document:
-    figures = tuple(Figure(graphic, f"Caption {n}", f"Shows {n}") for n, graphic in enumerate((every_kind, heat_map, *drawings.values())))
+    figures = tuple(
+        Figure(graphic, f"Caption {n}", f"Shows {n}")
+        for n, graphic in enumerate((every_kind, heat_map, *drawings.values()))
+    )
     table = Table(("name", "value"), (("a|b", "1"), ("c", "2")), "Values", (1,))
     words = (Paragraph("All well.", "passed"), Paragraph("Plain *words*."), Code('{"a": 1}'))
     sections = (Section("Verdict", words), Section("Table", (table,)), Section("Figures", figures))
@@ -43,14 +51,23 @@ def written(document: Document) -> Callable[[str], bytes]:
 
 
 @pytest.mark.parametrize("name", DOCUMENTS.names())
-def test_every_format_holds_all_parts_and_is_the_same_each_time(name: str, document: Document, written: Callable[[str], bytes]) -> None:
+def test_every_format_holds_all_parts_and_is_the_same_each_time(
+    name: str, document: Document, written: Callable[[str], bytes]
+) -> None:
     content = DOCUMENTS.load(name)(document)
     assert content == written(name)
     if name == "pdf":
         assert content.startswith(b"%PDF-")
         return
     text = content.decode()
-    for words in ("Title", "Subtitle", "All well.", "Values", *(f"Caption {n}" for n in range(5)), "Signature"):
+    for words in (
+        "Title",
+        "Subtitle",
+        "All well.",
+        "Values",
+        *(f"Caption {n}" for n in range(5)),
+        "Signature",
+    ):
         assert words in text
 
 
@@ -59,7 +76,9 @@ def test_every_format_renders_an_identification(name: str) -> None:
     assert len(RENDERERS.load(name)(RESULT)) > 500
 
 
-def test_the_page_has_numbers_for_charts_and_shapes_only(written: Callable[[str], bytes], every_kind: Chart) -> None:
+def test_the_page_has_numbers_for_charts_and_shapes_only(
+    written: Callable[[str], bytes], every_kind: Chart
+) -> None:
     html = written("html").decode()
     figures = re.findall(r"<figure .*?</figure>", html, re.DOTALL)
     numbers = [re.search(r'<script type="application/json">(.*?)</script>', figure) for figure in figures]
@@ -73,25 +92,35 @@ def test_the_page_has_numbers_for_charts_and_shapes_only(written: Callable[[str]
 
 
 def test_a_page_without_charts_has_no_script(drawings: dict[str, Drawing]) -> None:
-    document = Document("T", "", (Section("Film", (Figure(drawings["film"], "The film", "film"),)),), to_sign=False)
+    document = Document(
+        "T", "", (Section("Film", (Figure(drawings["film"], "The film", "film"),)),), to_sign=False
+    )
     html = DOCUMENTS.load("html")(document).decode()
     assert "<script" not in html and html.count("<img") == 1
 
 
-@pytest.mark.parametrize(("module", "function", "name", "count"), [(html_page, "drawing_source", "html", 3), (pdf, "canvas_of", "pdf", 5)])
+@pytest.mark.parametrize(
+    ("module", "function", "name", "count"),
+    [(html_page, "drawing_source", "html", 3), (pdf, "canvas_of", "pdf", 5)],
+)
 def test_every_figure_is_drawn_once(
     module: object, function: str, name: str, count: int, document: Document, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[object] = []
     draw = getattr(module, function)
-    monkeypatch.setattr(module, function, lambda graphic, *where: drawn.append(graphic) or draw(graphic, *where))
+    monkeypatch.setattr(
+        module, function, lambda graphic, *where: drawn.append(graphic) or draw(graphic, *where)
+    )
     DOCUMENTS.load(name)(document)
     assert len(drawn) == count and len(set(map(id, drawn))) == count
 
 
-def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document, written: Callable[[str], bytes]) -> None:
-    # At 165 mm of width the figures are 92, 64, 66, 119 and 142 mm high, and a page holds 259 mm: behind the cover the words with the
-    # first two (which leave no room for 66 mm and a caption), the next two, and the last.
+def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(
+    document: Document, written: Callable[[str], bytes]
+) -> None:
+    # At 165 mm of width the figures are 92, 64, 66, 119 and 142 mm high, and a page holds 259 mm: behind the
+    # cover the words with the first two (which leave no room for 66 mm and a caption), the next two, and the
+    # last.
     assert len(PAGE.findall(written("pdf"))) == 4
     alone = replace(document, sections=document.sections[:1], to_sign=False)
     assert len(PAGE.findall(DOCUMENTS.load("pdf")(alone))) == 1
@@ -99,20 +128,33 @@ def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(document: Document
 
 def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, heat_map: Chart) -> None:
     for graphic, dots in ((every_kind, False), (heat_map, True)):
-        content = pdf.render_pdf(Document("T", "", (Section("F", (Figure(graphic, "c", "a"),)),), to_sign=False))
+        content = pdf.render_pdf(
+            Document("T", "", (Section("F", (Figure(graphic, "c", "a"),)),), to_sign=False)
+        )
         assert (b"/Subtype /Image" in content) == dots
 
 
-def test_a_drawing_of_very_many_points_is_a_picture_in_a_pdf(every_kind: Chart, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drawing_of_very_many_points_is_a_picture_in_a_pdf(
+    every_kind: Chart, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(pdf, "MOST_VECTOR", 100)
-    content = pdf.render_pdf(Document("T", "", (Section("F", (Figure(every_kind, "c", "a"),)),), to_sign=False))
+    content = pdf.render_pdf(
+        Document("T", "", (Section("F", (Figure(every_kind, "c", "a"),)),), to_sign=False)
+    )
     assert b"/Subtype /Image" in content
 
 
 def test_markdown_is_plain_text(written: Callable[[str], bytes]) -> None:
     text = written("md").decode()
-    assert "> **passed**: All well." in text and "Plain \\*words\\*." in text and '```json\n{"a": 1}\n```' in text
-    assert "| name | value |\n| --- | ---: |\n| a\\|b | 1 |" in text and "*Figure (drawn in the HTML report):* Caption 0" in text
+    assert (
+        "> **passed**: All well." in text
+        and "Plain \\*words\\*." in text
+        and '```json\n{"a": 1}\n```' in text
+    )
+    assert (
+        "| name | value |\n| --- | ---: |\n| a\\|b | 1 |" in text
+        and ("*Figure (drawn in the HTML report):* Caption 0") in text
+    )
 
 
 def test_a_markdown_report_loads_no_matplotlib(tmp_path: Path) -> None:
@@ -124,9 +166,13 @@ def test_a_markdown_report_loads_no_matplotlib(tmp_path: Path) -> None:
         "assert 'matplotlib' not in sys.modules and 'fpdf' not in sys.modules\n"
     )
     root = str(Path(labpipe.__file__).parents[1])
-    ended = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False
+    )
     assert ended.returncode == 0, ended.stderr
 
 
 def test_reports_at_the_root_are_those_of_the_table() -> None:
-    assert labpipe.html_report(RESULT) == RENDERERS.load("html")(RESULT) and labpipe.markdown_report(RESULT) == RENDERERS.load("md")(RESULT)
+    assert labpipe.html_report(RESULT) == RENDERERS.load("html")(RESULT) and labpipe.markdown_report(
+        RESULT
+    ) == RENDERERS.load("md")(RESULT)

@@ -21,10 +21,16 @@ def test_every_point_of_every_series_is_a_row(every_kind: Chart) -> None:
     rows = rows_of(text)
     assert text.startswith("# Stiffness over speed\n") and tuple(rows[0]) == COLUMNS
     assert rows[0] == {
-        "panel": "stiffness", "series": "k", "x axis": "speed [rpm]", "x": "1", "y axis": "k [kN/m]", "y": "1",
+        "panel": "stiffness", "series": "k", "x axis": "speed [rpm]", "x": "1", "y axis": "k [kN/m]",
+        "y": "1",
         "low": "0.5", "high": "2", "interval": "shaded",
     }  # fmt: skip
-    points = sum(max(series.x.size, series.y.size) for panel in every_kind.panels for series in panel.series if series.kind != "arrow")
+    points = sum(
+        max(series.x.size, series.y.size)
+        for panel in every_kind.panels
+        for series in panel.series
+        if series.kind != "arrow"
+    )
     assert len(rows) == points and not any(row["series"] == "arrow" for row in rows)
     gap = [row["y"] for row in rows if row["series"] == "gap"]
     assert gap == ["1", "", "100"]
@@ -43,9 +49,16 @@ def test_cells_are_named_by_row_and_column(heat_map: Chart) -> None:
     ]
 
 
-def test_a_chart_comes_as_svg_png_and_csv_and_a_drawing_without_numbers(every_kind: Chart, drawings: dict[str, Drawing]) -> None:
-    blocks = (Figure(every_kind, "Stiffness (over) speed: " + 60 * "x", "k"), Figure(drawings["film"], "The film", "film"))
+def test_a_chart_comes_as_svg_png_and_csv_and_a_drawing_without_numbers(
+    every_kind: Chart, drawings: dict[str, Drawing]
+) -> None:
+    blocks = (
+        Figure(every_kind, "Stiffness (over) speed: " + 60 * "x", "k"),
+        Figure(drawings["film"], "The film", "film"),
+    )
     files = figure_files(Document("T", "", (Section("All", blocks),)))
     assert [Path(name).suffix for name in files] == [".svg", ".png", ".csv", ".svg", ".png"]
-    assert next(iter(files)).startswith("figure-01-stiffness-over-speed.") and "figure-02-the-film.png" in files
+    assert (
+        next(iter(files)).startswith("figure-01-stiffness-over-speed.") and "figure-02-the-film.png" in files
+    )
     assert files["figure-02-the-film.svg"].startswith(b'<?xml version="1.0" encoding="utf-8"?>\n<svg')

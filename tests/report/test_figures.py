@@ -11,7 +11,14 @@ from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report.chart import Panel, Series
-from labpipe.report.figures import correlation_figure, fitted_curve_figure, form_unit, line_figure, response_figure, sliding_figures
+from labpipe.report.figures import (
+    correlation_figure,
+    fitted_curve_figure,
+    form_unit,
+    line_figure,
+    response_figure,
+    sliding_figures,
+)
 
 FREQUENCY = np.array([10.0, 20.0, 30.0])
 MATRIX = np.array([1.0, 2j, -4.0])[:, None, None] * 1e-6
@@ -30,7 +37,15 @@ FIT = Fit(
     condition_number=2.0,
     correlation=np.array([[1.0, -0.4], [-0.4, 1.0]]),
 )
-CURVE = FittedCurve(FREQUENCY, MATRIX, 2 * MATRIX, variance=np.full(MATRIX.shape, 1e-14), outputs=("y",), inputs=("f",), form="receptance")
+CURVE = FittedCurve(
+    FREQUENCY,
+    MATRIX,
+    2 * MATRIX,
+    variance=np.full(MATRIX.shape, 1e-14),
+    outputs=("y",),
+    inputs=("f",),
+    form="receptance",
+)
 RESPONSE = FrequencyResponse(FREQUENCY, MATRIX, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="run 1")
 
 
@@ -40,7 +55,11 @@ def named(panel: Panel) -> dict[str, Series]:
 
 def test_amplitude_and_phase_are_those_of_measurement_and_fit() -> None:
     amplitude, phase, _ = fitted_curve_figure(FIT, CURVE).graphic.panels
-    assert amplitude.y.label == "receptance [um/N]" and amplitude.y.logarithmic and phase.y.label == "phase [deg]"
+    assert (
+        amplitude.y.label == "receptance [um/N]"
+        and amplitude.y.logarithmic
+        and phase.y.label == "phase [deg]"
+    )
     np.testing.assert_allclose(named(amplitude)["y/f measured"].y, [1.0, 2.0, 4.0])
     np.testing.assert_allclose(named(amplitude)["y/f fitted"].y, [2.0, 4.0, 8.0])
     np.testing.assert_allclose(named(phase)["y/f measured"].y, [0.0, 90.0, 180.0])
@@ -61,7 +80,9 @@ def test_the_fit_is_drawn_where_it_was_computed_between_the_lines() -> None:
     between = np.linspace(10.0, 30.0, 5)
     dense = replace(CURVE, dense_frequency=between, dense=np.full((5, 1, 1), 3e-6 + 0j))
     series = named(fitted_curve_figure(FIT, dense).graphic.panels[0])
-    assert series["y/f fitted"].x.tolist() == between.tolist() and series["y/f fitted"].y == pytest.approx([3.0] * 5)
+    assert series["y/f fitted"].x.tolist() == between.tolist() and series["y/f fitted"].y == pytest.approx(
+        [3.0] * 5
+    )
     assert series["y/f measured"].x.tolist() == FREQUENCY.tolist()
 
 
@@ -78,7 +99,11 @@ def test_sliding_coefficients_over_the_centres_with_their_intervals() -> None:
     fits[1] = replace(fits[1], gof=Goodness(0.9, 0.89), parameters=(replace(K, ci95=None), C))
     stiffness, damping, goodness = sliding_figures(fits)
     (k,) = stiffness.graphic.panels[0].series
-    assert k.x.tolist() == [17.5, 20.5] and k.y == pytest.approx([45.2, 45.2]) and stiffness.graphic.panels[0].y.label == "k [kN/m]"
+    assert (
+        k.x.tolist() == [17.5, 20.5]
+        and k.y == pytest.approx([45.2, 45.2])
+        and stiffness.graphic.panels[0].y.label == "k [kN/m]"
+    )
     assert k.low[0] == pytest.approx(45.137) and np.isnan(k.low[1]) and "2 bands" in stiffness.caption
     assert damping.graphic.panels[0].y.label == "c [N s/m]"
     adjusted, chi2 = (panel.series[0] for panel in goodness.graphic.panels)
@@ -90,31 +115,54 @@ def test_a_response_is_shown_with_the_best_statement_of_its_quality() -> None:
     amplitude, quality = coherent.graphic.panels
     np.testing.assert_allclose(amplitude.series[0].y, [1.0, 2.0, 4.0])
     assert (
-        amplitude.series[0].name == "y/f" and (quality.y.low, quality.y.high) == (0.0, 1.02) and quality.series[0].y.tolist() == [0.9] * 3
+        amplitude.series[0].name == "y/f"
+        and (quality.y.low, quality.y.high) == (0.0, 1.02)
+        and quality.series[0].y.tolist() == [0.9] * 3
     )
     periodic = response_figure(replace(RESPONSE, snr=np.array([[100.0, 0.0]] * 3), snr_channels=("f", "y")))
-    assert named(periodic.graphic.panels[1])["y"].y.tolist() == [1e-3] * 3 and "signal-to-noise" in periodic.caption
+    assert (
+        named(periodic.graphic.panels[1])["y"].y.tolist() == [1e-3] * 3
+        and "signal-to-noise" in periodic.caption
+    )
     covered = response_figure(replace(RESPONSE, covariance=uncorrelated(np.full(MATRIX.shape, 1e-14))))
     np.testing.assert_allclose(covered.graphic.panels[1].series[0].y, [0.1, 0.05, 0.025])
     plain = response_figure(RESPONSE)
-    assert plain.graphic.panels[1].note == "the uncertainty of this FRF is not known" and "no statement of its uncertainty" in plain.caption
+    assert (
+        plain.graphic.panels[1].note == "the uncertainty of this FRF is not known"
+        and ("no statement of its uncertainty") in plain.caption
+    )
 
 
 def test_slopes_of_a_calibration_stand_by_name_from_zero() -> None:
     lines = [
         replace(
-            FIT, name="gain", test=test, model="straight-line", parameters=(Parameter("slope", value, "N/A", std_error=0.1, ci95=ends),)
+            FIT,
+            name="gain",
+            test=test,
+            model="straight-line",
+            parameters=(Parameter("slope", value, "N/A", std_error=0.1, ci95=ends),),
         )
         for test, value, ends in (("up", 2.0, (1.8, 2.2)), ("down", 3.0, None))
     ]
     (panel,) = line_figure(lines).graphic.panels
     (slopes,) = panel.series
-    assert [name for _, name in panel.x.ticks] == ["up", "down"] and panel.y.label == "slope [N/A]" and panel.y.low == 0.0
-    assert slopes.y.tolist() == [2.0, 3.0] and slopes.low.tolist() == [1.8, 3.0] and slopes.high.tolist() == [2.2, 3.0]
+    assert (
+        [name for _, name in panel.x.ticks] == ["up", "down"]
+        and panel.y.label == "slope [N/A]"
+        and panel.y.low == 0.0
+    )
+    assert (
+        slopes.y.tolist() == [2.0, 3.0]
+        and slopes.low.tolist() == [1.8, 3.0]
+        and slopes.high.tolist() == [2.2, 3.0]
+    )
 
 
 def test_units_of_forms() -> None:
-    assert form_unit("receptance") == ("um/N", pytest.approx(1e6)) and form_unit("voltage ratio") == ("SI", 1.0)
+    assert form_unit("receptance") == ("um/N", pytest.approx(1e6)) and form_unit("voltage ratio") == (
+        "SI",
+        1.0,
+    )
 
 
 def test_of_very_many_elements_largest_median_and_least_have_a_curve() -> None:

@@ -97,7 +97,9 @@ def test_every_warning_stands_in_words() -> None:
 
 
 def test_names_from_files_are_escaped_everywhere() -> None:
-    html = html_report(replace(result(), title=HOSTILE, fits=result(HOSTILE).fits, responses=result(HOSTILE).responses))
+    html = html_report(
+        replace(result(), title=HOSTILE, fits=result(HOSTILE).fits, responses=result(HOSTILE).responses)
+    )
     assert "<script>alert" not in html and "&lt;script&gt;" in html
     assert set(re.findall(r"<script[^>]*>", html)) == {"<script>", '<script type="application/json">'}
     markdown = markdown_report(replace(result(), title=HOSTILE))
@@ -109,8 +111,17 @@ def test_the_page_asks_for_nothing_from_elsewhere() -> None:
     tags = Tags()
     tags.feed(html)
     assert not [tag for tag, _ in tags.tags if tag in ("link", "img", "iframe", "object", "form")]
-    assert [attributes for tag, attributes in tags.tags if tag == "script" and attributes.get("type") != "application/json"] == [{}]
-    links = [value for _, attributes in tags.tags for key, value in attributes.items() if key in ("src", "href", "xlink:href")]
+    assert [
+        attributes
+        for tag, attributes in tags.tags
+        if tag == "script" and attributes.get("type") != "application/json"
+    ] == [{}]
+    links = [
+        value
+        for _, attributes in tags.tags
+        for key, value in attributes.items()
+        if key in ("src", "href", "xlink:href")
+    ]
     assert all(str(link).startswith(("#", "data:image/png;base64,")) for link in links)
     assert "@import" not in html and "url(http" not in html
 
@@ -119,7 +130,9 @@ def test_every_figure_tells_what_it_shows() -> None:
     tags = Tags()
     tags.feed(html_report(result()))
     figures = [attributes for tag, attributes in tags.tags if tag == "figure"]
-    assert len(figures) == 2 and all(attributes.get("role") == "group" and attributes.get("aria-label") for attributes in figures)
+    assert len(figures) == 2 and all(
+        attributes.get("role") == "group" and attributes.get("aria-label") for attributes in figures
+    )
 
 
 def test_sliding_fits_are_drawn_over_frequency_and_stay_small() -> None:
@@ -143,13 +156,18 @@ def test_same_result_same_bytes() -> None:
         (float("nan"), 1.0, "not determined"),
     ],
 )
-def test_values_are_rounded_to_what_their_error_supports(value: float, error: float | None, text: str) -> None:
+def test_values_are_rounded_to_what_their_error_supports(
+    value: float, error: float | None, text: str
+) -> None:
     assert rounded(value, error) == text
 
 
 def test_stars_follow_the_t_distribution() -> None:
-    # Student's t with 40 degrees of freedom: two-sided p of 0.05, 0.01, 0.001 at 2.021, 2.704, 3.551 (printed tables).
-    marks = [significance(Parameter("k", t, "N/m", std_error=1.0, t_ratio=t), 40) for t in (2.0, 2.03, 2.71, 3.56)]
+    # Student's t with 40 degrees of freedom: two-sided p of 0.05, 0.01, 0.001 at 2.021, 2.704, 3.551 (printed
+    # tables).
+    marks = [
+        significance(Parameter("k", t, "N/m", std_error=1.0, t_ratio=t), 40) for t in (2.0, 2.03, 2.71, 3.56)
+    ]
     assert marks == ["n.s.", "*", "**", "***"]
 
 
@@ -171,7 +189,10 @@ def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_
     from labpipe.report.cover import cover_facts
 
     base = result()
-    responses = tuple(replace(base.responses[0], conditions={"date": day, "preload": "427 N"}) for day in ("2026-03-02", "2026-02-27"))
+    responses = tuple(
+        replace(base.responses[0], conditions={"date": day, "preload": "427 N"})
+        for day in ("2026-03-02", "2026-02-27")
+    )
     facts = dict(cover_facts([replace(base, responses=responses)]))
     assert facts["recorded"] == "2026-02-27 to 2026-03-02" and facts["preload"] == "427 N"
     assert facts["pipeline"] == "p.yaml" and facts["computed by"] == "labpipe 0.1.0" and "rig" not in facts

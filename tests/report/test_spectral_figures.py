@@ -1,4 +1,7 @@
-"""Directional responses, distortion and partial coherence in the report; figures held against closed forms of one rotor."""
+"""Directional responses, distortion and partial coherence in the report.
+
+Figures held against closed forms of one rotor.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,14 @@ from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
-from labpipe.report.measurement import distortion_figure, orbit, orbit_figure, resonances, spectral_blocks, two_sided_figure
+from labpipe.report.measurement import (
+    distortion_figure,
+    orbit,
+    orbit_figure,
+    resonances,
+    spectral_blocks,
+    two_sided_figure,
+)
 from labpipe.spectra.convert import directional
 
 FREQUENCY = np.arange(30.0, 131.0, 0.5)
@@ -26,7 +36,9 @@ def response(stiffness: np.ndarray = K) -> FrequencyResponse:
     w = 2 * np.pi * FREQUENCY[:, None, None]
     h = np.linalg.inv(stiffness + 1j * w * C - w**2 * MASS * np.eye(2))
     ports = Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2)
-    return FrequencyResponse(FREQUENCY, h, ports, ports, covariance=uncorrelated(np.full(h.shape, 1e-16)), name="run 1")
+    return FrequencyResponse(
+        FREQUENCY, h, ports, ports, covariance=uncorrelated(np.full(h.shape, 1e-16)), name="run 1"
+    )
 
 
 def curves(figure: Figure, panel: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -38,7 +50,8 @@ def test_resonances_of_an_isotropic_rotor_are_those_of_one_dof() -> None:
     f_0, zeta = np.sqrt(620e3 / MASS) / (2 * np.pi), 100 / (2 * np.sqrt(620e3 * MASS))
     assert set(found) == {"f", "b"}
     for peak in found.values():
-        # The receptance's peak lies at f_0 sqrt(1 - 2 zeta^2), its half-power points beside f_0 sqrt(1 +- 2 zeta).
+        # The receptance's peak lies at f_0 sqrt(1 - 2 zeta^2), its half-power points beside f_0 sqrt(1 +- 2
+        # zeta).
         assert peak.frequency == pytest.approx(f_0 * np.sqrt(1 - 2 * zeta**2), rel=1e-4)
         assert peak.damping_ratio == pytest.approx(zeta, rel=0.02)
 
@@ -59,7 +72,9 @@ def test_both_sides_stand_apart_and_half_power_points_on_the_curve() -> None:
     # Nothing stands between the sides, where nothing was measured.
     n = FREQUENCY.size
     assert np.isnan(lines[0][0][n]) and np.isnan(lines[0][1][n])
-    (backward_f, backward), (forward_f, forward) = ((lines[0][0][side], lines[0][1][side]) for side in (slice(0, n), slice(n + 1, None)))
+    (backward_f, backward), (forward_f, forward) = (
+        (lines[0][0][side], lines[0][1][side]) for side in (slice(0, n), slice(n + 1, None))
+    )
     assert np.all(backward_f < 0) and np.all(forward_f > 0)
     np.testing.assert_allclose(forward, 1e6 * np.abs(turned.matrix[:, 0, 0]), rtol=1e-12)
     np.testing.assert_allclose(backward[::-1], 1e6 * np.abs(turned.matrix[:, 1, 1]), rtol=1e-12)
@@ -74,7 +89,9 @@ def test_an_orbit_is_the_motion_under_a_turning_force() -> None:
     for column, force in ((0, [1, -1j]), (1, [1, 1j])):
         # Forward: f_x = cos, f_y = sin; backward: f_y = -sin.
         expected = (plain.matrix[100] @ np.array(force))[:, None] * np.exp(1j * theta)
-        np.testing.assert_allclose(orbit(turned.matrix[100, :, column]), expected.real, rtol=1e-12, atol=1e-20)
+        np.testing.assert_allclose(
+            orbit(turned.matrix[100, :, column]), expected.real, rtol=1e-12, atol=1e-20
+        )
     # Equal stiffness both ways: a circle, run through in the force's own sense.
     path = orbit(directional(response(620e3 * np.eye(2))).matrix[100, :, 1])
     np.testing.assert_allclose(np.hypot(*path), np.hypot(*path)[0], rtol=1e-12)
@@ -87,7 +104,10 @@ def test_orbits_are_drawn_at_resonance_and_half_power_points() -> None:
     figure = orbit_figure(turned, found)
     assert len(figure.graphic.panels) == 2 and all(panel.equal for panel in figure.graphic.panels)
     labels = list(dict.fromkeys(series.name for series in figure.graphic.panels[0].series if series.name))
-    nearest = [FREQUENCY[np.argmin(abs(FREQUENCY - f))] for f in (found["f"].low, found["f"].frequency, found["f"].high)]
+    nearest = [
+        FREQUENCY[np.argmin(abs(FREQUENCY - f))]
+        for f in (found["f"].low, found["f"].frequency, found["f"].high)
+    ]
     assert labels == [f"{frequency:g} Hz" for frequency in nearest]
     x, y = curves(figure)[0]
     line = int(np.argmin(abs(FREQUENCY - found["f"].low)))
@@ -113,14 +133,20 @@ def test_what_stands_below_a_response() -> None:
     plain = response()
     assert spectral_blocks(plain) == ()
     assert [type(block) for block in spectral_blocks(directional(plain))] == [Figure, Table, Figure]
-    assert [type(block) for block in spectral_blocks(replace(plain, distortion=np.full(plain.matrix.shape, 1e-9)))] == [Figure]
+    assert [
+        type(block) for block in spectral_blocks(replace(plain, distortion=np.full(plain.matrix.shape, 1e-9)))
+    ] == [Figure]
     text = html_report(Identification((), "Rotor", responses=(directional(plain),))).decode()
-    assert "Resonances and half-power points" in text and "H_bb (backward)" in text and "Orbits of run 1" in text
+    assert (
+        "Resonances and half-power points" in text and "H_bb (backward)" in text and "Orbits of run 1" in text
+    )
 
 
 def test_partial_coherence_takes_the_place_of_ordinary_where_there_are_several_forces() -> None:
     plain = response()
-    both = replace(plain, coherence=np.full(plain.matrix.shape, 0.5), partial_coherence=np.full(plain.matrix.shape, 0.9))
+    both = replace(
+        plain, coherence=np.full(plain.matrix.shape, 0.5), partial_coherence=np.full(plain.matrix.shape, 0.9)
+    )
     figure = figures.response_figure(both)
     assert figure.graphic.panels[1].y.label == "partial coherence" and curves(figure, 1)[0][1][0] == 0.9
     ordinary = figures.response_figure(replace(both, partial_coherence=None))
@@ -129,7 +155,11 @@ def test_partial_coherence_takes_the_place_of_ordinary_where_there_are_several_f
 
 def test_a_report_made_later_from_the_file_shows_the_same(tmp_path: Path) -> None:
     plain = response()
-    both = replace(plain, distortion=np.full(plain.matrix.shape, 1e-9), partial_coherence=np.full(plain.matrix.shape, 0.9))
+    both = replace(
+        plain,
+        distortion=np.full(plain.matrix.shape, 1e-9),
+        partial_coherence=np.full(plain.matrix.shape, 0.9),
+    )
     now = Identification((), "Rotor", responses=(both, directional(plain)), version=__version__)
     write_identification(tmp_path / "identification.json", now)
     assert html_report(read_identification(tmp_path / "identification.json")) == html_report(now)

@@ -1,4 +1,7 @@
-"""What the report says of a study, of candidates and of a large FRF matrix; the figures' numbers are those of the records."""
+"""What the report says of a study, of candidates and of a large FRF matrix.
+
+The figures' numbers are those of the records.
+"""
 
 from __future__ import annotations
 
@@ -54,13 +57,31 @@ def study(**change: object) -> Study:
 
 def test_the_table_of_cases_has_every_figure() -> None:
     table = next(block for block in study_blocks(study()) if isinstance(block, Table))
-    assert table.rows[0] == ("ml", "1.1 %", "25", "0.00297", "3.4e-06", "0.00259", "3 of 500", "99.8 %", "0.975", "95.7 %")
+    assert table.rows[0] == (
+        "ml",
+        "1.1 %",
+        "25",
+        "0.00297",
+        "3.4e-06",
+        "0.00259",
+        "3 of 500",
+        "99.8 %",
+        "0.975",
+        "95.7 %",
+    )
     assert table.rows[1][:4] == ("ml", "4.3 %", "25", "0.0466")
 
 
 def test_printed_errors_stand_beside() -> None:
-    table = next(block for block in study_blocks(study(printed=(("ml", (0.0031, 0.0483)),))) if isinstance(block, Table))
-    assert table.header[-1] == "printed mean error" and [row[-1] for row in table.rows] == ["0.0031", "0.0483"]
+    table = next(
+        block
+        for block in study_blocks(study(printed=(("ml", (0.0031, 0.0483)),)))
+        if isinstance(block, Table)
+    )
+    assert table.header[-1] == "printed mean error" and [row[-1] for row in table.rows] == [
+        "0.0031",
+        "0.0483",
+    ]
 
 
 def test_parameters_at_the_highest_noise_with_bias_and_bound() -> None:
@@ -74,13 +95,19 @@ def test_parameters_at_the_highest_noise_with_bias_and_bound() -> None:
 def test_curves_over_the_noise_are_the_cases() -> None:
     figure = next(block for block in study_blocks(study()) if isinstance(block, Figure))
     coverage, asked = figure.graphic.panels[2].series
-    assert coverage.x == pytest.approx([1.1, 4.3]) and coverage.y == pytest.approx([95.7, 95.7]) and asked.y == [95.0]
+    assert (
+        coverage.x == pytest.approx([1.1, 4.3])
+        and coverage.y == pytest.approx([95.7, 95.7])
+        and asked.y == [95.0]
+    )
     alone = study_blocks(study(cases=(CASE,)))
     assert not any(isinstance(block, Figure) for block in alone)
 
 
 def test_a_case_without_results_is_shown_as_such() -> None:
-    nothing = replace(CASE, failed=500, mean_error=float("nan"), coverage=None, rmse_over_bound=None, parameters=())
+    nothing = replace(
+        CASE, failed=500, mean_error=float("nan"), coverage=None, rmse_over_bound=None, parameters=()
+    )
     table = next(block for block in study_blocks(study(cases=(nothing,))) if isinstance(block, Table))
     assert table.rows[0][6] == "500 of 500" and table.rows[0][8:] == ("", "")
 
@@ -92,7 +119,10 @@ def test_thresholds_as_sentences() -> None:
 
 
 def test_candidates_best_first() -> None:
-    found = (Candidate("mdof, symmetric", 12, 430.0, 438, 454.0, 0.31), Candidate("this model: mdof, general", 18, 424.0, 432, 460.0))
+    found = (
+        Candidate("mdof, symmetric", 12, 430.0, 438, 454.0, 0.31),
+        Candidate("this model: mdof, general", 18, 424.0, 432, 460.0),
+    )
     table, explained = candidate_blocks(replace(FIT, candidates=found))
     assert isinstance(table, Table) and isinstance(explained, Paragraph)
     assert table.rows[0] == ("mdof, symmetric", "12", "430.0", "438", "0.0", "0.31")
@@ -110,7 +140,9 @@ def test_missing_intervals_and_entangled_parameters_are_said_in_words() -> None:
     k, c = (Parameter(name, 1.0, "N/m", vif=vif) for name, vif in (("k", 150.0), ("c", 2.0)))
     refused = replace(FIT, parameters=(k, c), findings=(Finding("model-mismatch", "a mode too few"),))
     assert "no standard errors and intervals are given" in interval_text(refused)
-    vif, close = entangled_text(replace(FIT, parameters=(k, c), correlation=np.array([[1.0, -0.998], [-0.998, 1.0]])))
+    vif, close = entangled_text(
+        replace(FIT, parameters=(k, c), correlation=np.array([[1.0, -0.998], [-0.998, 1.0]]))
+    )
     assert "k (150 times)" in vif and "c (" not in vif
     assert "k and c (-0.9980)" in close
     assert entangled_text(replace(FIT, parameters=(c,), correlation=np.eye(1))) == []
@@ -141,12 +173,22 @@ def test_of_very_many_elements_the_mean_and_the_worst_are_shown() -> None:
     frequency = np.array([1.0, 2.0, 3.0])
     matrix = np.full((3, 10, 3), 2e-6 + 0j)
     fitted = matrix * (1 + 0.01 * np.arange(30).reshape(10, 3))
-    curve = FittedCurve(frequency, matrix, fitted, variance=None, outputs=tuple("0123456789"), inputs=("a", "b", "c"), form="receptance")
+    curve = FittedCurve(
+        frequency,
+        matrix,
+        fitted,
+        variance=None,
+        outputs=tuple("0123456789"),
+        inputs=("a", "b", "c"),
+        form="receptance",
+    )
     mean, worst = matrix_figures(replace(FIT, curve=curve), curve)
     measured, _, residual = mean.graphic.panels[0].series
     np.testing.assert_allclose(measured.y, 2.0)
     np.testing.assert_allclose(residual.y, 2.0 * np.sqrt(np.mean((0.01 * np.arange(30)) ** 2)))
-    assert [panel.title for panel in worst.graphic.panels] == [f"{n // 3}/{'abc'[n % 3]}" for n in range(29, 17, -1)]
+    assert [panel.title for panel in worst.graphic.panels] == [
+        f"{n // 3}/{'abc'[n % 3]}" for n in range(29, 17, -1)
+    ]
     assert "the 12 of 30 elements" in worst.caption and "residual 29 to 18 %" in worst.caption
 
 

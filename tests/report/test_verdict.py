@@ -1,4 +1,7 @@
-"""What stands first in a report: the verdict, every warning in full, notes up to a number; and the parts that a report is made of."""
+"""What stands first in a report: the verdict, every warning in full, notes up to a number.
+
+And the parts that a report is made of.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +35,19 @@ FIT = Fit(
 HOLDS = RuleOutcome("accept", "direct.gof >= 0.95", 0.98, True)
 FAILS = RuleOutcome("expect", "direct.k 1 kN/m", None, False)
 RESULT = Identification((FIT,), "Report", pipeline="p.yaml", outcomes=(HOLDS,), version="0.1.0")
-RESPONSE = FrequencyResponse(np.array([1.0, 2.0]), np.ones((2, 1, 1)) + 0j, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="427N")
+RESPONSE = FrequencyResponse(
+    np.array([1.0, 2.0]), np.ones((2, 1, 1)) + 0j, (Port("y", "y", "y"),), (Port("f", "f", "y"),), name="427N"
+)
 
 
 def words(sections: tuple[Section, ...]) -> dict[str, list[tuple[str, str]]]:
     """heading -> (text, tone) of its paragraphs."""
-    return {section.heading: [(block.text, block.kind) for block in section.blocks if isinstance(block, Paragraph)] for section in sections}
+    return {
+        section.heading: [
+            (block.text, block.kind) for block in section.blocks if isinstance(block, Paragraph)
+        ]
+        for section in sections
+    }
 
 
 def test_an_accepted_result_says_so_with_its_rules() -> None:
@@ -45,7 +55,9 @@ def test_an_accepted_result_says_so_with_its_rules() -> None:
     assert words(sections)["Verdict"] == [("ACCEPTED: all 1 rules hold. No warnings.", "passed")]
     (table,) = (block for block in sections[0].blocks if isinstance(block, Table))
     assert table.rows == (("accept", "direct.gof >= 0.95", "0.98", "holds"),)
-    assert [section.heading for section in sections] == ["Verdict", "Warnings"] and words(sections)["Warnings"][0][1] == "passed"
+    assert [section.heading for section in sections] == ["Verdict", "Warnings"] and words(sections)[
+        "Warnings"
+    ][0][1] == "passed"
 
 
 def test_a_box_is_green_only_when_the_rules_were_checked() -> None:
@@ -58,7 +70,8 @@ def test_a_box_is_green_only_when_the_rules_were_checked() -> None:
     assert "Not checked: no accept or expect rule was given" in bare[0][0] and bare[0][1] == "note"
     unjudged = replace(blind, findings=(Finding("not-judged", "few lines", WARNING),))
     assert (
-        "whether the residual is noise (direct, test 427N)" in words(verdict_sections(replace(RESULT, fits=(unjudged,))))["Verdict"][0][0]
+        "whether the residual is noise (direct, test 427N)"
+        in words(verdict_sections(replace(RESULT, fits=(unjudged,))))["Verdict"][0][0]
     )
 
 
@@ -72,19 +85,27 @@ def test_a_failed_rule_and_no_rules_at_all() -> None:
 
 def test_what_could_not_be_evaluated_stands_before_all() -> None:
     verdict = verdict_sections(replace(RESULT, failed=(Failed("701N", "no such file"),)))[0]
-    assert isinstance(verdict.blocks[0], Paragraph) and verdict.blocks[0].text.startswith("INCOMPLETE: 1 test(s)")
+    assert isinstance(verdict.blocks[0], Paragraph) and verdict.blocks[0].text.startswith(
+        "INCOMPLETE: 1 test(s)"
+    )
     assert isinstance(verdict.blocks[1], Table) and verdict.blocks[1].rows == (("701N", "no such file"),)
 
 
 def test_each_kind_of_warning_stands_once_with_its_first_message() -> None:
-    bands = tuple(replace(FIT, test=name, findings=(Finding("collinear", f"k and c in {name}", WARNING),)) for name in ("a", "b"))
+    bands = tuple(
+        replace(FIT, test=name, findings=(Finding("collinear", f"k and c in {name}", WARNING),))
+        for name in ("a", "b")
+    )
     measured = replace(RESPONSE, findings=(Finding("gap", "3 samples are missing", WARNING),))
     told = words(verdict_sections(replace(RESULT, fits=bands, responses=(measured,))))
     assert told["Warnings"] == [
         ("gap: 427N: 3 samples are missing", "warning"),
         ("collinear: direct, test a (2 times in all; this is the first): k and c in a", "warning"),
     ]
-    assert told["Verdict"][1] == ("Read the warnings before using: direct, test a (collinear); direct, test b (collinear).", "warning")
+    assert told["Verdict"][1] == (
+        "Read the warnings before using: direct, test a (collinear); direct, test b (collinear).",
+        "warning",
+    )
 
 
 def test_any_band_of_a_sliding_fit_that_must_not_be_used_is_named() -> None:
@@ -97,7 +118,11 @@ def test_many_notes_of_a_kind_are_counted() -> None:
     findings = tuple(Finding("masked", f"line {n}", NOTE) for n in range(MOST_NOTES + 3))
     told = words(verdict_sections(replace(RESULT, fits=(replace(FIT, findings=findings),))))
     ((text, kind),) = told["Notes"]
-    assert kind == "note" and text.endswith(f"line 0 ({MOST_NOTES + 3} such notes in all; this is the first).") and "line 1" not in text
+    assert (
+        kind == "note"
+        and text.endswith(f"line 0 ({MOST_NOTES + 3} such notes in all; this is the first).")
+        and "line 1" not in text
+    )
 
 
 def test_long_notes_of_a_kind_are_counted() -> None:
@@ -130,7 +155,10 @@ def test_nothing_gives_no_sections_but_verdict_and_provenance() -> None:
 def test_a_fit_is_described_with_its_parameters() -> None:
     (section,) = fit_sections(RESULT)
     text, table = section.blocks[:2]
-    assert isinstance(text, Paragraph) and "band 65–80 Hz: 15 frequency lines, 30 real equations, 28 degrees of freedom" in text.text
+    assert (
+        isinstance(text, Paragraph)
+        and ("band 65–80 Hz: 15 frequency lines, 30 real equations, 28 degrees of freedom") in text.text
+    )
     assert isinstance(table, Table) and table.rows[0][:3] == ("k", "45.200", "kN/m")
     (unsettled,) = fit_sections(replace(RESULT, fits=(replace(FIT, converged=False),)))
     assert isinstance(unsettled.blocks[0], Paragraph) and "NOT converged" in unsettled.blocks[0].text
@@ -140,14 +168,17 @@ def test_bands_of_a_sliding_fit_share_a_section_with_a_row_each() -> None:
     fits = tuple(replace(FIT, band_hz=(low, low + 15.0)) for low in (60.0, 63.0, 66.0))
     (section,) = fit_sections(replace(RESULT, fits=fits))
     (table,) = (block for block in section.blocks if isinstance(block, Table))
-    assert [row[:3] for row in table.rows] == [(f"{low}–{low + 15} Hz", f"{low + 7.5:g}", "0.9800") for low in (60, 63, 66)]
+    assert [row[:3] for row in table.rows] == [
+        (f"{low}–{low + 15} Hz", f"{low + 7.5:g}", "0.9800") for low in (60, 63, 66)
+    ]
     assert sum(isinstance(block, Figure) for block in section.blocks) == 2
 
 
 def test_lines_of_a_calibration_share_a_section() -> None:
     slope = Parameter("slope", 2.0, "N/A", std_error=0.1, t_ratio=20.0, ci95=(1.8, 2.2), significant=True)
     lines = tuple(
-        replace(FIT, name="gain", model="straight-line", test=test, parameters=(slope,), notes=("up to 3 A",)) for test in ("a", "b")
+        replace(FIT, name="gain", model="straight-line", test=test, parameters=(slope,), notes=("up to 3 A",))
+        for test in ("a", "b")
     )
     (section,) = fit_sections(replace(RESULT, fits=lines))
     tables = [block for block in section.blocks if isinstance(block, Table)]
@@ -157,7 +188,9 @@ def test_lines_of_a_calibration_share_a_section() -> None:
 
 def test_measurements_say_their_size_and_averages() -> None:
     (section,) = measurement_sections(replace(RESULT, responses=(replace(RESPONSE, averages=12.5),)))
-    assert words((section,))["Measurement"][0][0] == "427N: receptance, 1 x 1 (responses x forces), 2 lines, 12.5 effective averages."
+    assert words((section,))["Measurement"][0][0] == (
+        "427N: receptance, 1 x 1 (responses x forces), 2 lines, 12.5 effective averages."
+    )
     assert measurement_sections(RESULT) == ()
 
 
@@ -171,7 +204,9 @@ def test_provenance_repeats_channels_conditions_sources_and_settings() -> None:
     }
     sources = ({"path": "a.csv", "sha256": "ab" * 32},)
     measured = (replace(RESPONSE, conditions={"preload": "427 N"}),)
-    result = replace(RESULT, rig=rig, sources=sources, responses=measured, settings={"frf": {"period": 1.0}, "report": {}})
+    result = replace(
+        RESULT, rig=rig, sources=sources, responses=measured, settings={"frf": {"period": 1.0}, "report": {}}
+    )
     rig_section, provenance = provenance_sections(result)
     channels, conditions = (block for block in rig_section.blocks if isinstance(block, Table))
     assert words((rig_section,))["Rig and conditions"][0][0] == "Bench. On rubber. Moving mass 0.92 kg."
@@ -179,7 +214,9 @@ def test_provenance_repeats_channels_conditions_sources_and_settings() -> None:
     assert conditions.rows == (("427N", "preload", "427 N"),)
     (table,) = (block for block in provenance.blocks if isinstance(block, Table))
     (code,) = (block for block in provenance.blocks if isinstance(block, Code))
-    assert table.rows == (("a.csv", "ab" * 32),) and '"period": 1.0' in code.text and "report" not in code.text
+    assert (
+        table.rows == (("a.csv", "ab" * 32),) and '"period": 1.0' in code.text and "report" not in code.text
+    )
     assert "labpipe run p.yaml" in words((provenance,))["Provenance"][0][0]
 
 

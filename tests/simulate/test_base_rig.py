@@ -1,4 +1,6 @@
-"""The virtual mass on a shaking table: its runs, what is refused, and the shipped recordings against their recipe."""
+"""The virtual mass on a shaking table: its runs, what is refused, and the shipped recordings against their
+recipe.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,15 @@ from labpipe.errors import ConfigError
 from labpipe.simulate.linear import BASE_RUNS, BaseNoise, BaseRig
 from labpipe.simulate.virtual_rigs import recordings
 
-QUIET = BaseRig("virtual-base-rig", 2.0, 126.33e3, 20.106, noise=BaseNoise(base=0.0, acceleration=0.0, displacement=0.0))
+QUIET = BaseRig(
+    "virtual-base-rig", 2.0, 126.33e3, 20.106, noise=BaseNoise(base=0.0, acceleration=0.0, displacement=0.0)
+)
 
 
 def test_what_is_measured_of_the_mass_belongs_together() -> None:
-    """Of one noise: acceleration of the mass = that of the table + second derivative of the gap, line by line."""
+    """Of one noise: acceleration of the mass = that of the table + second derivative of the gap, line by
+    line.
+    """
     rig = replace(QUIET, duration=4.0, pause=1.0)
     absolute, relative = recordings(rig, 1, ["absolute", "relative"])
     spectra = [np.fft.rfft(run.samples, axis=0) for run in (absolute, relative)]
@@ -25,8 +31,12 @@ def test_what_is_measured_of_the_mass_belongs_together() -> None:
     inside = (frequency >= 10) & (frequency <= 100)
     ratio, gap = (spectrum[inside, 1] / spectrum[inside, 0] for spectrum in spectra)
     np.testing.assert_allclose(ratio, 1 - (2 * np.pi * frequency[inside]) ** 2 * gap, rtol=1e-6)
-    assert absolute.samples[:, 0].std() == pytest.approx(5.0) and np.max(np.abs(spectra[0][~inside, 0])) < 1e-8
-    assert rig.truth["f_n"] == pytest.approx(40.0, rel=1e-5) and rig.truth["zeta"] == pytest.approx(0.02, rel=1e-4)
+    assert (
+        absolute.samples[:, 0].std() == pytest.approx(5.0) and np.max(np.abs(spectra[0][~inside, 0])) < 1e-8
+    )
+    assert rig.truth["f_n"] == pytest.approx(40.0, rel=1e-5) and rig.truth["zeta"] == pytest.approx(
+        0.02, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""The virtual mass under swept sines, against its equation of motion, and the shipped recordings against their recipe."""
+"""The virtual mass under swept sines, against its equation of motion, and the shipped recordings against
+their recipe.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,11 @@ def test_the_motion_is_that_of_the_equation() -> None:
     """m y'' + c y' + k y = f by scipy.signal.lsim, 20 points per sample, with straight lines between them."""
     sweep, fine = Sweep((20.0, 80.0), 3.0, 5.0), 20
     dense = sweep.samples(fine * RIG.sample_rate, 1)
-    solved = signal.lsim(([1.0], [RIG.mass, RIG.damping, RIG.stiffness]), dense, np.arange(dense.size) / (fine * RIG.sample_rate))[1]
+    solved = signal.lsim(
+        ([1.0], [RIG.mass, RIG.damping, RIG.stiffness]),
+        dense,
+        np.arange(dense.size) / (fine * RIG.sample_rate),
+    )[1]
     force = sweep.samples(RIG.sample_rate, 1)
     length, lines = RIG.from_rest(force.size)
     moved = response(RIG.receptance(lines), force, length)
@@ -33,9 +39,9 @@ def test_runs_have_their_sweeps() -> None:
     linear, several = recordings(replace(RIG, noise=0.0, force_noise=0.0), 1)
     before = round(PRETRIGGER * RIG.sample_rate)
     assert linear.n_sample == before + (27 * 512) and several.n_sample == before + 4 * (15 * 512)
-    assert np.all(several.samples[:before, 0] == 0) and np.std(linear.samples[before + 512 : before + 23 * 512, 0]) == pytest.approx(
-        5, rel=0.01
-    )
+    assert np.all(several.samples[:before, 0] == 0) and np.std(
+        linear.samples[before + 512 : before + 23 * 512, 0]
+    ) == pytest.approx(5, rel=0.01)
     assert RIG.truth["zeta"] == pytest.approx(0.01, rel=1e-4)
 
 

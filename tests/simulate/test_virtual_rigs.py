@@ -15,12 +15,21 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.project.simulate import simulate_files
 from labpipe.project.virtual_rig_file import load_virtual_rig
 from labpipe.records.recording import Recording
-from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, chosen_runs, kind_of, recordings, simulate, simulated_response
+from labpipe.simulate.virtual_rigs import (
+    VIRTUAL_RIGS,
+    VirtualRig,
+    chosen_runs,
+    kind_of,
+    recordings,
+    simulate,
+    simulated_response,
+)
 from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.study import source_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-# A rig file of every kind that is shipped with labpipe, the runs of one FRF matrix, how they are measured, and a fit of that matrix.
+# A rig file of every kind that is shipped with labpipe, the runs of one FRF matrix, how they are measured,
+# and a fit of that matrix.
 STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]] = {
     "virtual-magnetic-rig": (
         "virtual-hmb.yaml",
@@ -28,7 +37,12 @@ STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]]
         FrfSettings("periodic", period="2 s"),
         FitSettings("sdof", mass="0.79 kg", band="60-70 Hz"),
     ),
-    "virtual-mdof-rig": ("three-dof.yaml", (), None, FitSettings("mdof", mass=["1 kg", "2 kg", "3 kg"], symmetric=True)),
+    "virtual-mdof-rig": (
+        "three-dof.yaml",
+        (),
+        None,
+        FitSettings("mdof", mass=["1 kg", "2 kg", "3 kg"], symmetric=True),
+    ),
     "virtual-ball-bearing-rig": (
         "virtual-ball-bearing.yaml",
         ("6208-427N-up-z",),
@@ -47,7 +61,12 @@ STUDIED: dict[str, tuple[str, tuple[str, ...], FrfSettings | None, FitSettings]]
         FrfSettings("random", block="4 s", band="12-95 Hz"),
         FitSettings("base", mass="2 kg"),
     ),
-    "virtual-sweep-rig": ("virtual-sweep.yaml", ("linear",), FrfSettings("sweep", band="30-60 Hz"), FitSettings("sdof", mass="2 kg")),
+    "virtual-sweep-rig": (
+        "virtual-sweep.yaml",
+        ("linear",),
+        FrfSettings("sweep", band="30-60 Hz"),
+        FitSettings("sdof", mass="2 kg"),
+    ),
     "virtual-white-noise-rig": (
         "virtual-white-noise.yaml",
         ("along-x", "along-y"),
@@ -68,7 +87,9 @@ FILES = {kind: file for kind, (file, *_) in STUDIED.items()} | OTHERS
 def small(kind: str) -> Any:
     """The shipped rig, coarser or shorter where a run takes long."""
     rig = load_virtual_rig(CONFIGS / FILES[kind])
-    return replace(rig, cells_around=48, cells_across=8, duration=20.0) if kind == "virtual-journal-rig" else rig
+    return (
+        replace(rig, cells_around=48, cells_across=8, duration=20.0) if kind == "virtual-journal-rig" else rig
+    )
 
 
 def test_every_built_in_kind_is_tested_here() -> None:
@@ -82,7 +103,11 @@ def test_the_first_run_is_written_with_its_truth(kind: str, tmp_path: Path) -> N
     runs = kind_of(rig).runs(rig)[:1]
     with output_folder(tmp_path / "out") as output:
         names = simulate_files(rig, 3, runs or None, output)
-    assert names[-1] == "truth.json" and len(names) == 2 and all((tmp_path / "out" / name).stat().st_size > 0 for name in names)
+    assert (
+        names[-1] == "truth.json"
+        and len(names) == 2
+        and all((tmp_path / "out" / name).stat().st_size > 0 for name in names)
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(FILES))
@@ -96,7 +121,9 @@ def test_an_unknown_run_is_answered_with_the_nearest(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(STUDIED))
 def test_a_study_can_be_made_of_every_rig_that_has_responses(kind: str) -> None:
-    """Its response depends on the seed, half the noise level halves what differs, and its truth names parameters of its fit."""
+    """Its response depends on the seed, half the noise level halves what differs, and its truth names
+    parameters of its fit.
+    """
     _, runs, frf, fit = STUDIED[kind]
     rig = small(kind)
     level = rig.noise if kind == "virtual-mdof-rig" else 1.0
@@ -125,7 +152,9 @@ def test_recordings_are_those_of_the_files(kind: str) -> None:
     _, runs, _, _ = STUDIED[kind]
     rig = small(kind)
     made = recordings(rig, 2, runs)
-    assert [recording.name for recording in made] == list(runs) and all(isinstance(recording, Recording) for recording in made)
+    assert [recording.name for recording in made] == list(runs) and all(
+        isinstance(recording, Recording) for recording in made
+    )
     assert list(simulate(rig, 2, runs).files) == list(runs)
 
 
@@ -135,4 +164,6 @@ def test_runs_of_several_states_or_preloads_are_no_frf_matrix() -> None:
         _ = source_of(journal, 1.0, None, ("healthy-y", "wear-1-z"), FrfSettings("random", block=4.0)).truth
     balls: VirtualRig = small("virtual-ball-bearing-rig")
     with pytest.raises(ConfigError, match="one bearing, preload and way"):
-        _ = source_of(balls, 1.0, None, ("6208-427N-up-z", "string"), FrfSettings("periodic", period=0.5)).truth
+        _ = source_of(
+            balls, 1.0, None, ("6208-427N-up-z", "string"), FrfSettings("periodic", period=0.5)
+        ).truth

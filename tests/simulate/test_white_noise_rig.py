@@ -1,4 +1,6 @@
-"""The virtual rotor under white noise against its equation of motion, and the shipped recordings against their recipe."""
+"""The virtual rotor under white noise against its equation of motion, and the shipped recordings against
+their recipe.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ def derivative(motion: np.ndarray, order: int) -> np.ndarray:
 def test_the_motion_obeys_its_equation(name: str) -> None:
     (run,) = recordings(SILENT, 1, [name])
     force, motion = run.samples[:, 0], run.samples[:, 1:]
-    # What K q + C q' + m q'' leaves beside the shaker is the unbalance, u W^2 = 5.43 N turning from x to y at 50 Hz.
+    # What K q + C q' + m q'' leaves beside the shaker is the unbalance, u W^2 = 5.43 N turning from x to y at
+    # 50 Hz.
     total = motion @ K.T + derivative(motion, 1) @ C.T + MASS * derivative(motion, 2)
     total[:, "xy".index(SHAKEN_RUNS[name])] -= force
     turning = total[:, 0] + 1j * total[:, 1]
@@ -91,7 +94,9 @@ def test_faults_are_named(root: Path) -> None:
 
 
 def test_the_shipped_recordings_are_made_by_their_recipe(root: Path, tmp_path: Path, labpipe) -> None:
-    assert labpipe("simulate", root / "configs/virtual-white-noise.yaml", "-o", tmp_path, "--seed", 1).code == 0
+    assert (
+        labpipe("simulate", root / "configs/virtual-white-noise.yaml", "-o", tmp_path, "--seed", 1).code == 0
+    )
     shipped = root / "sample_data/white-noise"
     for name in ("along-x", "along-y"):
         made, kept = (pq.read_table(folder / f"{name}.parquet") for folder in (tmp_path, shipped))

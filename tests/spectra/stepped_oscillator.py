@@ -1,4 +1,6 @@
-"""A stepped sine on a simulated oscillator of 1 kg: steady state and transient of every dwell in closed form, as expected values."""
+"""A stepped sine on a simulated oscillator of 1 kg: steady state and transient of every dwell in closed form,
+as expected values.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,12 @@ def receptance(frequency: np.ndarray) -> np.ndarray:
     return 1 / (W_N**2 - w**2 + 2j * ZETA * W_N * w)
 
 
-def motion(steps: Sequence[float], lengths: Sequence[float], rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
-    """Force [N] without jump of its phase, and displacement [m]: Re(H F e^(jwt)) + Re(C e^(pt)), C from the state before the step."""
+def motion(
+    steps: Sequence[float], lengths: Sequence[float], rate: float = RATE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force [N] without jump of its phase, and displacement [m]: Re(H F e^(jwt)) + Re(C e^(pt)), C from the
+    state before the step.
+    """
     phase, x, v = 0.0, 0.0, 0.0
     forces, responses, start, number = [], [], 0.0, 0
     for f, length in zip(steps, lengths, strict=True):
@@ -43,7 +49,10 @@ def motion(steps: Sequence[float], lengths: Sequence[float], rate: float = RATE)
 
 
 def record(
-    seed: int, steps: Sequence[float] = tuple(STEPS), lengths: Sequence[float] | float = 2.5, noise: tuple[float, float] = (0.01, 0.01)
+    seed: int,
+    steps: Sequence[float] = tuple(STEPS),
+    lengths: Sequence[float] | float = 2.5,
+    noise: tuple[float, float] = (0.01, 0.01),
 ) -> Recording:
     """Noise of the force, relative to it, and of the displacement, relative to its rms over all dwells."""
     rng = np.random.default_rng([57, seed])

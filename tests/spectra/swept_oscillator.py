@@ -1,4 +1,6 @@
-"""A sweep on a simulated oscillator of 1 kg: its response by the closed form of H, over a time in which it dies out."""
+"""A sweep on a simulated oscillator of 1 kg: its response by the closed form of H, over a time in which it
+dies out.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +23,23 @@ def receptance(frequency: np.ndarray, zeta: float = ZETA) -> np.ndarray:
 
 
 def motion(force: np.ndarray, rate: float = RATE, zeta: float = ZETA) -> np.ndarray:
-    """Displacement [m] from rest: the product with H over so long a time that all has died out, and nothing comes round."""
+    """Displacement [m] from rest: the product with H over so long a time that all has died out, and nothing
+    comes round.
+    """
     n = force.size + int(20 / (zeta * W_N) * rate)
     spectrum = fft.rfft(force, n) * receptance(fft.rfftfreq(n, 1 / rate), zeta)
     return fft.irfft(spectrum, n)[: force.size]
 
 
-def record(seed: int, sweep: Sweep, count: int = 1, noise: tuple[float, float] = (0.0, 0.01), zeta: float = ZETA) -> Recording:
+def record(
+    seed: int, sweep: Sweep, count: int = 1, noise: tuple[float, float] = (0.0, 0.01), zeta: float = ZETA
+) -> Recording:
     """*count* sweeps; noise of force and displacement, white, relative to their rms."""
     rng = np.random.default_rng([71, seed])
     force = sweep.samples(RATE, count)
     x = motion(force, zeta=zeta)
-    columns = [force + noise[0] * force.std() * rng.normal(size=x.size), x + noise[1] * x.std() * rng.normal(size=x.size)]
+    columns = [
+        force + noise[0] * force.std() * rng.normal(size=x.size),
+        x + noise[1] * x.std() * rng.normal(size=x.size),
+    ]
     return Recording(CHANNELS, np.column_stack(columns), RATE, "sweep")

@@ -33,7 +33,11 @@ def codes(source: Recording, settings: FrfSettings = SETTINGS) -> list[str]:
 def test_power_next_to_half_the_rate_is_a_warning(rng: np.random.Generator) -> None:
     response = measure([recording(rng, None)], SETTINGS)
     (finding,) = response.findings
-    assert (finding.code, finding.level) == ("aliasing", "warning") and "channel x" in finding.message and "512 Hz" in finding.message
+    assert (
+        (finding.code, finding.level) == ("aliasing", "warning")
+        and "channel x" in finding.message
+        and "512 Hz" in finding.message
+    )
     assert codes(recording(rng, 400.0)) == []
 
 
@@ -44,7 +48,9 @@ def test_a_channel_of_noise_alone_is_not_accused(rng: np.random.Generator) -> No
 def test_powers_are_those_of_white_noise(rng: np.random.Generator) -> None:
     watched = AliasingMonitor(recording(rng, None))
     blocks = list(watched.blocks(2048))
-    np.testing.assert_array_equal(np.concatenate(blocks), recording(np.random.default_rng(20240917), None).samples)
+    np.testing.assert_array_equal(
+        np.concatenate(blocks), recording(np.random.default_rng(20240917), None).samples
+    )
     # White noise of variance 1 has the same power on every line; 20 segments of 25 and 180 lines.
     np.testing.assert_allclose(watched.powers((20.0, 200.0)), 1.0, rtol=0.2)
     assert np.all(AliasingMonitor(recording(rng, None)).powers(None) == 0)
@@ -52,7 +58,8 @@ def test_powers_are_those_of_white_noise(rng: np.random.Generator) -> None:
 
 def test_the_share_is_that_of_the_mean_powers_per_line() -> None:
     time = np.arange(N) / RATE
-    # Lines of 1 Hz: 181 from 20 to 200 Hz, 25 from 487 to 511 Hz. The second sine has half the power per line of the first.
+    # Lines of 1 Hz: 181 from 20 to 200 Hz, 25 from 487 to 511 Hz. The second sine has half the power per line
+    # of the first.
     x = np.sin(2 * np.pi * 100 * time) + np.sqrt(0.5 * 25 / 181) * np.sin(2 * np.pi * 500 * time)
     watched = AliasingMonitor(Recording((FORCE, X), np.column_stack([np.zeros(N), x]), RATE, "run"))
     list(watched.blocks(4096))
@@ -67,11 +74,19 @@ def test_a_sensor_s_frequency_response_is_taken_out(rng: np.random.Generator) ->
     shown = np.fft.irfft(np.fft.rfft(clean.samples[:, 1]) / (1 + 1j * frequency / 100), N)
     at = np.arange(0.0, 300.0, 1.0)
     table = tuple(zip(at, 1 / np.hypot(1, at / 100), -np.arctan(at / 100), strict=True))
-    sensed = replace(clean, channels=(FORCE, replace(X, response=table)), samples=np.column_stack([clean.samples[:, 0], shown]))
+    sensed = replace(
+        clean,
+        channels=(FORCE, replace(X, response=table)),
+        samples=np.column_stack([clean.samples[:, 0], shown]),
+    )
     response = measure([sensed], SETTINGS)
     # Leakage of one-second blocks is what is left.
     np.testing.assert_allclose(response.matrix[:, 0, 0], 1.0, atol=5e-3)
-    shaker = replace(clean, channels=(replace(FORCE, response=table), X), samples=np.column_stack([shown, clean.samples[:, 1]]))
+    shaker = replace(
+        clean,
+        channels=(replace(FORCE, response=table), X),
+        samples=np.column_stack([shown, clean.samples[:, 1]]),
+    )
     np.testing.assert_allclose(measure([shaker], SETTINGS).matrix[:, 0, 0], 1.0, atol=5e-3)
 
 

@@ -1,4 +1,6 @@
-"""Spectra of all channels against the virtual floating stator: the balance of its forces, noise as it was put in, what is refused."""
+"""Spectra of all channels against the virtual floating stator: the balance of its forces, noise as it was put
+in, what is refused.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def spectra(rig: FloatingRig, *runs: str, seed: int = 1, settings: FrfSettings =
 
 
 def balance(frequency: np.ndarray) -> np.ndarray:
-    """B (n_line, 2, 6) of F - m_s A - (K_b + j w C_b) A / (jw)^2 - H D = 0 on (f, d, a), the printed coefficients written out."""
+    """B (n_line, 2, 6) of F - m_s A - (K_b + j w C_b) A / (jw)^2 - H D = 0 on (f, d, a), the printed
+    coefficients written out.
+    """
     jw = 2j * np.pi * frequency[:, None, None]
     eye = np.broadcast_to(np.eye(2), (frequency.size, 2, 2))
     stator = 60 + (4e6 + jw * 2e3) / jw**2
@@ -55,7 +59,11 @@ def balance(frequency: np.ndarray) -> np.ndarray:
 def chi2_of_balance(found: ChannelSpectra) -> np.ndarray:
     """e^H S^-1 e over its two equations (n_line, n_run), with e = B z and S = B C_z B^H: one on average."""
     b = balance(found.frequency)
-    order = [[channel.name for channel in found.channels].index(f"{letter}_{axis}") for letter in "fda" for axis in "xy"]
+    order = [
+        [channel.name for channel in found.channels].index(f"{letter}_{axis}")
+        for letter in "fda"
+        for axis in "xy"
+    ]
     e = np.einsum("lic,lrc->lri", b, found.vectors[:, :, order])
     s = b[:, None] @ found.covariance[:, :, order][..., order] @ b[:, None].conj().swapaxes(2, 3)
     return np.einsum("lri,lrij,lrj->lr", e.conj(), np.linalg.inv(s), e).real / 2
@@ -63,16 +71,20 @@ def chi2_of_balance(found: ChannelSpectra) -> np.ndarray:
 
 @pytest.mark.parametrize("runs", [("seal-x", "seal-y"), ("seal-plus", "seal-minus"), ("seal-zipper",)])
 def test_noise_of_the_vectors_is_that_of_their_covariance(runs: tuple[str, ...]) -> None:
-    """Against the same excitation without noise: e^H C^-1 e over 6 channels, averaged over lines and runs, is nu / (nu - 6) (Hotelling).
+    """Against the same excitation without noise: e^H C^-1 e over 6 channels, averaged over lines and runs, is
+    nu / (nu - 6) (Hotelling).
 
-    Over 6 draws its standard error is 1 / sqrt(6 x 91 x runs x 6), increased by the noise of the covariance, which neighbours share.
+    Over 6 draws its standard error is 1 / sqrt(6 x 91 x runs x 6), increased by the noise of the covariance,
+    which neighbours share.
     """
     rig = seal()
     ratios = []
     for seed in range(6):
         noisy, exact = spectra(rig, *runs, seed=seed), spectra(quiet(rig), *runs, seed=seed)
         e = noisy.vectors - exact.vectors
-        ratios.append(np.mean(np.einsum("lrc,lrcd,lrd->lr", e.conj(), np.linalg.inv(noisy.covariance), e).real) / 6)
+        ratios.append(
+            np.mean(np.einsum("lrc,lrcd,lrd->lr", e.conj(), np.linalg.inv(noisy.covariance), e).real) / 6
+        )
     nu = noisy.covariance_dof
     assert nu == 77 * len(runs) and noisy.vectors.shape == (91, len(runs), 6)
     assert np.mean(ratios) == pytest.approx(nu / (nu - 6), abs=0.07)
@@ -94,7 +106,10 @@ def test_few_periods_are_pooled_until_weights_by_them_are_worth_it() -> None:
 
 
 def test_runs_share_their_noise_only_where_it_is_the_same() -> None:
-    """Chi-square draws of equal and of 1.5 times larger power, 200 lines of 7 degrees of freedom; seeds pinned."""
+    """Chi-square draws of equal and of 1.5 times larger power, 200 lines of 7 degrees of freedom.
+
+    Seeds pinned.
+    """
     rng = np.random.default_rng(3)
     draws = [rng.gamma(7, 1 / 7, (200, 2)) * [1.0, 4.0] for _ in range(3)]
     noises = [np.asarray(draw[:, :, None] * np.eye(2), complex) for draw in draws]
@@ -113,28 +128,51 @@ def with_sums(recordings: Sequence[Recording], **changes: float) -> list[Recordi
     uncertainty = Number("m_s", 60.0, 0.5, "kg")
     made = []
     for run in recordings:
-        kept = [replace(channel, delay=1e-4) if channel.name[0] == "d" else channel for channel in run.channels]
+        kept = [
+            replace(channel, delay=1e-4) if channel.name[0] == "d" else channel for channel in run.channels
+        ]
         kept = [replace(channel, role="reference") if channel.name[0] == "f" else channel for channel in kept]
         sums = [
-            Channel(f"e_{axis}", "force", "input", axis, terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))))
+            Channel(
+                f"e_{axis}",
+                "force",
+                "input",
+                axis,
+                terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
+            )
             for axis in "xy"
         ]
         # What lies in the columns of the sums is not used.
-        made.append(Recording((*kept, *sums), np.column_stack([run.samples, run.samples[:, :2]]), run.sample_rate, run.name))
+        made.append(
+            Recording(
+                (*kept, *sums), np.column_stack([run.samples, run.samples[:, :2]]), run.sample_rate, run.name
+            )
+        )
     return made
 
 
 def test_delays_are_taken_out_and_sums_made_line_by_line() -> None:
-    """Late probes give the vectors of punctual ones; e = f - 60 a with the variance of that sum; the factor's effect on the vector."""
+    """Late probes give the vectors of punctual ones; e = f - 60 a with the variance of that sum.
+
+    The factor's effect on the vector.
+    """
     late = seal(probe_delay=1e-4)
     found = channel_spectra(with_sums(recordings(late, 1, ["seal-plus", "seal-minus"])), PERIODIC)
     plain = spectra(seal(), "seal-plus", "seal-minus")
     names = [channel.name for channel in found.channels]
-    assert names == ["f_x", "f_y", "d_x", "d_y", "a_x", "a_y", "e_x", "e_y"] and found.columns("force", "input") == [6, 7]
+    assert names == ["f_x", "f_y", "d_x", "d_y", "a_x", "a_y", "e_x", "e_y"] and found.columns(
+        "force", "input"
+    ) == [6, 7]
     np.testing.assert_allclose(found.vectors[:, :, :6], plain.vectors, rtol=1e-3, atol=1e-9)
-    np.testing.assert_allclose(found.vectors[:, :, 6:], plain.vectors[:, :, :2] - 60 * plain.vectors[:, :, 4:], rtol=1e-9)
+    np.testing.assert_allclose(
+        found.vectors[:, :, 6:], plain.vectors[:, :, :2] - 60 * plain.vectors[:, :, 4:], rtol=1e-9
+    )
     variance = found.covariance[:, :, 6, 6]
-    by_hand = found.covariance[:, :, 0, 0] - 120 * found.covariance[:, :, 0, 4].real + 3600 * found.covariance[:, :, 4, 4]
+    by_hand = (
+        found.covariance[:, :, 0, 0]
+        - 120 * found.covariance[:, :, 0, 4].real
+        + 3600 * found.covariance[:, :, 4, 4]
+    )
     np.testing.assert_allclose(variance, by_hand, rtol=1e-9)
     (factor,) = found.factors
     assert (factor.name, factor.std_error, factor.unit) == ("m_s", 0.5, "kg")
@@ -145,7 +183,8 @@ def test_delays_are_taken_out_and_sums_made_line_by_line() -> None:
 
 @pytest.mark.parametrize("effect", ["gain", "delay", "phase", "direction"])
 def test_uncertainties_of_calibrations_change_the_vector_as_they_are_declared(effect: str) -> None:
-    """A recording whose d_x has the error gives another vector; the factor's derivative takes it back, to second order.
+    """A recording whose d_x has the error gives another vector; the factor's derivative takes it back, to
+    second order.
 
     By a thousandth: a gain of 1.001, 1 us, 1 mrad of phase, and d_x pointing 1 mrad towards y.
     """
@@ -154,35 +193,60 @@ def test_uncertainties_of_calibrations_change_the_vector_as_they_are_declared(ef
     uncertainty = ChannelUncertainty(effect, Uncertainty("probe", size, "1"))
     marked = []
     for run in runs:
-        channels = [replace(one, uncertainties=(uncertainty,)) if one.name == "d_x" else one for one in run.channels]
+        channels = [
+            replace(one, uncertainties=(uncertainty,)) if one.name == "d_x" else one for one in run.channels
+        ]
         twice = Channel("s", "displacement", "output", "s", terms=(Term("d_x", -2.0),))
-        marked.append(replace(run, channels=(*channels, twice), samples=np.column_stack([run.samples, run.samples[:, :1]])))
+        marked.append(
+            replace(
+                run, channels=(*channels, twice), samples=np.column_stack([run.samples, run.samples[:, :1]])
+            )
+        )
     exact = channel_spectra(marked, PERIODIC)
     (factor,) = exact.factors
     assert (factor.source, factor.std_error) == ("probe", size)
     omega = 2 * np.pi * exact.frequency[:, None]
     names = [channel.name for channel in exact.channels]
     d_x, d_y, s = (exact.vectors[:, :, names.index(name)] for name in ("d_x", "d_y", "s"))
-    wrong = {"gain": d_x * (1 + size), "delay": d_x * np.exp(-1j * omega * size), "phase": d_x * np.exp(-1j * size)}.get(
-        effect, np.cos(size) * d_x + np.sin(size) * d_y
+    wrong = {
+        "gain": d_x * (1 + size),
+        "delay": d_x * np.exp(-1j * omega * size),
+        "phase": d_x * np.exp(-1j * size),
+    }.get(effect, np.cos(size) * d_x + np.sin(size) * d_y)
+    change = (
+        size
+        * omega**factor.power
+        * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("d_x")]
     )
-    change = size * omega**factor.power * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("d_x")]
     # What the error does is taken back, but for its square.
     largest = size * np.max(omega) ** factor.power
-    np.testing.assert_allclose(change, d_x - wrong, rtol=0, atol=largest**2 * np.max(np.abs(exact.vectors[:, :, :4])))
+    np.testing.assert_allclose(
+        change, d_x - wrong, rtol=0, atol=largest**2 * np.max(np.abs(exact.vectors[:, :, :4]))
+    )
     assert np.max(np.abs(change)) > 100 * largest**2 * np.max(np.abs(d_x))
-    of_sum = size * omega**factor.power * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("s")]
+    of_sum = (
+        size
+        * omega**factor.power
+        * np.einsum("cd,lrd->lrc", factor.derivative, exact.vectors)[:, :, names.index("s")]
+    )
     np.testing.assert_allclose(of_sum, -2 * change, rtol=1e-12)
     np.testing.assert_allclose(s, -2 * d_x, rtol=1e-12)
 
 
 def test_a_force_that_points_elsewhere_pushes_across_too() -> None:
-    """Forces add up: f_x at the angle -d, written as 0, acts as f_x cos d along x and -f_x sin d along y, which is left out."""
+    """Forces add up: f_x at the angle -d, written as 0, acts as f_x cos d along x and -f_x sin d along y,
+    which is left out.
+    """
     angle = 1e-3
     runs = recordings(quiet(seal()), 1, ["seal-plus", "seal-minus"])
     uncertainty = ChannelUncertainty("direction", Uncertainty("shaker", angle, "rad"))
     marked = [
-        replace(run, channels=tuple(replace(c, uncertainties=(uncertainty,)) if c.name == "f_x" else c for c in run.channels))
+        replace(
+            run,
+            channels=tuple(
+                replace(c, uncertainties=(uncertainty,)) if c.name == "f_x" else c for c in run.channels
+            ),
+        )
         for run in runs
     ]
     found = channel_spectra(marked, PERIODIC)
@@ -194,7 +258,10 @@ def test_a_force_that_points_elsewhere_pushes_across_too() -> None:
 
 
 def test_drives_are_instruments_for_random_forces() -> None:
-    """Two runs, one per drive; the balance holds within the covariance of the residual, whatever disturbs the shaft."""
+    """Two runs, one per drive.
+
+    The balance holds within the covariance of the residual, whatever disturbs the shaft.
+    """
     rig = seal(drives=True, periods=120, shaft_noise=20.0)
     found = spectra(rig, "seal-random", settings=RANDOM)
     assert found.runs == ("u_x", "u_y") and not found.findings
@@ -249,7 +316,14 @@ def test_a_shaker_that_moved_between_recordings_is_two_forces() -> None:
     moved = []
     for run, column, axis in ((runs[0], 0, "x"), (runs[1], 1, "y")):
         channels = (Channel("f", "force", "input", axis), *run.channels[2:])
-        moved.append(Recording(channels, np.column_stack([run.samples[:, column], run.samples[:, 2:]]), run.sample_rate, run.name))
+        moved.append(
+            Recording(
+                channels,
+                np.column_stack([run.samples[:, column], run.samples[:, 2:]]),
+                run.sample_rate,
+                run.name,
+            )
+        )
     found = channel_spectra(moved, PERIODIC)
     names = [channel.name for channel in found.channels]
     assert {"f@x", "f@y"} <= set(names)
@@ -264,7 +338,9 @@ def test_a_response_matrix_says_what_to_do_with_such_recordings() -> None:
         measure(recordings(seal(), 1, ["seal-plus", "seal-minus"]), plain)
     zipper = recordings(seal(), 1, ["seal-zipper"])[0]
     kept = replace(zipper, channels=zipper.channels[:4], samples=zipper.samples[:, :4])
-    with pytest.raises(DataError, match=r"no line is excited by all forces independently: .*interleaved.*dynamic-stiffness"):
+    with pytest.raises(
+        DataError, match=r"no line is excited by all forces independently: .*interleaved.*dynamic-stiffness"
+    ):
         measure([kept], plain)
 
 
@@ -272,9 +348,18 @@ def test_a_response_matrix_says_what_to_do_with_such_recordings() -> None:
     ("settings", "message"),
     [
         ({"excitation": "impact", "block": 1.0, "result": "spectra"}, "periodic and random"),
-        ({"excitation": "periodic", "period": 1.0, "result": "spectra", "directional": True}, "'directional' belongs to a response matrix"),
-        ({"excitation": "periodic", "period": 1.0, "result": "spectra", "realisations": True}, "'realisations' belongs"),
-        ({"excitation": "periodic", "period": 1.0, "result": "spectra", "reference": ("u",)}, "for random excitation"),
+        (
+            {"excitation": "periodic", "period": 1.0, "result": "spectra", "directional": True},
+            "'directional' belongs to a response matrix",
+        ),
+        (
+            {"excitation": "periodic", "period": 1.0, "result": "spectra", "realisations": True},
+            "'realisations' belongs",
+        ),
+        (
+            {"excitation": "periodic", "period": 1.0, "result": "spectra", "reference": ("u",)},
+            "for random excitation",
+        ),
     ],
 )
 def test_keys_that_do_not_go_with_spectra_are_refused(settings: dict[str, object], message: str) -> None:

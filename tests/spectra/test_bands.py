@@ -22,8 +22,13 @@ def test_gaps_are_left_out_with_their_edges() -> None:
     assert lines_in(FREQUENCY, None).all()
 
 
-@pytest.mark.parametrize(("band", "first", "last"), [(None, 1, 50), ((10.0, 20.0), 10, 20), ((0.0, 3.0), 1, 3), ((49.5, 99.0), 50, 50)])
-def test_line_range_leaves_the_mean_value_out(band: tuple[float, float] | None, first: int, last: int) -> None:
+@pytest.mark.parametrize(
+    ("band", "first", "last"),
+    [(None, 1, 50), ((10.0, 20.0), 10, 20), ((0.0, 3.0), 1, 3), ((49.5, 99.0), 50, 50)],
+)
+def test_line_range_leaves_the_mean_value_out(
+    band: tuple[float, float] | None, first: int, last: int
+) -> None:
     lines = line_range(100, 100.0, band)
     assert (lines.start, lines.stop - 1) == (first, last)
 

@@ -1,4 +1,6 @@
-"""Runout beside periodic excitation: taken out without loss, and lines on which it cannot be told are dropped or said."""
+"""Runout beside periodic excitation: taken out without loss, and lines on which it cannot be told are dropped
+or said.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ TACHO = ShaftLines(tacho="n", harmonics=2)
 
 
 def turning(speed: float, **changes: object) -> FloatingRig:
-    """The shipped seal at another speed: runout of 5 um at 1x and 2 um at 2x, an unbalance, noise of 0.2 um."""
+    """The shipped seal at another speed: runout of 5 um at 1x and 2 um at 2x, an unbalance, noise of 0.2
+    um.
+    """
     rig = load_virtual_rig(CONFIG)
     assert isinstance(rig, FloatingRig)
     conditions = tuple((name, replace(condition, speed=speed)) for name, condition in rig.conditions)
@@ -39,7 +43,9 @@ def spectra(rig: FloatingRig, remove: ShaftLines | None, seed: int) -> ChannelSp
 
 
 def errors(found: ChannelSpectra, exact: ChannelSpectra) -> tuple[np.ndarray, float]:
-    """Root mean square error of every channel against the same excitation without noise, and e^H C^-1 e over the channels."""
+    """Root mean square error of every channel against the same excitation without noise, and e^H C^-1 e over
+    the channels.
+    """
     common = np.isin(np.round(exact.frequency, 6), np.round(found.frequency, 6))
     e = found.vectors - exact.vectors[common]
     chi2 = np.einsum("lrc,lrcd,lrd->lr", e.conj(), np.linalg.inv(found.covariance), e).real / 6
@@ -61,7 +67,8 @@ def shaft_lines(found: ChannelSpectra) -> list[str]:
     ],
 )
 def test_runout_is_taken_out_without_loss(speed: float, remove: ShaftLines, lines: int) -> None:
-    """As exact as recordings without runout and unbalance, with the same noise: within 2 %, and their covariance holds (nu / (nu - 6)).
+    """As exact as recordings without runout and unbalance, with the same noise: within 2 %, and their
+    covariance holds (nu / (nu - 6)).
 
     By the tacho or a given speed that is a little wrong; lines on 1x or 2x are dropped.
     """
@@ -73,19 +80,26 @@ def test_runout_is_taken_out_without_loss(speed: float, remove: ShaftLines, line
         assert found.frequency.size == lines and len(shaft_lines(found)) == 2 * (91 - lines)
         with_runout.append(errors(found, exact))
         without.append(errors(spectra(off, None, seed), exact))
-    ratio = np.mean([rmse for rmse, _ in with_runout], axis=0) / np.mean([rmse for rmse, _ in without], axis=0)
+    ratio = np.mean([rmse for rmse, _ in with_runout], axis=0) / np.mean(
+        [rmse for rmse, _ in without], axis=0
+    )
     assert np.all(np.abs(ratio - 1) < 0.02)
     assert np.mean([chi2 for _, chi2 in with_runout]) == pytest.approx(154 / 148, abs=0.08)
 
 
 def test_runout_on_an_excited_line_is_said_even_where_nothing_is_set() -> None:
-    """33 Hz and 66 Hz, every run; the error is a hundred times the noise, and the scatter between periods does not show it."""
+    """33 Hz and 66 Hz, every run.
+
+    The error is a hundred times the noise, and the scatter between periods does not show it.
+    """
     exact = spectra(FLOATING_RIG.noisy(turning(33.0, runout=(), unbalance=0.0), 1e-6), None, 1)
     found = spectra(turning(33.0), None, 1)
     rmse, chi2 = errors(found, exact)
     assert chi2 > 1000 and rmse[2] > 100 * np.sqrt(np.mean(found.covariance[:, :, 2, 2].real))
     said = shaft_lines(found)
-    assert len(said) == 4 and "seal-plus: the excited line 33 Hz lies on 1x of the shaft's 33 Hz by n" in said[0]
+    assert (
+        len(said) == 4 and "seal-plus: the excited line 33 Hz lies on 1x of the shaft's 33 Hz by n" in said[0]
+    )
     assert not shaft_lines(spectra(turning(100 / 3), None, 1))
 
 
@@ -98,13 +112,19 @@ def test_a_dropped_line_is_named() -> None:
 
 
 def test_nothing_is_taken_out_where_the_tacho_stands_still() -> None:
-    """A baseline beside tests of a turning shaft, under the same settings; noise on the tacho is no speed either."""
+    """A baseline beside tests of a turning shaft, under the same settings.
+
+    Noise on the tacho is no speed either.
+    """
     still = turning(0.0)
     plain, found = spectra(still, None, 2), spectra(still, TACHO, 2)
     np.testing.assert_array_equal(found.vectors, plain.vectors)
     assert "the tacho n shows no revolution" in found.findings[0].message and not shaft_lines(plain)
     rng = np.random.default_rng(1)
-    noisy = [replace(run, samples=run.samples + 1e-3 * rng.normal(size=run.samples.shape)) for run in recordings(still, 2, RUNS)]
+    noisy = [
+        replace(run, samples=run.samples + 1e-3 * rng.normal(size=run.samples.shape))
+        for run in recordings(still, 2, RUNS)
+    ]
     assert not shaft_lines(channel_spectra(noisy, PERIODIC))
 
 
@@ -143,10 +163,15 @@ def test_too_few_periods_are_refused() -> None:
 
 
 def test_the_scatter_of_pulses_is_smoothed_and_a_real_course_kept() -> None:
-    """Pulses rounded to samples of 1 ms: a steady and a slowly rising speed within a tenth of the rounding; a fast wave as it is."""
+    """Pulses rounded to samples of 1 ms: a steady and a slowly rising speed within a tenth of the rounding.
+
+    A fast wave as it is.
+    """
     exact = np.arange(1, 200) / 33.3
     steady = smooth_motion(ShaftMotion(np.round(exact, 3), np.arange(199.0)), 1000.0)
-    assert np.max(np.abs(np.diff(steady.speeds))) < 1e-9 and np.mean(steady.speeds) == pytest.approx(33.3, rel=1e-4)
+    assert np.max(np.abs(np.diff(steady.speeds))) < 1e-9 and np.mean(steady.speeds) == pytest.approx(
+        33.3, rel=1e-4
+    )
     t = np.linspace(0, 6, 60001)
     counts = 33 * t + 0.2 * t**2
     times = np.interp(np.arange(1, 200), counts, t)

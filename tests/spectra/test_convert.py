@@ -14,13 +14,19 @@ OMEGA = 2 * np.pi * FREQUENCY
 MASS, DAMPING = 2.0, 30.0
 
 
-def rotor(stiffness: np.ndarray, angles: tuple[float, float] = (0.0, np.pi / 2), covariance: np.ndarray | None = None) -> FrequencyResponse:
+def rotor(
+    stiffness: np.ndarray,
+    angles: tuple[float, float] = (0.0, np.pi / 2),
+    covariance: np.ndarray | None = None,
+) -> FrequencyResponse:
     """Receptance of a mass on a 2 x 2 stiffness, responses at x and y, forces at *angles*."""
     matrix = stiffness + (1j * OMEGA * DAMPING - OMEGA**2 * MASS)[:, None, None] * np.eye(2)
     directions = np.array([[np.cos(a) for a in angles], [np.sin(a) for a in angles]])
     outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
     inputs = tuple(Port(f"f{n}", f"f{n}", f"f{n}", angle) for n, angle in enumerate(angles))
-    return FrequencyResponse(FREQUENCY, np.linalg.inv(matrix) @ directions, outputs, inputs, covariance=covariance)
+    return FrequencyResponse(
+        FREQUENCY, np.linalg.inv(matrix) @ directions, outputs, inputs, covariance=covariance
+    )
 
 
 def some_covariance(rng: np.random.Generator) -> np.ndarray:
@@ -36,7 +42,9 @@ def test_accelerance_is_receptance_twice_differentiated(rng: np.random.Generator
     receptance = rotor(ANISOTROPIC, covariance=some_covariance(rng))
     accelerance = converted(receptance, "accelerance")
     np.testing.assert_allclose(accelerance.matrix, -(OMEGA**2)[:, None, None] * receptance.matrix, rtol=1e-12)
-    np.testing.assert_allclose(accelerance.variance, (OMEGA**4)[:, None, None] * receptance.variance, rtol=1e-12)
+    np.testing.assert_allclose(
+        accelerance.variance, (OMEGA**4)[:, None, None] * receptance.variance, rtol=1e-12
+    )
     back = converted(converted(accelerance, "mobility"), "receptance")
     np.testing.assert_allclose(back.matrix, receptance.matrix, rtol=1e-12)
     np.testing.assert_allclose(back.covariance, receptance.covariance, rtol=1e-12)
@@ -50,7 +58,9 @@ def test_the_line_at_0_hz_can_be_differentiated_but_not_integrated() -> None:
     with pytest.raises(DataError, match="0 Hz of a accelerance"):
         converted(accelerance, "receptance")
     with pytest.raises(ConfigError, match="form 'other'"):
-        converted(FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, form="other"), "receptance")
+        converted(
+            FrequencyResponse(np.array([1.0]), np.ones((1, 1, 1)), port, port, form="other"), "receptance"
+        )
 
 
 @pytest.mark.parametrize("form", ["receptance", "mobility", "accelerance"])
@@ -69,7 +79,8 @@ def test_dynamic_stiffness_needs_a_square_regular_matrix() -> None:
 
 
 def test_an_isotropic_rotor_has_no_mixed_terms() -> None:
-    # Closed form: cross-coupling q gives H_ff = 1 / (k - j q + j w c - w^2 m), H_bb with + j q (x + j y whirls forward).
+    # Closed form: cross-coupling q gives H_ff = 1 / (k - j q + j w c - w^2 m), H_bb with + j q (x + j y
+    # whirls forward).
     response = directional(rotor(ISOTROPIC))
     common = 5e4 + 1j * OMEGA * DAMPING - OMEGA**2 * MASS
     np.testing.assert_allclose(response.matrix[:, 0, 0], 1 / (common - 2e3j), rtol=1e-12)
@@ -79,7 +90,9 @@ def test_an_isotropic_rotor_has_no_mixed_terms() -> None:
 
 
 def test_the_force_directions_do_not_matter() -> None:
-    straight, turned = (directional(rotor(ANISOTROPIC, angles)).matrix for angles in ((0.0, np.pi / 2), (0.6, 2.5)))
+    straight, turned = (
+        directional(rotor(ANISOTROPIC, angles)).matrix for angles in ((0.0, np.pi / 2), (0.6, 2.5))
+    )
     np.testing.assert_allclose(turned, straight, rtol=1e-12)
 
 
@@ -90,7 +103,9 @@ def test_directional_covariance_is_that_of_turned_errors(rng: np.random.Generato
     response = directional(rotor(ANISOTROPIC, covariance=flat[:, :, None] * flat[:, None, :].conj()))
     a = np.array([[1, 1], [-1j, 1j]])
     turned = (np.linalg.inv(a) @ error @ a).reshape(3, 4)
-    np.testing.assert_allclose(response.covariance, turned[:, :, None] * turned[:, None, :].conj(), rtol=1e-9, atol=1e-32)
+    np.testing.assert_allclose(
+        response.covariance, turned[:, :, None] * turned[:, None, :].conj(), rtol=1e-9, atol=1e-32
+    )
 
 
 def test_directional_needs_two_known_directions() -> None:

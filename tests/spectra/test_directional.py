@@ -1,4 +1,6 @@
-"""The directional response as measured: `directional: true` from simulated recordings of rotors with known matrices."""
+"""The directional response as measured: `directional: true` from simulated recordings of rotors with known
+matrices.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def stiffness(static: np.ndarray, frequency: np.ndarray) -> np.ndarray:
     return static + (1j * omega * DAMPING - omega**2 * MASS)[:, None, None] * np.eye(2)
 
 
-def run(direction: int, static: np.ndarray, rng: np.random.Generator, periods: int = 3, noise: float = 0.0) -> Recording:
+def run(
+    direction: int, static: np.ndarray, rng: np.random.Generator, periods: int = 3, noise: float = 0.0
+) -> Recording:
     """One period after the other of the exact response to random phases in one direction."""
     spectrum = np.exp(2j * np.pi * rng.uniform(size=N // 2 + 1))
     spectrum[[0, -1]] = 0.0
@@ -37,8 +41,16 @@ def run(direction: int, static: np.ndarray, rng: np.random.Generator, periods: i
     samples = np.tile(np.column_stack([np.fft.irfft(spectrum, N), response]), (periods, 1))
     samples[:, 1:] += noise * rng.normal(size=(samples.shape[0], 2)) * np.std(response)
     angle = direction * np.pi / 2
-    ports = (Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2))
-    return Recording((Channel("f", "force", "input", "xy"[direction], angle), *ports), samples, RATE, f"force {'xy'[direction]}")
+    ports = (
+        Channel("x", "displacement", "output", "x", 0.0),
+        Channel("y", "displacement", "output", "y", np.pi / 2),
+    )
+    return Recording(
+        (Channel("f", "force", "input", "xy"[direction], angle), *ports),
+        samples,
+        RATE,
+        f"force {'xy'[direction]}",
+    )
 
 
 def measured(static: np.ndarray, rng: np.random.Generator, noise: float = 0.0):  # type: ignore[no-untyped-def]
@@ -69,7 +81,8 @@ def test_backward_is_forward_at_negative_frequency(rng: np.random.Generator) -> 
 
 
 def test_the_covariance_goes_along(rng: np.random.Generator) -> None:
-    # Recipe: variance over 200 simulated measurements of the same rotor against the mean of the predicted ones.
+    # Recipe: variance over 200 simulated measurements of the same rotor against the mean of the predicted
+    # ones.
     responses = [measured(ANISOTROPIC, rng, noise=0.05) for _ in range(200)]
     matrices = np.array([response.matrix for response in responses])
     predicted = np.mean([response.variance for response in responses], axis=0)
@@ -86,12 +99,23 @@ def test_the_artefact_carries_the_directional_response(rng: np.random.Generator,
 
 
 def test_random_data_give_directional_terms_too(rng: np.random.Generator) -> None:
-    # Both forces act at once; gains without dynamics, y lags x: H = g [[1, -0.5], [0.5, 1]] is H_ff = g (1 + 0.5 j).
+    # Both forces act at once; gains without dynamics, y lags x: H = g [[1, -0.5], [0.5, 1]] is H_ff = g (1 +
+    # 0.5 j).
     forces = rng.normal(size=(40_000, 2))
-    samples = np.column_stack([forces, forces @ np.array([[1.0, 0.5], [-0.5, 1.0]]) + 0.01 * rng.normal(size=(40_000, 2))])
-    names = (("fx", "force", "input"), ("fy", "force", "input"), ("x", "displacement", "output"), ("y", "displacement", "output"))
+    samples = np.column_stack(
+        [forces, forces @ np.array([[1.0, 0.5], [-0.5, 1.0]]) + 0.01 * rng.normal(size=(40_000, 2))]
+    )
+    names = (
+        ("fx", "force", "input"),
+        ("fy", "force", "input"),
+        ("x", "displacement", "output"),
+        ("y", "displacement", "output"),
+    )
     channels = tuple(Channel(*name, "xy"[n % 2], (n % 2) * np.pi / 2) for n, name in enumerate(names))
-    response = measure([Recording(channels, samples, RATE, "run")], FrfSettings(excitation="random", block=1.0, directional=True))
+    response = measure(
+        [Recording(channels, samples, RATE, "run")],
+        FrfSettings(excitation="random", block=1.0, directional=True),
+    )
     np.testing.assert_allclose(response.matrix.mean(axis=0), [[1 + 0.5j, 0], [0, 1 - 0.5j]], atol=1e-3)
     assert response.coherence is None and response.averages > 200
 

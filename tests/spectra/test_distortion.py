@@ -26,7 +26,9 @@ def force(rng: np.random.Generator, rms: float, lines: np.ndarray = LINES) -> np
     return period * rms / np.std(period)
 
 
-def recording(rng: np.random.Generator, rms: float, square: float, cube: float, noise: float, lines: np.ndarray = LINES) -> Recording:
+def recording(
+    rng: np.random.Generator, rms: float, square: float, cube: float, noise: float, lines: np.ndarray = LINES
+) -> Recording:
     """Six periods of y = u + square u^2 + cube u^3 with noise on y."""
     u = np.tile(force(rng, rms, lines), 6)
     y = u + square * u**2 + cube * u**3 + noise * rng.normal(size=u.size)
@@ -69,7 +71,8 @@ def test_the_level_at_even_lines_is_that_of_the_square(rng: np.random.Generator)
 
 
 def test_the_best_linear_approximation_of_a_cube(rng: np.random.Generator) -> None:
-    # Bussgang: y = u + a u^3 of a Gaussian force of variance s^2 has the gain 1 + 3 a s^2; a multisine of F lines has it up to 1/F.
+    # Bussgang: y = u + a u^3 of a Gaussian force of variance s^2 has the gain 1 + 3 a s^2; a multisine of F
+    # lines has it up to 1/F.
     runs = [measure([recording(rng, 0.5, 0.0, 0.2, 1e-3)], SETTINGS) for _ in range(30)]
     found = robust_distortion(runs)
     assert np.mean(found.gain.real) == pytest.approx(1 + 3 * 0.2 * 0.25, rel=0.01)
@@ -82,7 +85,9 @@ def test_distortion_grows_with_the_square_of_the_level() -> None:
     levels = []
     for rms in (0.25, 0.5):
         rng = np.random.default_rng(51)
-        found = robust_distortion([measure([recording(rng, rms, 0.0, 0.2, 1e-6)], SETTINGS) for _ in range(25)])
+        found = robust_distortion(
+            [measure([recording(rng, rms, 0.0, 0.2, 1e-6)], SETTINGS) for _ in range(25)]
+        )
         levels.append(np.sqrt(np.mean(found.nonlinear**2)))
     assert levels[1] / levels[0] == pytest.approx(4.0, rel=1e-4)
 
@@ -90,7 +95,8 @@ def test_distortion_grows_with_the_square_of_the_level() -> None:
 def test_a_linear_rig_shows_noise_only(rng: np.random.Generator) -> None:
     found = robust_distortion([measure([recording(rng, 0.5, 0.0, 0.0, 0.01)], SETTINGS) for _ in range(40)])
     assert np.mean(found.total**2) / np.mean(found.noise**2) == pytest.approx(1.0, abs=0.1)
-    # What is left of the noise where total and noise are both estimated: well below it in the mean of the band.
+    # What is left of the noise where total and noise are both estimated: well below it in the mean of the
+    # band.
     assert abs(np.mean(found.total**2 - found.noise**2)) < 0.1 * np.mean(found.noise**2)
     assert found.n_realisation == 40
 

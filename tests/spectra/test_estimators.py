@@ -14,7 +14,9 @@ from labpipe.spectra.random import ESTIMATORS
 H = np.array([[1.0 + 2.0j, 0.3 - 0.1j], [0.2j, 2.0 - 1.0j]])
 
 
-def spectra(rng: np.random.Generator, n: int, noise_u: float, noise_y: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def spectra(
+    rng: np.random.Generator, n: int, noise_u: float, noise_y: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     u = rng.normal(size=(2, n)) + 1j * rng.normal(size=(2, n))
     y = H @ u + noise_y * (rng.normal(size=(2, n)) + 1j * rng.normal(size=(2, n)))
     u = u + noise_u * (rng.normal(size=(2, n)) + 1j * rng.normal(size=(2, n)))
@@ -22,7 +24,9 @@ def spectra(rng: np.random.Generator, n: int, noise_u: float, noise_y: float) ->
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
-def test_noise_free_data_give_the_truth_and_the_sign_of_its_phase(rng: np.random.Generator, name: str) -> None:
+def test_noise_free_data_give_the_truth_and_the_sign_of_its_phase(
+    rng: np.random.Generator, name: str
+) -> None:
     np.testing.assert_allclose(ESTIMATORS[name](*spectra(rng, 50, 0.0, 0.0))[0], H, rtol=1e-7, atol=1e-7)
 
 
@@ -62,11 +66,14 @@ def test_coherence_closed_form(rng: np.random.Generator) -> None:
     assert ordinary_coherence(s_uu, s_yu, s_yy)[0, 0, 0] == pytest.approx(8 / 9)
     assert multiple_coherence(s_yu @ np.linalg.inv(s_uu), s_yu, s_yy)[0, 0] == pytest.approx(8 / 9)
     noisy = spectra(rng, 2, 0.0, 3.0)
-    assert np.all(multiple_coherence(noisy[1] @ np.linalg.inv(noisy[0]), *noisy[1:]) <= 1) and np.all(ordinary_coherence(*noisy) >= 0)
+    assert np.all(multiple_coherence(noisy[1] @ np.linalg.inv(noisy[0]), *noisy[1:]) <= 1) and np.all(
+        ordinary_coherence(*noisy) >= 0
+    )
 
 
 def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random.Generator) -> None:
-    # Literal twin (Bendat and Piersol, ch. 7.3): regress the other force out of force and response, then the ordinary coherence.
+    # Literal twin (Bendat and Piersol, ch. 7.3): regress the other force out of force and response, then the
+    # ordinary coherence.
     u = rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400))
     u[1] += 0.8 * u[0]
     y = H @ u + 0.7 * (rng.normal(size=(2, 400)) + 1j * rng.normal(size=(2, 400)))
@@ -76,6 +83,10 @@ def test_partial_coherence_is_that_of_what_the_other_force_leaves(rng: np.random
     for output in range(2):
         for force in range(2):
             other = u[1 - force]
-            left = [row - (row @ other.conj()) / (other @ other.conj()) * other for row in (u[force], y[output])]
-            expected = abs(left[1] @ left[0].conj()) ** 2 / ((left[0] @ left[0].conj()).real * (left[1] @ left[1].conj()).real)
+            left = [
+                row - (row @ other.conj()) / (other @ other.conj()) * other for row in (u[force], y[output])
+            ]
+            expected = abs(left[1] @ left[0].conj()) ** 2 / (
+                (left[0] @ left[0].conj()).real * (left[1] @ left[1].conj()).real
+            )
             assert partial[output, force] == pytest.approx(expected, rel=1e-9)

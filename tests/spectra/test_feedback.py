@@ -1,4 +1,6 @@
-"""Whether a loop is closed, told from records: on an oscillator under a force from outside, and on rotors under a controller."""
+"""Whether a loop is closed, told from records: on an oscillator under a force from outside, and on rotors
+under a controller.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,23 @@ def motion(force: np.ndarray, rate: float, zeta: float = 0.05) -> np.ndarray:
     """Of 4 kg on a spring at 40 Hz, by scipy's discrete model for a straight force."""
     k, c = 4 * (80 * np.pi) ** 2, 8 * zeta * 80 * np.pi
     slope = np.array([[0, 1], [-k / 4, -c / 4]])
-    a, b, c_out, d, _ = signal.cont2discrete((slope, np.array([[0], [0.25]]), np.array([[1, 0]]), np.zeros((1, 1))), 1 / rate, "foh")
+    a, b, c_out, d, _ = signal.cont2discrete(
+        (slope, np.array([[0], [0.25]]), np.array([[1, 0]]), np.zeros((1, 1))), 1 / rate, "foh"
+    )
     numerator, denominator = signal.ss2tf(a, b, c_out, d)
     return np.asarray(signal.lfilter(numerator[0], denominator, force))
 
 
-def open_loop(seed: int, band: tuple[float, float], zeta: float, slope: float = 0.0, noise: float = 0.01) -> Recording:
+def open_loop(
+    seed: int, band: tuple[float, float], zeta: float, slope: float = 0.0, noise: float = 0.01
+) -> Recording:
     """Random force in a band, its motion, both behind an anti-alias filter, with noise of both sensors."""
     rng = np.random.default_rng(seed)
     n = round(16 * 5 * RATE)
     frequency = np.fft.rfftfreq(n, 1 / (5 * RATE))
-    spectrum = (rng.standard_normal((frequency.size, 2)) @ [1, 1j]) * ((frequency >= band[0]) & (frequency <= band[1]))
+    spectrum = (rng.standard_normal((frequency.size, 2)) @ [1, 1j]) * (
+        (frequency >= band[0]) & (frequency <= band[1])
+    )
     force = np.fft.irfft(spectrum * np.maximum(frequency, 1.0) ** slope, n)
     both = np.column_stack([force, motion(force, 5 * RATE, zeta)]) / [np.std(force), 1.0]
     logged = signal.resample_poly(both, 1, 5)[800:-800]
@@ -53,18 +61,29 @@ def rig(axes: str = "x", disturbance: float = 4.0, **changes: object) -> Levitat
     shipped = load_virtual_rig(CONFIGS / "virtual-levitated.yaml")
     assert isinstance(shipped, LevitatedRig)
     changes.setdefault("cross_stiffness", shipped.cross_stiffness if axes == "xy" else 0.0)
-    noise, injection = replace(shipped.noise, disturbance=disturbance), replace(shipped.injection, duration=8.0, periods=10)
+    noise, injection = (
+        replace(shipped.noise, disturbance=disturbance),
+        replace(shipped.injection, duration=8.0, periods=10),
+    )
     return replace(shipped, axes=axes, force_recorded=True, noise=noise, injection=injection, **changes)  # type: ignore[arg-type]
 
 
 def feedback(recordings: list[Recording], settings: FrfSettings) -> list[str]:
-    return [finding.message for finding in measure(recordings, settings).findings if finding.code == "feedback"]
+    return [
+        finding.message for finding in measure(recordings, settings).findings if finding.code == "feedback"
+    ]
 
 
 @pytest.mark.parametrize("zeta", [0.5, 0.05, 0.005])
-@pytest.mark.parametrize(("band", "slope"), [((0.0, 5000.0), 0.0), ((5.0, 500.0), 0.0), ((20.0, 200.0), 0.0), ((1.0, 1000.0), -1.0)])
+@pytest.mark.parametrize(
+    ("band", "slope"),
+    [((0.0, 5000.0), 0.0), ((5.0, 500.0), 0.0), ((20.0, 200.0), 0.0), ((1.0, 1000.0), -1.0)],
+)
 def test_a_force_from_outside_is_no_feedback(band: tuple[float, float], slope: float, zeta: float) -> None:
-    """White, band-limited and coloured, damping 50 %, 5 % and 0.5 %; what the anti-alias filter does before the force is no loop."""
+    """White, band-limited and coloured, damping 50 %, 5 % and 0.5 %.
+
+    What the anti-alias filter does before the force is no loop.
+    """
     for seed, noise in ((1, 0.0), (2, 0.01), (3, 0.3)):
         run = open_loop(seed, band, zeta, slope, noise)
         assert chance_of_order(run.samples[:, :1], run.samples[:, 1:]) > LEVEL
@@ -77,7 +96,9 @@ def test_hits_and_shakers_on_a_levitated_rotor_are_no_feedback() -> None:
     force = np.zeros(60000)
     for start in range(1000, 58000, 3900):
         force[start : start + 6] = np.hanning(8)[1:-1] * 100
-    samples = np.column_stack([force, motion(force, RATE)]) + np.random.default_rng(1).standard_normal((60000, 2)) * [0.01, 1e-8]
+    samples = np.column_stack([force, motion(force, RATE)]) + np.random.default_rng(1).standard_normal(
+        (60000, 2)
+    ) * [0.01, 1e-8]
     struck = replace(open_loop(1, (5.0, 500.0), 0.05), samples=samples)
     assert feedback([struck], FrfSettings("impact", block=1.5)) == []
 
@@ -92,17 +113,27 @@ def test_hits_and_shakers_on_a_levitated_rotor_are_no_feedback() -> None:
     ],
 )
 def test_a_force_in_a_loop_is_found(changes: dict[str, object]) -> None:
-    """Levitated rotors, with little and with much disturbance, and a stable one on springs under the same controller."""
+    """Levitated rotors, with little and with much disturbance, and a stable one on springs under the same
+    controller.
+    """
     made = rig(**changes)  # type: ignore[arg-type]
     (found,) = feedback(list(recordings(made, 1, ["random"])), RANDOM)
     assert "follows the responses (p < 1e-07)" in found and "role: reference" in found
-    assert feedback(list(recordings(made, 1, ["random"])), replace(RANDOM, reference=tuple(f"r_{a}" for a in made.labels))) == []
+    assert (
+        feedback(
+            list(recordings(made, 1, ["random"])),
+            replace(RANDOM, reference=tuple(f"r_{a}" for a in made.labels)),
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("kind", ["stiffness", "accelerance", "mobility"])
 @pytest.mark.parametrize(("cut", "order"), [(None, 0), (400.0, 6), (250.0, 8), (120.0, 4)])
 def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float | None, order: int) -> None:
-    """An accelerance and a stiffness line do not fall with frequency, whatever filter force and response went through together."""
+    """An accelerance and a stiffness line do not fall with frequency, whatever filter force and response went
+    through together.
+    """
     for seed in range(4):
         rng = np.random.default_rng(100 + seed)
         force = rng.normal(size=24_000)
@@ -111,7 +142,9 @@ def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float |
         w = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / 1024.0)
         w_0, zeta = 2 * np.pi * rng.uniform(20, 150), rng.choice([0.005, 0.05, 0.5])
         mode = 1 / (w_0**2 - w**2 + 2j * zeta * w * w_0)
-        transfer = {"stiffness": np.ones(w.size), "accelerance": -(w**2) * mode, "mobility": 1j * w * mode}[kind]
+        transfer = {"stiffness": np.ones(w.size), "accelerance": -(w**2) * mode, "mobility": 1j * w * mode}[
+            kind
+        ]
         late = np.exp(-1j * w * rng.uniform(0, 3e-4))
         response = np.fft.irfft(np.fft.rfft(force) * transfer * late, force.size)
         noise = rng.choice([1e-4, 1e-2, 0.1]) * response.std() * rng.normal(size=force.size)
@@ -119,7 +152,9 @@ def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float |
 
 
 def test_of_a_rotor_left_alone_the_values_are_called_impossible() -> None:
-    """Without injection H is minus the inverse of the controller, which is causal: no loop shows, but negative stiffness and damping do."""
+    """Without injection H is minus the inverse of the controller, which is causal: no loop shows, but
+    negative stiffness and damping do.
+    """
     response = measure(list(recordings(rig(), 1, ["rest"])), RANDOM)
     assert not [finding for finding in response.findings if finding.code == "feedback"]
     (fit,) = identify(response, FitSettings("sdof", mass=4.0))
@@ -145,7 +180,9 @@ def periodic(seed: int, periods: int, of_force: float, of_sensors: float) -> Rec
 
 
 def test_periods_show_a_loop_by_what_does_not_repeat() -> None:
-    """A random force besides the periods, and noise of the force's sensor, correlate force and motion without any loop."""
+    """A random force besides the periods, and noise of the force's sensor, correlate force and motion without
+    any loop.
+    """
     for seed, periods in enumerate((5, 7, 21)):
         for of_force, of_sensors in ((0.0, 0.01), (0.5, 0.001), (0.2, 0.1)):
             assert feedback([periodic(seed, periods, of_force, of_sensors)], PERIODIC) == []
@@ -153,11 +190,15 @@ def test_periods_show_a_loop_by_what_does_not_repeat() -> None:
         made = rig(disturbance=disturbance)
         (found,) = feedback(list(recordings(made, 1, ["multisine-x"])), PERIODIC)
         assert "chosen and weighted by a force" in found
-        assert feedback(list(recordings(made, 1, ["multisine-x"])), replace(PERIODIC, reference=("r_x",))) == []
+        assert (
+            feedback(list(recordings(made, 1, ["multisine-x"])), replace(PERIODIC, reference=("r_x",))) == []
+        )
 
 
 def test_the_phase_test_is_exact(rng: np.random.Generator) -> None:
-    """p-values of Gaussian noise with real S_wu / G are uniform, of 4 degrees of freedom as of 40: 5 % below 0.05."""
+    """p-values of Gaussian noise with real S_wu / G are uniform, of 4 degrees of freedom as of 40: 5 % below
+    0.05.
+    """
     for dof in (4, 40):
         response = rng.standard_normal(20) + 1j * rng.standard_normal(20)
         chances = []
@@ -189,8 +230,12 @@ def test_short_and_narrow_records_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize(("beyond", "edges"), [(0.2, (10, 30)), (COHERENT, (0, 40))])
-def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(beyond: float, edges: tuple[int, int]) -> None:
-    """Power of one from band 10 to 30, of 0.01 outside: noise where nothing of the response goes with it, a weak force where 0.9 does."""
+def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(
+    beyond: float, edges: tuple[int, int]
+) -> None:
+    """Power of one from band 10 to 30, of 0.01 outside: noise where nothing of the response goes with it, a
+    weak force where 0.9 does.
+    """
     inside = (np.arange(40) >= 10) & (np.arange(40) < 30)
     coarse = np.where(inside, 1.0, 0.01)[:, None]
     assert _edges_of(coarse, np.where(inside, 1.0, beyond)) == edges

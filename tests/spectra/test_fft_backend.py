@@ -23,7 +23,9 @@ class CountingBackend:
     def __init__(self) -> None:
         self.calls: Counter[str] = Counter()
 
-    def __ua_function__(self, method: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+    def __ua_function__(
+        self, method: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]
+    ) -> Any:
         """The interface of uarray, by which scipy asks a backend for *method*."""
         self.calls[method.__name__] += 1
         # numpy has no overwrite_x.
@@ -35,12 +37,22 @@ def recording(n_sample: int, n_output: int, rng: np.random.Generator) -> Recordi
     force = Channel("f", "force", "input", "x")
     samples = rng.normal(size=(n_sample, 1 + n_output))
     samples[:, 1:] += samples[:, :1]
-    return Recording((force, *(Channel(f"y{n}", "displacement", "output", f"d{n}") for n in range(n_output))), samples, 1024.0, "run")
+    return Recording(
+        (force, *(Channel(f"y{n}", "displacement", "output", f"d{n}") for n in range(n_output))),
+        samples,
+        1024.0,
+        "run",
+    )
 
 
-@pytest.mark.parametrize(("block", "n_output", "method"), [(1024, 2, "rfft"), (8192, 2, "fft"), (8192, 6, "fft")])
-def test_random_data_are_transformed_by_the_backend(rng: np.random.Generator, block: int, n_output: int, method: str) -> None:
-    # Short blocks, long ones, and long ones of many channels take three ways; numpy's own FFT is the independent calculation.
+@pytest.mark.parametrize(
+    ("block", "n_output", "method"), [(1024, 2, "rfft"), (8192, 2, "fft"), (8192, 6, "fft")]
+)
+def test_random_data_are_transformed_by_the_backend(
+    rng: np.random.Generator, block: int, n_output: int, method: str
+) -> None:
+    # Short blocks, long ones, and long ones of many channels take three ways; numpy's own FFT is the
+    # independent calculation.
     source, settings = recording(12 * block, n_output, rng), FrfSettings("random", block=block / 1024)
     usual, backend = measure([source], settings), CountingBackend()
     with fft.set_backend(backend):

@@ -25,7 +25,9 @@ def recorded(*columns: np.ndarray, noise: float = 0.01, name: str = "run", rate:
     return Recording(channels, samples, rate, name)
 
 
-def struck(hits: tuple[float, ...], duration: float, zeta: float = 0.005, strengths: tuple[float, ...] = ()) -> np.ndarray:
+def struck(
+    hits: tuple[float, ...], duration: float, zeta: float = 0.005, strengths: tuple[float, ...] = ()
+) -> np.ndarray:
     """A mode pushed from rest at the times of *hits*, what is left of the one before added."""
     t = np.arange(round(duration * RATE)) / RATE
     y = np.full(t.size, 0.3)
@@ -48,7 +50,8 @@ def test_every_hit_gives_a_decay_from_its_first_period_to_the_next_hit() -> None
 
 @pytest.mark.parametrize("shape", [np.cos, np.sin])
 def test_a_weaker_hit_is_seen_in_every_recording(shape: Callable[[np.ndarray], np.ndarray]) -> None:
-    # Hits of 100, 80, 64 % and noise of 1 % of the first, as of the sample data: 40 recordings, three decays in each of them.
+    # Hits of 100, 80, 64 % and noise of 1 % of the first, as of the sample data: 40 recordings, three decays
+    # in each of them.
     t = np.arange(round(12.2 * RATE)) / RATE
     parts = [(t >= hit, np.maximum(t - hit, 0.0), 0.8**number) for number, hit in enumerate((0.2, 4.2, 8.2))]
     y = np.select(
@@ -63,7 +66,10 @@ def test_a_weaker_hit_is_seen_in_every_recording(shape: Callable[[np.ndarray], n
 
 
 def test_a_decay_ends_where_it_is_lost_in_the_noise() -> None:
-    """exp(-0.02 w t) comes down to the noise of 1 % after ln(100) / 5.03 = 0.92 s; half as much again is kept, and no 20 s of silence."""
+    """exp(-0.02 w t) comes down to the noise of 1 % after ln(100) / 5.03 = 0.92 s.
+
+    Half as much again is kept, and no 20 s of silence.
+    """
     ((start, end),) = spans(recorded(struck((0.5,), 20.0, zeta=0.02)))
     assert 1.0 < end - start < 1.8
 
@@ -90,7 +96,9 @@ def test_beats_of_two_modes_are_one_decay(spacing: float) -> None:
 
 def test_start_and_end_can_be_named() -> None:
     recording = recorded(struck((0.5, 3.5), 7.0))
-    assert spans(recording, FrfSettings("decay", decay=FreeDecaySettings(start="4 s", end="6 s"))) == [(4.0, 6.0)]
+    assert spans(recording, FrfSettings("decay", decay=FreeDecaySettings(start="4 s", end="6 s"))) == [
+        (4.0, 6.0)
+    ]
     (first, *_) = spans(recording, FrfSettings("decay", decay=FreeDecaySettings(settle="0.2 s")))
     assert 0.7 < first[0] < 0.75
     ((_, end),) = spans(recording, FrfSettings("decay", decay=FreeDecaySettings(end="2 s")))
@@ -107,7 +115,9 @@ def test_weak_hits_below_the_trigger_do_not_count() -> None:
 def test_what_is_done_is_said_and_recordings_are_pooled() -> None:
     first, second = recorded(struck((0.5,), 4.0), name="a"), recorded(struck((0.2,), 3.0), name="b")
     decays = free_decays([first, second], SETTINGS, name="t", conditions={"x": "1"})
-    assert [d.recording for d in decays.decays] == ["a", "b"] and decays.units == ("m",) and decays.name == "t"
+    assert (
+        [d.recording for d in decays.decays] == ["a", "b"] and decays.units == ("m",) and decays.name == "t"
+    )
     assert [f.code for f in decays.findings] == ["free-decay"] * 2
     assert "recording 'a' of 4 s: 1 free decay(s), 0.5" in decays.findings[0].message
 
@@ -135,9 +145,13 @@ def test_recordings_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(DataError, match="different sampling rates"):
         free_decays([recorded(struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0), rate=2048.0)], SETTINGS)
     with pytest.raises(DataError, match="lacks the response y2"):
-        free_decays([recorded(struck((0.5,), 4.0), struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0))], SETTINGS)
+        free_decays(
+            [recorded(struck((0.5,), 4.0), struck((0.5,), 4.0)), recorded(struck((0.5,), 4.0))], SETTINGS
+        )
     with pytest.raises(DataError, match="holds no free decay"):
-        free_decays([recorded(struck((0.5,), 4.0))], FrfSettings("decay", decay=FreeDecaySettings(start="9 s")))
+        free_decays(
+            [recorded(struck((0.5,), 4.0))], FrfSettings("decay", decay=FreeDecaySettings(start="9 s"))
+        )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +181,9 @@ def test_free_decays_give_no_frf() -> None:
 
 
 def test_a_drifting_rest_position_is_no_response() -> None:
-    """Hits of 1 and .5 on a rest position that wanders by 5 in 60 s: both are found, and the drift's period is not taken for theirs."""
+    """Hits of 1 and .5 on a rest position that wanders by 5 in 60 s: both are found, and the drift's period
+    is not taken for theirs.
+    """
     y = struck((10.0, 40.0), 60.0, zeta=0.02, strengths=(1.0, 0.5))
     wander = 5 * np.sin(2 * np.pi * np.arange(y.size) / y.size)
     found = spans(recorded(y + wander))
@@ -176,6 +192,8 @@ def test_a_drifting_rest_position_is_no_response() -> None:
 
 
 def test_a_decay_does_not_go_on_through_silence_into_a_hit_too_weak_to_count() -> None:
-    """The second hit is four times the noise: no decay of its own, and no part of the first, which is lost in the noise after 1 s."""
+    """The second hit is four times the noise: no decay of its own, and no part of the first, which is lost in
+    the noise after 1 s.
+    """
     ((start, end),) = spans(recorded(struck((0.5, 15.0), 30.0, zeta=0.02, strengths=(1.0, 0.04))))
     assert start < 0.6 and end < 3.0

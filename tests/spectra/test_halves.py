@@ -1,4 +1,6 @@
-"""The change between the halves of a record: the FRF of the one cut out less that of the other, whatever the blocks it is read in."""
+"""The change between the halves of a record: the FRF of the one cut out less that of the other, whatever the
+blocks it is read in.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,10 @@ def recording(samples: np.ndarray, name: str, dof: str = "x") -> Recording:
 
 
 def samples_of(seed: int, period: int = N) -> np.ndarray:
-    """A force, periodic in *period* samples, and two responses that follow it with a delay and noise; x grows by 10 % on the way."""
+    """A force, periodic in *period* samples, and two responses that follow it with a delay and noise.
+
+    X grows by 10 % on the way.
+    """
     rng = np.random.default_rng(seed)
     force = np.tile(rng.normal(size=period), N // period)
     x = (np.roll(force, 1) + 0.5 * np.roll(force, 2)) * np.linspace(1, 1.1, N)
@@ -40,14 +45,19 @@ def samples_of(seed: int, period: int = N) -> np.ndarray:
 
 
 def two_directions(period: int = N) -> list[Recording]:
-    return [recording(samples_of(1, period), "along x", "x"), recording(samples_of(2, period), "along y", "y")]
+    return [
+        recording(samples_of(1, period), "along x", "x"),
+        recording(samples_of(2, period), "along y", "y"),
+    ]
 
 
 def halves(recordings: list[Recording], first: int = 0) -> tuple[list[Recording], list[Recording]]:
     """Both halves of what comes after *first* samples, each with these samples before it."""
     middle = (N + first) // 2
     before = [replace(one, samples=one.samples[:middle]) for one in recordings]
-    after = [replace(one, samples=np.vstack([one.samples[:first], one.samples[middle:]])) for one in recordings]
+    after = [
+        replace(one, samples=np.vstack([one.samples[:first], one.samples[middle:]])) for one in recordings
+    ]
     return before, after
 
 
@@ -79,12 +89,15 @@ def test_blocks_over_the_middle_belong_to_the_second_half(overlap: float) -> Non
     whole, (before, _) = measure(two_directions(), settings), halves(two_directions())
     first = measure(before, settings)
     assert whole.change is not None
-    # H of the whole lies between those of its parts: nearly in the middle, since their numbers of blocks are nearly the same.
+    # H of the whole lies between those of its parts: nearly in the middle, since their numbers of blocks are
+    # nearly the same.
     middle = first.matrix + whole.change / 2
     assert np.linalg.norm(whole.matrix - middle) < 0.1 * np.linalg.norm(whole.change)
 
 
-@pytest.mark.parametrize("lengths", [[4000], [1999, 1, 2000], [2000, 2000], [1500, 1000, 1500], [7] * 571 + [3]])
+@pytest.mark.parametrize(
+    "lengths", [[4000], [1999, 1, 2000], [2000, 2000], [1500, 1000, 1500], [7] * 571 + [3]]
+)
 def test_blocks_are_cut_where_the_half_ends(lengths: list[int]) -> None:
     samples = np.arange(4000.0)[:, None]
     blocks = np.split(samples, np.cumsum(lengths)[:-1])

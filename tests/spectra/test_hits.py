@@ -1,4 +1,6 @@
-"""Where a hit begins, ends, is double or overloaded: by hand-made samples whose answer is counted on fingers."""
+"""Where a hit begins, ends, is double or overloaded: by hand-made samples whose answer is counted on
+fingers.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ def test_an_overload_stands_at_the_end_of_the_range(column: list[float], clipped
 
 
 def test_windows_at_their_corners() -> None:
-    """One up to 10 samples after the hit at 2, half at the middle of a flank of one sample, zero from 13 on; 1/e after the constant."""
+    """One up to 10 samples after the hit at 2, half at the middle of a flank of one sample, zero from 13 on.
+
+    1/e after the constant.
+    """
     window = force_window(20, 2, 10.0)
     assert window[:13].tolist() == [1.0] * 13 and np.allclose(window[13:], 0)
     assert force_window(20, 2, 9.5)[12] == pytest.approx(0.5 + 0.5 * np.cos(np.pi * 0.5 / 0.95))
@@ -55,7 +60,10 @@ def test_windows_at_their_corners() -> None:
 
 
 def test_blocks_begin_before_their_hits_and_lose_their_offset() -> None:
-    """Hits at samples 100 and 300 of 500, blocks of 50 with a tenth before; a zero level of 3 N and of 7 m is taken away."""
+    """Hits at samples 100 and 300 of 500, blocks of 50 with a tenth before.
+
+    A zero level of 3 N and of 7 m is taken away.
+    """
     force, x = np.full(500, 3.0), np.full(500, 7.0)
     for hit in (100, 300):
         force[hit : hit + 3] += (8.0, 10.0, 6.0)
@@ -66,4 +74,6 @@ def test_blocks_begin_before_their_hits_and_lose_their_offset() -> None:
     hits = list(find_hits(recording, 0, 50, settings))
     assert [(hit.number, hit.start, hit.trigger) for hit in hits] == [(1, 95, 5), (2, 295, 5)]
     assert [hit.fault for hit in hits] == ["", ""]
-    assert hits[0].samples[:, 0].max() == 10.0 and hits[0].samples[6, 1] == 2.0 and not hits[0].samples[:5].any()
+    assert (
+        hits[0].samples[:, 0].max() == 10.0 and hits[0].samples[6, 1] == 2.0 and not hits[0].samples[:5].any()
+    )

@@ -17,7 +17,10 @@ from labpipe.spectra.settings import FrfSettings, ImpactSettings
 RATE, BLOCK = 2048.0, 1.0
 N = 2048
 HAMMER = Channel("hammer", "force", "input", "x", 0.0)
-X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+X, Y = (
+    Channel("x", "displacement", "output", "x", 0.0),
+    Channel("y", "displacement", "output", "y", np.pi / 2),
+)
 POLE = -2 * np.pi * 0.4 + 2j * np.pi * 60.0
 
 
@@ -39,11 +42,17 @@ def half_sine(n_sample: int, starts: list[int], peaks: list[float], width: int =
 
 
 def hammered(
-    rng: np.random.Generator, force: np.ndarray, pole: complex = POLE, noise: float = 0.0, channels: tuple[Channel, ...] = (HAMMER, X)
+    rng: np.random.Generator,
+    force: np.ndarray,
+    pole: complex = POLE,
+    noise: float = 0.0,
+    channels: tuple[Channel, ...] = (HAMMER, X),
 ) -> Recording:
     response = signal.lfilter(*discrete(pole), force)
     columns = [force, response, 0.5 * response][: len(channels)]
-    samples = np.column_stack(columns) + noise * rng.normal(size=(force.size, len(columns))) * np.std(response)
+    samples = np.column_stack(columns) + noise * rng.normal(size=(force.size, len(columns))) * np.std(
+        response
+    )
     return Recording(channels, samples, RATE, "taps")
 
 
@@ -85,15 +94,22 @@ def test_local_functions_move_two_poles_exactly() -> None:
     poles = (-2.0 + 2j * np.pi * 45.3, -4.0 + 2j * np.pi * 71.6)
 
     def response(at: np.ndarray) -> np.ndarray:
-        return sum((1.0 + k) / (at - pole) + (1.0 + k) / (at - pole.conjugate()) for k, pole in enumerate(poles))[:, None, None]
+        return sum(
+            (1.0 + k) / (at - pole) + (1.0 + k) / (at - pole.conjugate()) for k, pole in enumerate(poles)
+        )[:, None, None]
 
     found = without_added_damping(frequency, response(s + shift), 1 / shift).matrix
-    # The other mode, 26 lines off, is met by the second-order numerator but for (4 / 26)^3 = 0.4 % of its size.
+    # The other mode, 26 lines off, is met by the second-order numerator but for (4 / 26)^3 = 0.4 % of its
+    # size.
     np.testing.assert_allclose(found, response(s), atol=0.004 * np.abs(response(s)).max())
     np.testing.assert_allclose(found[[25, 51]], response(s)[[25, 51]], rtol=0.004)
     constant = np.full((9, 1, 1), 2.0 + 0j)
-    np.testing.assert_allclose(without_added_damping(frequency[:9], constant, 0.3).matrix, constant, rtol=1e-12)
-    np.testing.assert_array_equal(without_added_damping(frequency[:3], constant[:3], 0.3).matrix, constant[:3])
+    np.testing.assert_allclose(
+        without_added_damping(frequency[:9], constant, 0.3).matrix, constant, rtol=1e-12
+    )
+    np.testing.assert_array_equal(
+        without_added_damping(frequency[:3], constant[:3], 0.3).matrix, constant[:3]
+    )
 
 
 def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
@@ -104,9 +120,16 @@ def test_bad_hits_are_left_out_and_named(rng: np.random.Generator) -> None:
     # The second response is clipped in the third hit.
     samples[third, 2] = np.clip(samples[third, 2], -np.inf, 0.6 * samples[third, 2].max())
     impact = ImpactSettings(decay=0.2, reject=("5",))
-    response = measure([Recording(recording.channels, samples, RATE, "taps")], FrfSettings(excitation="impact", block=BLOCK, impact=impact))
+    response = measure(
+        [Recording(recording.channels, samples, RATE, "taps")],
+        FrfSettings(excitation="impact", block=BLOCK, impact=impact),
+    )
     messages = [finding.message for finding in response.findings if finding.code == "hit-rejected"]
-    assert [message.partition("left out: ")[2] for message in messages] == ["double hit", "overload of channel 'y'", "left out by hand"]
+    assert [message.partition("left out: ")[2] for message in messages] == [
+        "double hit",
+        "overload of channel 'y'",
+        "left out by hand",
+    ]
     assert [message[:5] for message in messages] == ["hit 2", "hit 3", "hit 5"]
     assert response.averages == 2
     inside = (response.frequency > 20) & (response.frequency < 150)
@@ -157,7 +180,9 @@ def test_windows_closed_forms() -> None:
 def test_judgements() -> None:
     push = half_sine(200, [20], [1.0])
     assert not is_double(push, 0.1) and not is_double(-push, 0.1)
-    assert is_double(push + half_sine(200, [40], [0.2]), 0.1) and not is_double(push + half_sine(200, [40], [0.05]), 0.1)
+    assert is_double(push + half_sine(200, [40], [0.2]), 0.1) and not is_double(
+        push + half_sine(200, [40], [0.05]), 0.1
+    )
     flat = np.column_stack([np.clip(push, 0, 0.8), push, np.clip(-push, -0.5, 0.0)])
     assert overloaded(flat).tolist() == [True, False, True]
 
@@ -172,7 +197,9 @@ def test_hits_over_block_borders_are_found_once(rng: np.random.Generator) -> Non
 
 def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
     force = half_sine(LENGTH, STARTS, [1.0] * 5)
-    both = Recording((HAMMER, Channel("g", "force", "input", "y"), X), np.column_stack([force, force, force]), RATE, "both")
+    both = Recording(
+        (HAMMER, Channel("g", "force", "input", "y"), X), np.column_stack([force, force, force]), RATE, "both"
+    )
     with pytest.raises(DataError, match=r"'both' of hits has 2 forces \(hammer, g\)"):
         measure([both], FrfSettings(excitation="impact", block=1.0))
     with pytest.raises(DataError, match="no hit whose block is complete"):
@@ -181,7 +208,10 @@ def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
         measure([hammered(rng, half_sine(2000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0))
     with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
         rejecting = ImpactSettings(reject=("1",))
-        measure([hammered(rng, half_sine(6000, [900], [1.0]))], FrfSettings(excitation="impact", block=1.0, impact=rejecting))
+        measure(
+            [hammered(rng, half_sine(6000, [900], [1.0]))],
+            FrfSettings(excitation="impact", block=1.0, impact=rejecting),
+        )
     for wrong, fault in ((("x",), "'x' is not the number"), (("0",), "'0' is not the number")):
         with pytest.raises(ConfigError, match=fault):
             ImpactSettings(reject=wrong)
@@ -196,7 +226,9 @@ def test_an_offset_of_the_hammer_makes_no_hits(rng: np.random.Generator) -> None
     plain = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5), quick)
     offset = Recording(plain.channels, plain.samples + np.array([0.5, -3.0]), RATE, "taps")
     settings = FrfSettings(excitation="impact", block=2.0, band=(10.0, 150.0))
-    np.testing.assert_allclose(measure([offset], settings).matrix, measure([plain], settings).matrix, rtol=1e-6)
+    np.testing.assert_allclose(
+        measure([offset], settings).matrix, measure([plain], settings).matrix, rtol=1e-6
+    )
 
 
 def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Generator) -> None:
@@ -207,15 +239,22 @@ def test_the_force_window_takes_the_noise_between_hits_away(rng: np.random.Gener
     noise = np.column_stack([0.05 * rng.normal(size=LENGTH), np.zeros(LENGTH)])
     noisy = Recording(plain.channels, plain.samples + noise, RATE, "taps")
     errors = []
-    for impact in (ImpactSettings(trigger=0.4, double_hit=0.4), ImpactSettings(trigger=0.4, double_hit=0.4, force_window=8e-3)):
-        response = measure([noisy], FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact))
+    for impact in (
+        ImpactSettings(trigger=0.4, double_hit=0.4),
+        ImpactSettings(trigger=0.4, double_hit=0.4, force_window=8e-3),
+    ):
+        response = measure(
+            [noisy], FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact)
+        )
         expected = truth(response.frequency, quick)
         errors.append(np.sqrt(np.mean(np.abs(response.matrix[:, 0, 0] / expected - 1) ** 2)))
     # sqrt(1 / 250), and as much again for the one draw there is.
     assert errors[1] < 2 * np.sqrt(1 / 250) * errors[0]
 
 
-def one_hit(start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)) -> Recording:
+def one_hit(
+    start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)
+) -> Recording:
     """A block of 2 s as an analyser stores it, its window on force and response."""
     force = half_sine(2 * N, [start, start + 60], [peak, second])
     window = np.ones(2 * N) if decay is None else exponential_window(2 * N, decay * RATE)
@@ -225,17 +264,26 @@ def one_hit(start: int, peak: float, second: float = 0.0, decay: float | None = 
 
 @pytest.mark.parametrize("start", [30, 400])
 def test_hits_that_an_analyser_has_windowed_lose_its_damping_and_get_no_second_window(start: int) -> None:
-    """Closed form; one file for every hit, whether the analyser's pretrigger is shorter or longer than labpipe's."""
+    """Closed form.
+
+    One file for every hit, whether the analyser's pretrigger is shorter or longer than labpipe's.
+    """
     settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": "0.3 s"})
     response = measure([one_hit(start, peak, decay=0.3) for peak in (1.0, 0.8, 1.2)], settings)
     np.testing.assert_allclose(response.matrix[:, 0, 0], truth(response.frequency), rtol=1e-3)
     assert response.averages == 3.0
-    by_labpipe = measure([one_hit(start, 1.0)], FrfSettings("impact", block=2.0, band=(30.0, 90.0), impact={"decay": "0.3 s"}))
+    by_labpipe = measure(
+        [one_hit(start, 1.0)], FrfSettings("impact", block=2.0, band=(30.0, 90.0), impact={"decay": "0.3 s"})
+    )
     np.testing.assert_allclose(response.matrix, by_labpipe.matrix, rtol=1e-6)
 
 
 def test_a_bad_hit_of_one_file_costs_that_file_only() -> None:
-    sources = [one_hit(30, 1.0, decay=0.3), one_hit(30, 1.0, second=0.5, decay=0.3), one_hit(30, 1.2, decay=0.3)]
+    sources = [
+        one_hit(30, 1.0, decay=0.3),
+        one_hit(30, 1.0, second=0.5, decay=0.3),
+        one_hit(30, 1.2, decay=0.3),
+    ]
     settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
     response = measure(sources, settings)
     assert response.averages == 2.0
@@ -249,7 +297,10 @@ def test_a_bad_hit_of_one_file_costs_that_file_only() -> None:
 def test_a_roving_hammer_gives_one_row_and_a_bad_hit_there_is_no_column_of_zeros() -> None:
     """Points 1 and 2 along a line: three files, the only hit at point 2 a double one."""
     at = [Channel("hammer", "force", "input", place) for place in ("1", "1", "2")]
-    sources = [one_hit(30, 1.0, second, 0.3, (channel, X)) for channel, second in zip(at, (0.0, 0.0, 0.5), strict=True)]
+    sources = [
+        one_hit(30, 1.0, second, 0.3, (channel, X))
+        for channel, second in zip(at, (0.0, 0.0, 0.5), strict=True)
+    ]
     settings = FrfSettings("impact", block=2.0, band=(30.0, 90.0), windowed={"exponential": 0.3})
     with pytest.raises(DataError, match="none of them good"):
         measure(sources, settings)
@@ -275,8 +326,14 @@ def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize(
     ("entries", "fault"),
     [
-        ({"excitation": "random", "windowed": {"exponential": 1.0}}, "'windowed' is not for random excitation"),
-        ({"excitation": "impact", "windowed": {"exponential": 1.0}, "impact": {"decay": 1.0}}, "two exponential windows"),
+        (
+            {"excitation": "random", "windowed": {"exponential": 1.0}},
+            "'windowed' is not for random excitation",
+        ),
+        (
+            {"excitation": "impact", "windowed": {"exponential": 1.0}, "impact": {"decay": 1.0}},
+            "two exponential windows",
+        ),
         ({"excitation": "impact", "windowed": {"exponential": 0.0}}, "must be positive"),
     ],
 )
@@ -286,14 +343,19 @@ def test_windows_that_cannot_be_meant(entries: dict[str, object], fault: str) ->
 
 
 def test_a_ready_response_loses_the_damping_of_its_window() -> None:
-    """H(j w + 1/tau) becomes H(j w) but for the curvature that the conjugate pole leaves, 120 Hz away; uneven lines are refused."""
+    """H(j w + 1/tau) becomes H(j w) but for the curvature that the conjugate pole leaves, 120 Hz away.
+
+    Uneven lines are refused.
+    """
     frequency = np.arange(40.0, 80.0, 0.5)
     x = Port("x", "x", "x")
     rate = 2j * np.pi * frequency + 1 / 0.4
     matrix = (1 / ((rate - POLE) * (rate - POLE.conjugate())))[:, None, None]
     response = undamped(FrequencyResponse(frequency, matrix, (x,), (x,), covariance=np.ones((80, 1, 1))), 0.4)
     rate = 2j * np.pi * frequency
-    np.testing.assert_allclose(response.matrix[:, 0, 0], 1 / ((rate - POLE) * (rate - POLE.conjugate())), rtol=1e-5)
+    np.testing.assert_allclose(
+        response.matrix[:, 0, 0], 1 / ((rate - POLE) * (rate - POLE.conjugate())), rtol=1e-5
+    )
     assert response.covariance is None
     with pytest.raises(DataError, match="not evenly spaced"):
         undamped(FrequencyResponse(frequency**1.1, matrix, (x,), (x,)), 0.4)

@@ -1,4 +1,6 @@
-"""Hammer hits on a simulated oscillator: intervals of a fit hold the truth in 95 % of tests, whatever window and number of hits."""
+"""Hammer hits on a simulated oscillator: intervals of a fit hold the truth in 95 % of tests, whatever window
+and number of hits.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ CASES = [(0.006, 0.15, 1.0, 3), (0.006, 2.0, 4.0, 10), (0.02, 0.5, 2.0, 30), (0.
 
 
 def displacement(force: np.ndarray, zeta: float) -> np.ndarray:
-    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a + b w^2 in the band."""
+    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a
+    + b w^2 in the band.
+    """
     pole = -zeta * W_N + 1j * W_N * np.sqrt(1 - zeta**2)
     z = np.exp(pole / RATE)
     system = [0.0, float(z.imag) / (pole.imag * RATE)], [1.0, -2 * float(z.real), float(abs(z) ** 2)]
@@ -34,7 +38,10 @@ def displacement(force: np.ndarray, zeta: float) -> np.ndarray:
 
 
 def hammered(rng: np.random.Generator, zeta: float, block: float, hits: int) -> Recording:
-    """Hits of various strength, each after the last one's response has died away; 1 % of the largest displacement as noise."""
+    """Hits of various strength, each after the last one's response has died away.
+
+    1 % of the largest displacement as noise.
+    """
     n = round(block * RATE)
     gap = n + int(7 / (zeta * W_N) * RATE)
     force = np.zeros(gap * hits + n)
@@ -42,12 +49,18 @@ def hammered(rng: np.random.Generator, zeta: float, block: float, hits: int) -> 
         begin = n // 10 + hit * gap + int(rng.integers(0, 20))
         force[begin : begin + 4] = 100 * rng.uniform(0.8, 1.2) * np.sin(np.pi * (np.arange(4) + 0.5) / 4)
     x = displacement(force, zeta)
-    return Recording(CHANNELS, np.column_stack([force, x + 0.01 * np.abs(x).max() * rng.normal(size=x.size)]), RATE, "taps")
+    return Recording(
+        CHANNELS, np.column_stack([force, x + 0.01 * np.abs(x).max() * rng.normal(size=x.size)]), RATE, "taps"
+    )
 
 
 def fitted(rng: np.random.Generator, zeta: float, decay: float, block: float, hits: int) -> Fit:
-    settings = FrfSettings(excitation="impact", block=block, band=(30.0, 100.0), impact=ImpactSettings(decay=decay))
-    (fit,) = identify(measure([hammered(rng, zeta, block, hits)], settings), FitSettings("sdof", mass=1.0, band=BAND))
+    settings = FrfSettings(
+        excitation="impact", block=block, band=(30.0, 100.0), impact=ImpactSettings(decay=decay)
+    )
+    (fit,) = identify(
+        measure([hammered(rng, zeta, block, hits)], settings), FitSettings("sdof", mass=1.0, band=BAND)
+    )
     return fit
 
 
@@ -65,6 +78,8 @@ def test_intervals_hold_the_truth(rng: np.random.Generator, case: tuple[float, f
         assert 0.93 - tolerance < inside < 0.97 + tolerance
         errors = np.array([(p.value - value, p.std_error) for p in parameters], float)
         # The standard error of a standard deviation.
-        assert errors[:, 0].std() / np.sqrt(np.mean(errors[:, 1] ** 2)) == pytest.approx(1.0, abs=0.1 + 3 / np.sqrt(2 * runs))
+        assert errors[:, 0].std() / np.sqrt(np.mean(errors[:, 1] ** 2)) == pytest.approx(
+            1.0, abs=0.1 + 3 / np.sqrt(2 * runs)
+        )
     uncertain = sum(any(finding.code == "model-mismatch" for finding in fit.findings) for fit in fits)
     assert uncertain <= 1 + 0.02 * runs

@@ -1,4 +1,6 @@
-"""Noise of hammer hits under an exponential window: correlation of lines, its way through the damping correction, few hits."""
+"""Noise of hammer hits under an exponential window: correlation of lines, its way through the damping
+correction, few hits.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,17 @@ from labpipe.spectra.windows import exponential_correlation
 
 
 @pytest.mark.parametrize(("length", "constant"), [(4096, 300.0), (4096, 600.0), (2000, 150.0)])
-def test_lines_of_an_exponential_window_are_correlated_as_its_square_transforms(length: int, constant: float) -> None:
+def test_lines_of_an_exponential_window_are_correlated_as_its_square_transforms(
+    length: int, constant: float
+) -> None:
     found = exponential_correlation(exponential_window(length, constant), 0.0)
-    # sum w^2 exp(-2 pi j d t / N) of a window that has died away: 1 / (1 + j pi d tau / T), but for the sampling.
+    # sum w^2 exp(-2 pi j d t / N) of a window that has died away: 1 / (1 + j pi d tau / T), but for the
+    # sampling.
     closed = 1 / (1 + 1j * np.pi * np.arange(1, found.size + 1) * constant / length)
     np.testing.assert_allclose(found, closed, atol=0.01)
-    assert abs(closed[-1]) > 0.019 and abs(1 / (1 + 1j * np.pi * (found.size + 1) * constant / length)) < 0.021
+    assert (
+        abs(closed[-1]) > 0.019 and abs(1 / (1 + 1j * np.pi * (found.size + 1) * constant / length)) < 0.021
+    )
 
 
 def test_the_correlation_counts_from_the_hit(rng: np.random.Generator) -> None:
@@ -65,10 +72,19 @@ def test_variance_of_the_corrected_response_is_that_of_its_neighbours(rng: np.ra
     correlation = exponential_correlation(exponential_window(512, 512 * decay), 10.0)
     root = np.linalg.cholesky(correlation_matrix(np.arange(50), correlation) + 1e-9 * np.eye(50))
     size = 1e-3 * np.abs(matrix).max()
-    drawn = [size * (root @ (rng.normal(size=50) + 1j * rng.normal(size=50))) / np.sqrt(2) for _ in range(600)]
-    corrected = np.array([without_added_damping(frequency, matrix + noise[:, None, None], decay).matrix[:, 0, 0] for noise in drawn])
+    drawn = [
+        size * (root @ (rng.normal(size=50) + 1j * rng.normal(size=50))) / np.sqrt(2) for _ in range(600)
+    ]
+    corrected = np.array(
+        [
+            without_added_damping(frequency, matrix + noise[:, None, None], decay).matrix[:, 0, 0]
+            for noise in drawn
+        ]
+    )
     covariance = np.full((50, 1, 1), size**2, np.complex128)
-    predicted = covariance_without_damping(without_added_damping(frequency, matrix, decay).gains, covariance, correlation)[:, 0, 0].real
+    predicted = covariance_without_damping(
+        without_added_damping(frequency, matrix, decay).gains, covariance, correlation
+    )[:, 0, 0].real
     around = slice(18, 33)
     # 600 draws: 4 % on a variance.
     np.testing.assert_allclose(corrected.var(axis=0)[around], predicted[around], rtol=0.2)
@@ -79,7 +95,9 @@ def test_noise_of_few_hits_is_averaged_over_lines(rng: np.random.Generator) -> N
     flat = rng.exponential(size=(400, 1, 1)).astype(np.complex128)
     peak = (1 / (1 + 1j * (np.arange(400) - 200.0) / 30))[:, None, None]
     averaged = pooled_residual(flat, peak, 10)
-    assert averaged[10:390, 0, 0].real == pytest.approx([flat[k - 10 : k + 11].real.mean() for k in range(10, 390)])
+    assert averaged[10:390, 0, 0].real == pytest.approx(
+        [flat[k - 10 : k + 11].real.mean() for k in range(10, 390)]
+    )
     np.testing.assert_array_equal(pooled_residual(flat, peak, 0), flat)
 
 

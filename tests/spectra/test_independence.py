@@ -10,7 +10,9 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.ports import find_layout
 from labpipe.spectra.quality import check_forces, check_responses, condition_number, force_inverse
 
-CHANNELS = tuple(Channel(name, "force", "input", name) for name in "ab") + tuple(Channel(n, "displacement", "output", n) for n in "xy")
+CHANNELS = tuple(Channel(name, "force", "input", name) for name in "ab") + tuple(
+    Channel(n, "displacement", "output", n) for n in "xy"
+)
 LAYOUT = find_layout([Recording(CHANNELS, np.zeros((2, 4)), 1.0, "run")])
 
 
@@ -45,7 +47,8 @@ def test_forces_in_step_are_refused_in_any_unit() -> None:
 @pytest.mark.parametrize("n", [3, 4])
 @pytest.mark.parametrize("share", [0.9, 1 - 5e-6, 1 - 2.5e-6, 1 - 1e-7])
 def test_three_forces_and_more_are_judged_by_their_eigenvalues(n: int, share: float) -> None:
-    # Equal coherence of all pairs: the eigenvalues are 1 + (n - 1) share and 1 - share, a condition of 1e6 is refused.
+    # Equal coherence of all pairs: the eigenvalues are 1 + (n - 1) share and 1 - share, a condition of 1e6 is
+    # refused.
     channels = tuple(Channel(f"f{k}", "force", "input", f"f{k}") for k in range(n)) + CHANNELS[2:]
     layout = find_layout([Recording(channels, np.zeros((2, n + 2)), 1.0, "run")])
     matrix = np.full((2, n, n), share + 0j)

@@ -16,13 +16,17 @@ FREQUENCY = np.array([1.0, 2.0, 3.0])
 def part(output: str, reference: str, value: complex, name: str = "", **entries) -> FrequencyResponse:
     described = {"frequency": FREQUENCY, "form": "mobility", **entries}
     ports = [(Port(label, label, label),) for label in (output, reference)]
-    return FrequencyResponse(**described, matrix=np.full((3, 1, 1), value), outputs=ports[0], inputs=ports[1], name=name)
+    return FrequencyResponse(
+        **described, matrix=np.full((3, 1, 1), value), outputs=ports[0], inputs=ports[1], name=name
+    )
 
 
 def test_elements_come_to_their_places_in_the_order_of_their_numbers() -> None:
     """Points 1, 2, 10 measured in another order; H_oi = o + 100 j i."""
     response = joined([part(f"p{o}", f"q{i}", o + 100j * i) for o in (10, 2, 1) for i in (20, 3)])
-    assert [port.label for port in response.outputs] == ["p1", "p2", "p10"] and [port.label for port in response.inputs] == ["q3", "q20"]
+    assert [port.label for port in response.outputs] == ["p1", "p2", "p10"] and [
+        port.label for port in response.inputs
+    ] == ["q3", "q20"]
     np.testing.assert_array_equal(response.matrix[1], [[o + 100j * i for i in (3, 20)] for o in (1, 2, 10)])
     assert response.form == "mobility" and response.coherence is None and response.covariance is None
 
@@ -31,7 +35,14 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
     """Variances 1, 2, 3, 4 of independent files are the diagonal of the covariance."""
     pairs = [("a", "f"), ("a", "g"), ("b", "f"), ("b", "g")]
     parts = [
-        part(o, i, 1.0, covariance=np.full((3, 1, 1), n + 1.0), coherence=np.full((3, 1, 1), n / 10), covariance_dof=9.0 - n)
+        part(
+            o,
+            i,
+            1.0,
+            covariance=np.full((3, 1, 1), n + 1.0),
+            coherence=np.full((3, 1, 1), n / 10),
+            covariance_dof=9.0 - n,
+        )
         for n, (o, i) in enumerate(pairs)
     ]
     response = joined(parts[::-1])
@@ -41,12 +52,17 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
 
 
 def test_errors_of_one_number_are_one_error_in_all_files() -> None:
-    """The gain of the force is that of both files, the error of a sum in one of them that of its own element."""
+    """The gain of the force is that of both files, the error of a sum in one of them that of its own
+    element.
+    """
 
     def error(source: str, value: complex) -> MatrixError:
         return MatrixError(Uncertainty(source, 0.01, "1"), np.full((3, 1, 1), value))
 
-    parts = [part("a", "f", 1, errors=(error("gain", 2), error("sum", 5))), part("b", "f", 1, errors=(error("gain", 3j),))]
+    parts = [
+        part("a", "f", 1, errors=(error("gain", 2), error("sum", 5))),
+        part("b", "f", 1, errors=(error("gain", 3j),)),
+    ]
     found = {one.uncertainty.source: one.change for one in joined(parts).errors}
     np.testing.assert_array_equal(found["gain"][1], [[2], [3j]])
     np.testing.assert_array_equal(found["sum"][1], [[5], [0]])
@@ -61,7 +77,10 @@ def test_errors_of_one_number_are_one_error_in_all_files() -> None:
         (part("a", "f", 2, "b.txt"), "a/f lies in a.txt and in b.txt"),
         (part("b", "g", 2, "b.txt"), "a/g, b/f was not measured"),
         (part("b", "f", 2, "b.txt", form="receptance"), "b.txt is a receptance, a.txt a mobility"),
-        (part("b", "f", 2, "b.txt", frequency=np.array([1.0, 2.0, 3.1])), "b.txt differ from those of a.txt: 3.1 and 3 Hz at line 3"),
+        (
+            part("b", "f", 2, "b.txt", frequency=np.array([1.0, 2.0, 3.1])),
+            "b.txt differ from those of a.txt: 3.1 and 3 Hz at line 3",
+        ),
     ],
 )
 def test_what_makes_no_matrix_is_refused_with_the_files(second: FrequencyResponse, fault: str) -> None:

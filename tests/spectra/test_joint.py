@@ -1,4 +1,6 @@
-"""FRFs of closed loops by their reference: against the loop's own algebra, and on the virtual levitated rotor."""
+"""FRFs of closed loops by their reference: against the loop's own algebra, and on the virtual levitated
+rotor.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def rig(axes: str = "x", **noise: float) -> LevitatedRig:
     shipped = load_virtual_rig(CONFIGS / "virtual-levitated.yaml")
     assert isinstance(shipped, LevitatedRig)
     cross = shipped.cross_stiffness if axes == "xy" else 0.0
-    return replace(shipped, axes=axes, cross_stiffness=cross, force_recorded=True, noise=replace(shipped.noise, **noise))
+    return replace(
+        shipped, axes=axes, cross_stiffness=cross, force_recorded=True, noise=replace(shipped.noise, **noise)
+    )
 
 
 @lru_cache
@@ -69,7 +73,10 @@ def drawn(rng: np.random.Generator, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_exact_spectra_of_a_loop_give_its_plant(n: int, rng: np.random.Generator) -> None:
-    """G to rounding, of any plant, controller, and correlated references and disturbances; w = v is what is left."""
+    """G to rounding, of any plant, controller, and correlated references and disturbances.
+
+    W = v is what is left.
+    """
     g, c = drawn(rng, n), drawn(rng, n)
     s_r, s_v = (a @ a.conj().swapaxes(1, 2) for a in (drawn(rng, n), drawn(rng, n)))
     estimate = joint_estimate(loop_spectra(g, c, s_r, s_v), [f"r{i}" for i in range(n)], n, 1e6)
@@ -85,7 +92,9 @@ def test_the_covariance_is_that_of_the_loop(rng: np.random.Generator) -> None:
     s_r, s_v = (a @ a.conj().swapaxes(1, 2) for a in (drawn(rng, 2), drawn(rng, 2)))
     spectra = loop_spectra(g, c, s_r, s_v)
     estimate = joint_estimate(spectra, ["r1", "r2"], 2, 1e5)
-    covariance = covariance_by_neighbours(np.arange(7.0), estimate.matrix, estimate.columns, [estimate.noise] * 2)
+    covariance = covariance_by_neighbours(
+        np.arange(7.0), estimate.matrix, estimate.columns, [estimate.noise] * 2
+    )
     s_ur = spectra[:, 2:4, :2]
     spread = np.linalg.inv(s_ur).conj().swapaxes(1, 2) @ s_r @ np.linalg.inv(s_ur)
     expected = np.einsum("lop,lji->loipj", s_v, spread).reshape(7, 4, 4) / 1e5
@@ -93,20 +102,29 @@ def test_the_covariance_is_that_of_the_loop(rng: np.random.Generator) -> None:
 
 
 def open_loop_limit(of: LevitatedRig, frequency: np.ndarray) -> np.ndarray:
-    """(G |A|^2 S_r - L* S_v) / (|A|^2 S_r + |L|^2 S_v) of the rig, by hand: u = A r - L y, L = A C; A holds, delays and amplifies."""
+    """(G |A|^2 S_r - L* S_v) / (|A|^2 S_r + |L|^2 S_v) of the rig, by hand: u = A r - L y, L = A C.
+
+    A holds, delays and amplifies.
+    """
     s = 2j * np.pi * frequency
     late = np.exp(-s * 1e-4) * (1 - np.exp(-s * 1e-4)) / (s * 1e-4)
     amplified = 80 * late / (1 + s / (2 * np.pi * 2000))
     fast = 2e4 * np.tanh(s / 2e4)
     controlled = amplified * (5e3 + 12 * fast / (1 + 2e-4 * fast) + 2e4 / fast)
     g = rotor_receptance(of, frequency)[:, 0, 0]
-    s_r, s_v = of.injection.rms**2 / 495, np.abs(g) ** 2 * of.noise.disturbance**2 / 1000 + of.noise.displacement**2 / 1000
+    s_r, s_v = (
+        of.injection.rms**2 / 495,
+        np.abs(g) ** 2 * of.noise.disturbance**2 / 1000 + of.noise.displacement**2 / 1000,
+    )
     power = np.abs(amplified) ** 2 * s_r + np.abs(controlled) ** 2 * s_v
     return np.asarray((g * np.abs(amplified) ** 2 * s_r - controlled.conj() * s_v) / power)
 
 
 def test_h1_is_biased_by_what_the_loop_says_and_the_reference_is_not() -> None:
-    """H1 beside the joint FRF meets its limit, 10-60 % beside the plant here; the joint FRF meets the plant within its noise."""
+    """H1 beside the joint FRF meets its limit, 10-60 % beside the plant here.
+
+    The joint FRF meets the plant within its noise.
+    """
     response = measure(runs(("random",)), RANDOM)
     exact = rotor_receptance(rig(), response.frequency)
     limit = open_loop_limit(rig(disturbance=8.0), response.frequency)
@@ -114,22 +132,32 @@ def test_h1_is_biased_by_what_the_loop_says_and_the_reference_is_not() -> None:
     apart = np.abs(limit / exact[:, 0, 0] - 1)
     assert np.median(apart[:100]) > 0.08
     noise = np.sqrt(response.variance[:, 0, 0])
-    # H1 scatters no more than the joint FRF: 291 lines meet the limit together far better than they meet the plant.
-    to_limit, to_plant = (np.mean(np.abs(response.open_loop[:, 0, 0] - h) ** 2 / noise**2) for h in (limit, exact[:, 0, 0]))
+    # H1 scatters no more than the joint FRF: 291 lines meet the limit together far better than they meet the
+    # plant.
+    to_limit, to_plant = (
+        np.mean(np.abs(response.open_loop[:, 0, 0] - h) ** 2 / noise**2) for h in (limit, exact[:, 0, 0])
+    )
     assert to_limit < 1.1 and to_plant > 1.5
     assert coverage(response, exact) == pytest.approx(0.95, abs=0.025)
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(3.5, False), (12.0, True)])
-def test_halves_too_short_for_the_noise_of_an_frf_are_not_held_against_each_other(seconds: float, told: bool) -> None:
-    """Blocks of 1 s that overlap by half: 1.9 effective averages in half of 3.5 s, about ten in half of 12 s; one reference needs 3."""
+def test_halves_too_short_for_the_noise_of_an_frf_are_not_held_against_each_other(
+    seconds: float, told: bool
+) -> None:
+    """Blocks of 1 s that overlap by half: 1.9 effective averages in half of 3.5 s, about ten in half of 12 s;
+    one reference needs 3.
+    """
     (recording,) = runs(("random",))
     short = replace(recording, samples=recording.samples[: round(seconds * recording.sample_rate)])
     assert (measure([short], RANDOM).change is not None) is told
 
 
 def test_a_rotor_left_alone_shows_minus_the_inverse_of_its_controller() -> None:
-    """Without injection H1 = -1 / (A C), here to 3 % over 10-300 Hz; labpipe's own H1 of the run without excitation."""
+    """Without injection H1 = -1 / (A C), here to 3 % over 10-300 Hz.
+
+    Labpipe's own H1 of the run without excitation.
+    """
     (rest,) = runs(("rest",))
     response = measure([rest], FrfSettings("random", block=1.0, band=BAND))
     still = replace(rig(), injection=replace(rig().injection, rms=1e-12))
@@ -138,7 +166,10 @@ def test_a_rotor_left_alone_shows_minus_the_inverse_of_its_controller() -> None:
 
 
 def test_two_axes_by_two_references() -> None:
-    """The 2 x 2 FRF of the coupled axes meets the rig's matrices within its covariance; without references it does not."""
+    """The 2 x 2 FRF of the coupled axes meets the rig's matrices within its covariance.
+
+    Without references it does not.
+    """
     settings = replace(RANDOM, reference=("r_x", "r_y"))
     both = measure(runs(("random",), "xy"), settings)
     exact = rotor_receptance(rig("xy"), both.frequency)
@@ -150,7 +181,9 @@ def test_two_axes_by_two_references() -> None:
 
 
 def test_periods_in_a_loop_need_no_other_average() -> None:
-    """Multisine on either axis: the mean over periods with the covariance of forces and responses together holds the rig's matrices."""
+    """Multisine on either axis: the mean over periods with the covariance of forces and responses together
+    holds the rig's matrices.
+    """
     settings = replace(PERIODIC, reference=("r_x", "r_y"))
     response = measure(runs(("multisine-x", "multisine-y"), "xy"), settings)
     exact = rotor_receptance(rig("xy"), response.frequency)
@@ -161,7 +194,10 @@ def test_periods_in_a_loop_need_no_other_average() -> None:
 
 @pytest.mark.parametrize(("names", "settings"), [(("random",), RANDOM), (("multisine-x",), PERIODIC)])
 def test_a_mass_in_a_loop_gives_its_stiffness(names: tuple[str, ...], settings: FrfSettings) -> None:
-    """k = -200 kN/m and c = 100 N.s/m within 3 standard errors; H1 is many away. Negative stiffness is no fault where a loop holds it."""
+    """k = -200 kN/m and c = 100 N.s/m within 3 standard errors; H1 is many away.
+
+    Negative stiffness is no fault where a loop holds it.
+    """
     response = measure(runs(names), settings)
     (fit,) = identify(response, FitSettings("sdof", mass=4.0))
     (naive,) = identify(measure(runs(names), replace(settings, reference=())), FitSettings("sdof", mass=4.0))
@@ -176,7 +212,9 @@ def test_a_mass_in_a_loop_gives_its_stiffness(names: tuple[str, ...], settings: 
 
 
 def test_what_repeats_without_the_reference_is_left_out() -> None:
-    """A hum of whole periods in force and response has no line in the reference: the loop's answer to it is not the rotor's."""
+    """A hum of whole periods in force and response has no line in the reference: the loop's answer to it is
+    not the rotor's.
+    """
     (run,) = runs(("multisine-x",))
     sparse = replace(rig(disturbance=8.0), injection=replace(rig().injection, spacing=10.0, periods=200))
     (run,) = recordings(sparse, 1, ["multisine-x"])
@@ -192,7 +230,11 @@ def test_more_references_than_forces_are_used_together() -> None:
     """A second reference that adds independent noise of its own changes the FRF within its error."""
     (run,) = runs(("random",))
     extra = np.random.default_rng(2).standard_normal((run.n_sample, 1)) * 0.1
-    more = replace(run, channels=(*run.channels, Channel("r_2", "current", "reference", "2")), samples=np.hstack([run.samples, extra]))
+    more = replace(
+        run,
+        channels=(*run.channels, Channel("r_2", "current", "reference", "2")),
+        samples=np.hstack([run.samples, extra]),
+    )
     one, two = measure([run], RANDOM), measure([more], replace(RANDOM, reference=("r_x", "r_2")))
     assert one.variance is not None
     assert np.median(np.abs(one.matrix - two.matrix) ** 2 / one.variance) < 0.3
@@ -207,7 +249,9 @@ def test_h1_travels_beside_the_frf(tmp_path: Path) -> None:
     read = read_response(tmp_path / "a.frf.parquet")
     np.testing.assert_array_equal(read.open_loop, response.open_loop)
     as_matrix = replace(response, matrix=response.open_loop)
-    np.testing.assert_allclose(converted(response, "mobility").open_loop, converted(as_matrix, "mobility").matrix)
+    np.testing.assert_allclose(
+        converted(response, "mobility").open_loop, converted(as_matrix, "mobility").matrix
+    )
     np.testing.assert_allclose(directional(response).open_loop, directional(as_matrix).matrix)
 
 
@@ -248,7 +292,11 @@ def test_what_is_no_reference_is_said() -> None:
     [
         ({"estimator": "H2"}, "joint input-output method, not by H2"),
         ({"local": "polynomial"}, "takes the loop as open"),
-        ({"excitation": "impact"}, "'reference' is not for impact excitation; leave it out; excitations that take it: periodic, random"),
+        (
+            {"excitation": "impact"},
+            "'reference' is not for impact excitation; leave it out; excitations "
+            "that take it: periodic, random",
+        ),
     ],
 )
 def test_keys_that_no_loop_has(other: dict[str, str], said: str) -> None:
@@ -257,15 +305,19 @@ def test_keys_that_no_loop_has(other: dict[str, str], said: str) -> None:
 
 
 def test_the_covariance_of_a_line_does_not_know_its_error(rng: np.random.Generator) -> None:
-    """Errors of lines weighted by 1 / variance have no mean; with the plain estimate they have that of the loop's cross-spectrum.
+    """Errors of lines weighted by 1 / variance have no mean; with the plain estimate they have that of the
+    loop's cross-spectrum.
 
-    Closed form of the second: twice C_wu / |U|^2 of the error w / U, for E(w u*) = C_wu, E|w|^2 = C_ww, of a constant G.
+    Closed form of the second: twice C_wu / |U|^2 of the error w / U, for E(w u*) = C_wu, E|w|^2 = C_ww, of a
+    constant G.
     """
     n, g = 40000, np.full((40000, 1, 1), 1 + 0j)
     w = (rng.standard_normal(n) + 1j * rng.standard_normal(n)) / np.sqrt(2) * 0.2
     force = 1 - 0.8 * w
     vectors = np.stack([force, g[:, 0, 0] * force + w], axis=1)[:, :, None]
-    noise = np.repeat((0.04 * np.array([[0.64, -0.8 + 0.64], [-0.8 + 0.64, 0.04]]))[None], n, axis=0).astype(complex)
+    noise = np.repeat((0.04 * np.array([[0.64, -0.8 + 0.64], [-0.8 + 0.64, 0.04]]))[None], n, axis=0).astype(
+        complex
+    )
     noise[:, 1, 1] = 0.04 * (1 - 0.8) ** 2
     matrix = (vectors[:, 1] / vectors[:, 0])[:, :, None]
     means = []

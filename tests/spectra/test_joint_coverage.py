@@ -1,4 +1,5 @@
-"""Intervals of closed loops over many draws: FRF by the reference and the coefficients fitted to it, on virtual levitated rotors.
+"""Intervals of closed loops over many draws: FRF by the reference and the coefficients fitted to it, on
+virtual levitated rotors.
 
 Expected are the parameters of the rig; 50 draws of 8 s at each of two levels of disturbance.
 """
@@ -31,15 +32,22 @@ def rig(axes: str, disturbance: float) -> LevitatedRig:
     shipped = load_virtual_rig(Path(__file__).parents[2] / "configs/virtual-levitated.yaml")
     assert isinstance(shipped, LevitatedRig)
     cross = shipped.cross_stiffness if axes == "xy" else 0.0
-    injection, noise = replace(shipped.injection, duration=8.0, periods=8), replace(shipped.noise, disturbance=disturbance)
-    return replace(shipped, axes=axes, cross_stiffness=cross, force_recorded=True, injection=injection, noise=noise)
+    injection, noise = (
+        replace(shipped.injection, duration=8.0, periods=8),
+        replace(shipped.noise, disturbance=disturbance),
+    )
+    return replace(
+        shipped, axes=axes, cross_stiffness=cross, force_recorded=True, injection=injection, noise=noise
+    )
 
 
 @pytest.mark.parametrize("axes", ["x", "xy"])
 @pytest.mark.parametrize("disturbance", [1.0, 4.0])
 @pytest.mark.parametrize("run", list(EXCITED))
 def test_intervals_hold_the_truth(run: str, disturbance: float, axes: str) -> None:
-    """95 % intervals: of lines 93.5-96.5 %, of k and c 90-99 % (three standard errors of the count), neither biased by half a sigma."""
+    """95 % intervals: of lines 93.5-96.5 %, of k and c 90-99 % (three standard errors of the count), neither
+    biased by half a sigma.
+    """
     made = rig(axes, disturbance)
     names = [run] if run == "random" else [f"{run}{label}" for label in made.labels]
     settings = replace(EXCITED[run], reference=tuple(f"r_{label}" for label in made.labels))
@@ -47,7 +55,9 @@ def test_intervals_hold_the_truth(run: str, disturbance: float, axes: str) -> No
     for seed in range(DRAWS if axes == "x" else DRAWS // 3):
         response = measure(recordings(made, seed, names), settings)
         assert response.variance is not None
-        away = ((response.matrix - rotor_receptance(made, response.frequency)) / np.sqrt(response.variance / 2)).ravel()
+        away = (
+            (response.matrix - rotor_receptance(made, response.frequency)) / np.sqrt(response.variance / 2)
+        ).ravel()
         lines.append(np.mean(np.abs([away.real, away.imag]) < 1.96))
         if axes == "x":
             (fit,) = identify(response, FitSettings("sdof", mass=4.0), judging=False)

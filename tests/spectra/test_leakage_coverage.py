@@ -1,4 +1,6 @@
-"""White noise on a simulated oscillator with short blocks: damping without bias, standard errors as large as the scatter, p uniform."""
+"""White noise on a simulated oscillator with short blocks: damping without bias, standard errors as large as
+the scatter, p uniform.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ BEFORE = 8000
 
 
 def displacement(force: np.ndarray) -> np.ndarray:
-    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a + b w^2 in the band."""
+    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a
+    + b w^2 in the band.
+    """
     pole = -ZETA * W_N + 1j * W_N * np.sqrt(1 - ZETA**2)
     z = np.exp(pole / RATE)
     system = [0.0, float(z.imag) / (pole.imag * RATE)], [1.0, -2 * float(z.real), float(abs(z) ** 2)]
@@ -30,11 +34,17 @@ def displacement(force: np.ndarray) -> np.ndarray:
     w = 2 * np.pi * frequency
     excess = signal.freqz(*system, worN=frequency, fs=RATE)[1] - 1 / (W_N**2 - w**2 + 2j * ZETA * W_N * w)
     slope, level = np.polyfit(w**2, excess.real, 1)
-    return signal.lfilter(*system, force) - level * force + slope * np.convolve(force, [1.0, -2.0, 1.0], "same") * RATE**2
+    return (
+        signal.lfilter(*system, force)
+        - level * force
+        + slope * np.convolve(force, [1.0, -2.0, 1.0], "same") * RATE**2
+    )
 
 
 def fitted(rng: np.random.Generator, lines: float, gain_slope: float = 0.0) -> Fit:
-    """The fit of a record with *lines* in the half-power width; *gain_slope*: change of the gain over the band [1]."""
+    """The fit of a record with *lines* in the half-power width; *gain_slope*: change of the gain over the
+    band [1].
+    """
     n = round(lines / (2 * ZETA * F_N) * RATE)
     force = rng.normal(size=BEFORE + n * (N_BLOCK + 1) // 2 + 1)
     x = displacement(force)[BEFORE:]
@@ -53,16 +63,24 @@ def fitted(rng: np.random.Generator, lines: float, gain_slope: float = 0.0) -> F
 def test_fits_of_short_blocks_are_what_they_say(rng: np.random.Generator, lines: float, runs: int) -> None:
     fits = [fitted(rng, lines) for _ in range(runs)]
     for name, value in TRUTH.items():
-        errors = np.array([(f.parameter(name).value - value, f.parameter(name).std_error) for f in fits], float)
+        errors = np.array(
+            [(f.parameter(name).value - value, f.parameter(name).std_error) for f in fits], float
+        )
         size = np.sqrt(np.mean(errors[:, 1] ** 2))
         # Three standard errors of a mean, and of a standard deviation.
         assert abs(errors[:, 0].mean()) < (0.1 + 3 / np.sqrt(runs)) * size
         assert errors[:, 0].std() / size == pytest.approx(1.0, abs=0.05 + 3 / np.sqrt(2 * runs))
     p_values = [fit.gof.chi2_p for fit in fits]
     assert stats.kstest(p_values, "uniform").pvalue > 1e-3
-    assert not [finding for fit in fits for finding in fit.findings if finding.code in ("leakage", "model-mismatch")][1 + runs // 30 :]
+    assert not [
+        finding for fit in fits for finding in fit.findings if finding.code in ("leakage", "model-mismatch")
+    ][1 + runs // 30 :]
 
 
 def test_a_gain_that_changes_over_the_band_is_seen(rng: np.random.Generator) -> None:
-    uncertain = [fit for fit in (fitted(rng, 8.0, 0.03) for _ in range(6)) if any(f.code == "model-mismatch" for f in fit.findings)]
+    uncertain = [
+        fit
+        for fit in (fitted(rng, 8.0, 0.03) for _ in range(6))
+        if any(f.code == "model-mismatch" for f in fit.findings)
+    ]
     assert len(uncertain) >= 5

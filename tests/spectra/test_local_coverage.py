@@ -1,4 +1,6 @@
-"""White noise on a lightly damped simulated oscillator: local polynomials beside Hann windows on the same records."""
+"""White noise on a lightly damped simulated oscillator: local polynomials beside Hann windows on the same
+records.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ LOCAL = {"local": "polynomial", "degree": 4}
 
 
 def displacement(force: np.ndarray) -> np.ndarray:
-    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a + b w^2 in the band."""
+    """Response of a mass of 1 kg: the sampled impulse response, less what sampling adds to its receptance, a
+    + b w^2 in the band.
+    """
     pole = -ZETA * W_N + 1j * W_N * np.sqrt(1 - ZETA**2)
     z = np.exp(pole / RATE)
     system = [0.0, float(z.imag) / (pole.imag * RATE)], [1.0, -2 * float(z.real), float(abs(z) ** 2)]
@@ -28,7 +32,11 @@ def displacement(force: np.ndarray) -> np.ndarray:
     w = 2 * np.pi * frequency
     excess = signal.freqz(*system, worN=frequency, fs=RATE)[1] - 1 / (W_N**2 - w**2 + 2j * ZETA * W_N * w)
     slope, level = np.polyfit(w**2, excess.real, 1)
-    return signal.lfilter(*system, force) - level * force + slope * np.convolve(force, [1.0, -2.0, 1.0], "same") * RATE**2
+    return (
+        signal.lfilter(*system, force)
+        - level * force
+        + slope * np.convolve(force, [1.0, -2.0, 1.0], "same") * RATE**2
+    )
 
 
 def record(seed: int, lines: float, n_block: int) -> tuple[Recording, float]:
@@ -37,11 +45,20 @@ def record(seed: int, lines: float, n_block: int) -> tuple[Recording, float]:
     n, before = round(lines / (2 * ZETA * F_N) * RATE), int(8 / (ZETA * W_N) * RATE)
     force = rng.normal(size=before + n * n_block)
     x = displacement(force)[before:]
-    return Recording(CHANNELS, np.column_stack([force[before:], x + 0.01 * x.std() * rng.normal(size=x.size)]), RATE, "noise"), n / RATE
+    return Recording(
+        CHANNELS,
+        np.column_stack([force[before:], x + 0.01 * x.std() * rng.normal(size=x.size)]),
+        RATE,
+        "noise",
+    ), n / RATE
 
 
-def fits(method: dict[str, object], lines: float, n_block: int, draws: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors and standard errors of k and c relative to the truth, (draw, 2), and whether the intervals hold it."""
+def fits(
+    method: dict[str, object], lines: float, n_block: int, draws: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors and standard errors of k and c relative to the truth, (draw, 2), and whether the intervals hold
+    it.
+    """
     errors, sizes, holds = [], [], []
     for seed in range(draws):
         recording, block = record(seed, lines, n_block)
@@ -57,7 +74,9 @@ def fits(method: dict[str, object], lines: float, n_block: int, draws: int) -> t
 
 
 def test_there_is_far_less_leakage_than_with_a_window() -> None:
-    """4 blocks of 8 lines in the half-power width: error of the FRF within three such widths of the peak, over 6 records."""
+    """4 blocks of 8 lines in the half-power width: error of the FRF within three such widths of the peak,
+    over 6 records.
+    """
     squares = {"hann": 0.0, "local": 0.0}
     for seed in range(6):
         recording, block = record(seed, 8.0, 4)
@@ -70,16 +89,24 @@ def test_there_is_far_less_leakage_than_with_a_window() -> None:
     assert squares["local"] < squares["hann"] / 4
 
 
-@pytest.mark.parametrize(("degree", "lines", "warned"), [(2, 12.0, True), (4, 6.0, True), (2, 18.0, False), (4, 9.0, False)])
+@pytest.mark.parametrize(
+    ("degree", "lines", "warned"), [(2, 12.0, True), (4, 6.0, True), (2, 18.0, False), (4, 9.0, False)]
+)
 def test_a_peak_too_narrow_for_the_polynomials_is_warned_of(degree: int, lines: float, warned: bool) -> None:
     recording, block = record(1, lines, 6)
-    response = measure([recording], FrfSettings("random", block=block, band=(45.0, 75.0), local="polynomial", degree=degree))
+    response = measure(
+        [recording], FrfSettings("random", block=block, band=(45.0, 75.0), local="polynomial", degree=degree)
+    )
     (fit,) = identify(response, FitSettings("sdof", mass=1.0, band=(52.0, 68.0)))
     messages = [f.message for f in fit.findings if f.code == "leakage"]
-    assert bool(messages) == warned and all("do not follow its peak; use blocks of at least" in message for message in messages)
+    assert bool(messages) == warned and all(
+        "do not follow its peak; use blocks of at least" in message for message in messages
+    )
 
 
-@pytest.mark.parametrize(("lines", "n_block", "draws"), [(8.0, 4, 16), pytest.param(8.0, 4, 150, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("lines", "n_block", "draws"), [(8.0, 4, 16), pytest.param(8.0, 4, 150, marks=pytest.mark.long)]
+)
 def test_intervals_are_narrower_and_hold_the_truth(lines: float, n_block: int, draws: int) -> None:
     errors, sizes, holds = fits(LOCAL, lines, n_block, draws)
     hann_errors, hann_sizes, _ = fits({}, lines, n_block, draws)

@@ -1,4 +1,6 @@
-"""The local polynomial method against polynomials, a plain least squares, drawn noise, and Welch's averages of the same records."""
+"""The local polynomial method against polynomials, a plain least squares, drawn noise, and Welch's averages
+of the same records.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 
 def test_polynomials_of_its_degree_are_found_exactly(rng: np.random.Generator) -> None:
-    """G = 2 - 0.1 k + 0.003 k^2 over the lines, leakage of every block quadratic as well, no noise: both are told apart exactly."""
+    """G = 2 - 0.1 k + 0.003 k^2 over the lines, leakage of every block quadratic as well, no noise: both are
+    told apart exactly.
+    """
     k = np.arange(60.0)
     gains = np.stack([2 - 0.1 * k + 0.003j * k**2, 1j + 0.05 * k], axis=1)
     forces = circular(rng, 3, 60, 2)
@@ -33,7 +37,10 @@ def test_polynomials_of_its_degree_are_found_exactly(rng: np.random.Generator) -
 
 
 def test_it_is_a_plain_least_squares_around_every_line(rng: np.random.Generator) -> None:
-    """The readable twin: forces times powers, and powers for each block, in one design; covariance S_vv[o, p] (A^H A)^-1[i, j]."""
+    """The readable twin: forces times powers, and powers for each block, in one design.
+
+    Covariance S_vv[o, p] (A^H A)^-1[i, j].
+    """
     forces, responses, degree, n = circular(rng, 2, 30, 2), circular(rng, 2, 30, 2), 1, 5
     fitted = local_polynomials(forces, responses, degree, n)
     line, r = 7, np.arange(-n, n + 1) / n
@@ -56,8 +63,12 @@ def test_it_is_a_plain_least_squares_around_every_line(rng: np.random.Generator)
 
 
 @pytest.mark.parametrize(("n_block", "degree", "half_width"), [(1, 2, 6), (3, 2, 4), (2, 4, 7)])
-def test_variance_and_correlation_are_those_of_drawn_noise(n_block: int, degree: int, half_width: int) -> None:
-    """8000 lines of noise alone: E|d|^2 / s^2 = q / (q - 1) for q degrees of freedom, and neighbours correlate as it says."""
+def test_variance_and_correlation_are_those_of_drawn_noise(
+    n_block: int, degree: int, half_width: int
+) -> None:
+    """8000 lines of noise alone: E|d|^2 / s^2 = q / (q - 1) for q degrees of freedom, and neighbours
+    correlate as it says.
+    """
     rng = np.random.default_rng(3)
     forces, noise = circular(rng, n_block, 8000, 1), circular(rng, n_block, 8000, 1)
     fitted = local_polynomials(forces, noise, degree, half_width)
@@ -65,13 +76,19 @@ def test_variance_and_correlation_are_those_of_drawn_noise(n_block: int, degree:
     q = fitted.dof
     assert np.mean(np.abs(error) ** 2 / variance) == pytest.approx(q / (q - 1), rel=0.08)
     scaled = error / np.sqrt(np.abs(variance))
-    measured = [np.mean(scaled[:-d] * scaled[d:].conj()).real / np.mean(np.abs(scaled) ** 2) for d in range(1, 2 * half_width + 1)]
-    # Lines share their noise over a window, so that the standard error of a mean is that of 8000 / (2 n + 1) lines.
+    measured = [
+        np.mean(scaled[:-d] * scaled[d:].conj()).real / np.mean(np.abs(scaled) ** 2)
+        for d in range(1, 2 * half_width + 1)
+    ]
+    # Lines share their noise over a window, so that the standard error of a mean is that of 8000 / (2 n + 1)
+    # lines.
     np.testing.assert_allclose(measured, fitted.correlation, atol=4 * np.sqrt((2 * half_width + 1) / 8000))
     assert fitted.correlation[0] > 0.2
 
 
-def test_many_lines_are_done_piece_by_piece(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_lines_are_done_piece_by_piece(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     forces, responses = circular(rng, 1, 300, 1), circular(rng, 1, 300, 1)
     whole = local_polynomials(forces, responses, 2, 6)
     monkeypatch.setattr("labpipe.spectra.local.LINES_AT_ONCE", 37)
@@ -81,9 +98,12 @@ def test_many_lines_are_done_piece_by_piece(rng: np.random.Generator, monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("n_block", "n_input", "degree", "half_width"), [(1, 1, 2, 7), (4, 1, 2, 3), (1, 2, 2, 8), (100, 1, 2, 3), (1, 1, 4, 9)]
+    ("n_block", "n_input", "degree", "half_width"),
+    [(1, 1, 2, 7), (4, 1, 2, 3), (1, 2, 2, 8), (100, 1, 2, 3), (1, 1, 4, 9)],
 )
-def test_the_usual_half_width_leaves_eight_degrees_of_freedom(n_block: int, n_input: int, degree: int, half_width: int) -> None:
+def test_the_usual_half_width_leaves_eight_degrees_of_freedom(
+    n_block: int, n_input: int, degree: int, half_width: int
+) -> None:
     """By hand: B (2 n - d) - (d + 1) n_u >= 8, and more lines to a side than the degree."""
     assert usual_half_width(n_block, n_input, degree) == half_width
     assert freedom(n_block, n_input, degree, half_width) >= 8
@@ -103,13 +123,20 @@ RIG = WhiteNoiseRig(
 
 def test_two_forces_give_their_matrix_within_its_covariance() -> None:
     """Two recordings of 40 s, one force each; 0.3 to 0.5 Hz of half-power width are 13 lines and more."""
-    response = measure(recordings(RIG, 1), FrfSettings("random", block="40 s", local="polynomial", degree=4, band="60-110 Hz"))
+    response = measure(
+        recordings(RIG, 1),
+        FrfSettings("random", block="40 s", local="polynomial", degree=4, band="60-110 Hz"),
+    )
     error = response.matrix - RIG.receptance(response.frequency)
     ratio = np.mean(np.abs(error) ** 2 / response.variance)
     q = response.covariance_dof
     assert q >= 8
     assert ratio == pytest.approx(q / (q - 1), rel=0.25)
-    assert response.coherence is None and response.multiple_coherence is not None and response.line_correlation[0].real > 0.3
+    assert (
+        response.coherence is None
+        and response.multiple_coherence is not None
+        and response.line_correlation[0].real > 0.3
+    )
     assert response.blocks.degree == 4 and response.blocks.number == 2 and response.n_frequency == 2001
 
 

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, lines_last, product, schur_complement
+from labpipe.spectra.matrices import (
+    at_lines,
+    definite_inverse,
+    hermitian,
+    inverse,
+    lines_last,
+    product,
+    schur_complement,
+)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -42,12 +50,18 @@ def test_chosen_lines_stay_last_in_memory(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("n_first", "n_rest"), [(1, 1), (2, 2), (3, 5)])
-def test_schur_complement_is_exact_however_alike_the_first_channels_are(rng: np.random.Generator, n_first: int, n_rest: int) -> None:
-    # S = T D T^H of whole numbers, T lower triangular with ones on the diagonal: every number is exact, and so is the remainder.
+def test_schur_complement_is_exact_however_alike_the_first_channels_are(
+    rng: np.random.Generator, n_first: int, n_rest: int
+) -> None:
+    # S = T D T^H of whole numbers, T lower triangular with ones on the diagonal: every number is exact, and
+    # so is the remainder.
     n, n_line = n_first + n_rest, 700
-    lower = np.tril(rng.integers(-20, 21, (n_line, n, n)) + 1j * rng.integers(-20, 21, (n_line, n, n)), -1) + np.eye(n)
+    lower = np.tril(
+        rng.integers(-20, 21, (n_line, n, n)) + 1j * rng.integers(-20, 21, (n_line, n, n)), -1
+    ) + np.eye(n)
     pivots = rng.integers(1, 30, (n_line, n)).astype(float)
-    # The first channels share nearly all of their power: D - (B^H A^-1) B by way of an inverse is wrong by 2e8 to 6e11 eps here.
+    # The first channels share nearly all of their power: D - (B^H A^-1) B by way of an inverse is wrong by
+    # 2e8 to 6e11 eps here.
     pivots[:, 0] = 2.0**20
     matrix = (lower * pivots[:, None, :]) @ hermitian(lower)
     rest = lower[:, n_first:, n_first:]

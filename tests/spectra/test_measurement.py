@@ -17,11 +17,16 @@ from labpipe.spectra.settings import FrfSettings
 
 RATE = 256.0
 FORCE = Channel("f", "force", "input", "x", 0.0)
-X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+X, Y = (
+    Channel("x", "displacement", "output", "x", 0.0),
+    Channel("y", "displacement", "output", "y", np.pi / 2),
+)
 PERIODIC = FrfSettings(excitation="periodic", period=1.0, skip=0)
 
 
-def periodic_recording(rng: np.random.Generator, gains: tuple[float, ...], noise: float, periods: int = 6, dof: str = "x") -> Recording:
+def periodic_recording(
+    rng: np.random.Generator, gains: tuple[float, ...], noise: float, periods: int = 6, dof: str = "x"
+) -> Recording:
     """Responses are the force times a gain, delayed by one sample: H = g e^{-j w / rate}."""
     force = design_multisine((1.0, 60.0), 1.0, 1.0).samples(RATE, periods)
     samples = [force, *(gain * np.roll(force, 1) for gain in gains)]
@@ -55,7 +60,10 @@ def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:
 
 
 def test_two_force_directions_give_one_matrix(rng: np.random.Generator) -> None:
-    runs = [periodic_recording(rng, (2.0, 0.5), 1e-6, dof="x"), periodic_recording(rng, (0.3, 1.0), 1e-6, dof="y")]
+    runs = [
+        periodic_recording(rng, (2.0, 0.5), 1e-6, dof="x"),
+        periodic_recording(rng, (0.3, 1.0), 1e-6, dof="y"),
+    ]
     response = measure(runs, PERIODIC)
     gains = np.abs(response.matrix).mean(axis=0)
     np.testing.assert_allclose(gains, [[2.0, 0.3], [0.5, 1.0]], rtol=1e-4)
@@ -75,12 +83,15 @@ def test_no_scale_of_the_numbers_changes_the_result(scale: float) -> None:
 
 
 def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> None:
-    # 50 Hz in the force of one run only, where no force is meant to act: the other run knows nothing of that direction there.
+    # 50 Hz in the force of one run only, where no force is meant to act: the other run knows nothing of that
+    # direction there.
     runs = []
     for dof, gains in (("x", (2.0, 0.5)), ("y", (0.3, 1.0))):
         force = design_multisine((1.0, 40.0), 1.0, 1.0).samples(RATE, 6)
         hum = 0.2 * np.cos(2 * np.pi * 50 * np.arange(force.size) / RATE) * (dof == "x")
-        samples = np.column_stack([force + hum, gains[0] * force, gains[1] * force]) + 1e-3 * rng.normal(size=(force.size, 3))
+        samples = np.column_stack([force + hum, gains[0] * force, gains[1] * force]) + 1e-3 * rng.normal(
+            size=(force.size, 3)
+        )
         runs.append(Recording((Channel("f", "force", "input", dof), X, Y), samples, RATE, dof))
     response = measure(runs, PERIODIC)
     assert response.frequency.tolist() == list(range(1, 41))
@@ -91,7 +102,10 @@ def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> Non
 def test_a_silent_response_is_named(rng: np.random.Generator, estimator: str) -> None:
     samples = np.column_stack([rng.normal(size=4000), np.zeros(4000)])
     with pytest.raises(DataError, match="silent: x"):
-        measure([Recording((FORCE, X), samples, RATE, "dead")], FrfSettings(excitation="random", block=1.0, estimator=estimator))
+        measure(
+            [Recording((FORCE, X), samples, RATE, "dead")],
+            FrfSettings(excitation="random", block=1.0, estimator=estimator),
+        )
 
 
 def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) -> Recording:
@@ -101,7 +115,9 @@ def random_recording(rng: np.random.Generator, noise: float, n: int = 20_000) ->
     return Recording((FORCE, X), np.column_stack([force, response]), RATE, "noise")
 
 
-@pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("hann", 0.0), ("hann", 0.67), ("hamming", 0.5), ("blackman", 0.5)])
+@pytest.mark.parametrize(
+    ("window", "overlap"), [("hann", 0.5), ("hann", 0.0), ("hann", 0.67), ("hamming", 0.5), ("blackman", 0.5)]
+)
 def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overlap: float) -> None:
     rng = np.random.default_rng(6)
     settings = FrfSettings(excitation="random", block=1.0, window=window, overlap=overlap, band=(10.0, 100.0))
@@ -113,7 +129,9 @@ def test_random_variance_is_what_the_scatter_of_repeats_shows(window: str, overl
 
 
 def test_random_data_near_the_filter_s_own_response(rng: np.random.Generator) -> None:
-    response = measure([random_recording(rng, 0.01, 200_000)], FrfSettings(excitation="random", block=4.0, band=(20.0, 60.0)))
+    response = measure(
+        [random_recording(rng, 0.01, 200_000)], FrfSettings(excitation="random", block=4.0, band=(20.0, 60.0))
+    )
     _, expected = signal.freqz(*signal.iirpeak(30.0, 8.0, fs=RATE), worN=response.frequency, fs=RATE)
     np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.03)
     assert response.coherence.max() <= 1 and response.coherence.min() > 0.8
@@ -130,7 +148,9 @@ def test_one_period_has_no_covariance_and_says_so(rng: np.random.Generator) -> N
 
 
 def test_excluded_bands_are_left_out_and_edges_belong(rng: np.random.Generator) -> None:
-    settings = FrfSettings(excitation="periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),))
+    settings = FrfSettings(
+        excitation="periodic", period=1.0, skip=0, band=(10.0, 20.0), exclude=((12.0, 13.0),)
+    )
     response = measure([periodic_recording(rng, (2.0,), 0.01)], settings)
     assert response.frequency.tolist() == [10, 11, 14, 15, 16, 17, 18, 19, 20]
 
@@ -142,7 +162,10 @@ def test_findings_of_the_recordings_travel(rng: np.random.Generator) -> None:
 
 
 def broken(rng: np.random.Generator, column: int, value: float) -> Recording:
-    """A recording with a NaN would be refused at birth; a stored one can hold it, so the blocks are made here."""
+    """A recording with a NaN would be refused at birth.
+
+    A stored one can hold it, so the blocks are made here.
+    """
     plain = periodic_recording(rng, (2.0,), 0.01)
 
     class Stored(Recording):

@@ -11,11 +11,16 @@ from labpipe.spectra.orders import directional_track, track_order
 from labpipe.spectra.settings import ShaftLines
 
 RATE = 2000.0
-X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+X, Y = (
+    Channel("x", "displacement", "output", "x", 0.0),
+    Channel("y", "displacement", "output", "y", np.pi / 2),
+)
 TACHO = Channel("tacho", "voltage", "reference", "tacho")
 
 
-def run(revolutions: np.ndarray, x: np.ndarray, y: np.ndarray, channels: tuple[Channel, ...] = (X, Y)) -> Recording:
+def run(
+    revolutions: np.ndarray, x: np.ndarray, y: np.ndarray, channels: tuple[Channel, ...] = (X, Y)
+) -> Recording:
     pulses = np.where(revolutions % 1.0 < 0.5, 5.0, 0.0)
     return Recording((*channels, TACHO), np.column_stack([x, y, pulses]), RATE, "run")
 
@@ -43,16 +48,23 @@ def test_an_orbit_at_a_given_speed() -> None:
 
 def test_a_rotor_whirling_forward_has_no_backward_part() -> None:
     revolutions = 30.0 * np.arange(10_000) / RATE
-    circles = directional_track(track_order(run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=30.0)))
+    circles = directional_track(
+        track_order(run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=30.0))
+    )
     assert np.max(np.abs(circles.amplitude[:, 1])) < 1e-12
-    backward = directional_track(track_order(run(revolutions, *circle(revolutions, 0.0, 1.0)), ShaftLines(speed=30.0)))
+    backward = directional_track(
+        track_order(run(revolutions, *circle(revolutions, 0.0, 1.0)), ShaftLines(speed=30.0))
+    )
     assert np.max(np.abs(backward.amplitude[:, 0])) < 1e-12
 
 
 def test_sensors_at_45_degrees_see_the_same_circles() -> None:
     revolutions = 30.0 * np.arange(10_000) / RATE
     x, y = circle(revolutions, 2.0, 0.5j)
-    turned = (Channel("a", "displacement", "output", "45 deg", np.pi / 4), Channel("b", "displacement", "output", "135 deg", 3 * np.pi / 4))
+    turned = (
+        Channel("a", "displacement", "output", "45 deg", np.pi / 4),
+        Channel("b", "displacement", "output", "135 deg", 3 * np.pi / 4),
+    )
     recording = run(revolutions, (x + y) / np.sqrt(2), (y - x) / np.sqrt(2), turned)
     circles = directional_track(track_order(recording, ShaftLines(speed=30.0)))
     np.testing.assert_allclose(circles.amplitude[3], [2.0, 0.5j], atol=1e-9)
@@ -69,8 +81,8 @@ def test_a_run_up_is_tracked_by_the_tacho(rng: np.random.Generator) -> None:
 
     x = np.real(resonance(speed) * np.exp(2j * np.pi * revolutions)) + 0.01 * rng.normal(size=time.size)
     track = track_order(run(revolutions, x, x), ShaftLines(tacho="tacho", harmonics=3), revolutions=10)
-    # The first pulse comes half a revolution after the start: angles agree modulo whole turns. A stretch of 10 revolutions spans
-    # 0.2 Hz, and a pulse is known to one sample, 1/33 of a revolution at 60 Hz.
+    # The first pulse comes half a revolution after the start: angles agree modulo whole turns. A stretch of
+    # 10 revolutions spans 0.2 Hz, and a pulse is known to one sample, 1/33 of a revolution at 60 Hz.
     expected = resonance(track.speed)
     np.testing.assert_allclose(np.abs(track.amplitude[:, 0]), np.abs(expected), rtol=0.02)
     assert np.max(np.abs(np.angle(track.amplitude[:, 0] / expected))) < 2 * np.pi / 33
@@ -80,17 +92,23 @@ def test_a_run_up_is_tracked_by_the_tacho(rng: np.random.Generator) -> None:
 def test_the_variance_is_that_of_repeats(rng: np.random.Generator) -> None:
     revolutions = 40.0 * np.arange(200_000) / RATE
     x, y = circle(revolutions, 1.0, 0.3)
-    track = track_order(run(revolutions, x + 0.1 * rng.normal(size=x.size), y), ShaftLines(speed=40.0), revolutions=10)
+    track = track_order(
+        run(revolutions, x + 0.1 * rng.normal(size=x.size), y), ShaftLines(speed=40.0), revolutions=10
+    )
     assert np.mean(track.variance[:, 0]) == pytest.approx(4 * 0.01 / 500, rel=0.02)
     assert np.mean(track.variance[:, 0]) / np.var(track.amplitude[:, 0]) == pytest.approx(1.0, abs=0.12)
     circles = directional_track(track)
-    np.testing.assert_allclose(np.mean(circles.variance, axis=0) / np.var(circles.amplitude, axis=0), 1.0, atol=0.12)
+    np.testing.assert_allclose(
+        np.mean(circles.variance, axis=0) / np.var(circles.amplitude, axis=0), 1.0, atol=0.12
+    )
 
 
 def test_block_borders_do_not_matter() -> None:
     # 70,000 samples are read in two blocks; every stretch is whole and none is lost.
     revolutions = 17.0 * np.arange(70_000) / RATE
-    track = track_order(run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=17.0), revolutions=7)
+    track = track_order(
+        run(revolutions, *circle(revolutions, 1.0, 0.0)), ShaftLines(speed=17.0), revolutions=7
+    )
     assert track.time.size == int(17.0 * 35 / 7) or track.time.size == int(17.0 * 35 / 7) - 1
     np.testing.assert_allclose(np.diff(track.time), 7 / 17.0, atol=1 / RATE)
     np.testing.assert_allclose(track.amplitude[:, 0], 1.0, rtol=1e-9)

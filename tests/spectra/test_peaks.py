@@ -17,7 +17,8 @@ def receptance(frequency: np.ndarray, zeta: float = ZETA) -> np.ndarray:
 
 
 def test_points_are_those_of_the_closed_form() -> None:
-    # |1/H|^2 = (w_n^2 - w^2)^2 + 4 z^2 w_n^2 w^2 is least at w^2 = w_n^2 (1 - 2 z^2), and twice that at w^2 -+ 2 z w_n^2 sqrt(1 - z^2).
+    # |1/H|^2 = (w_n^2 - w^2)^2 + 4 z^2 w_n^2 w^2 is least at w^2 = w_n^2 (1 - 2 z^2), and twice that at w^2
+    # -+ 2 z w_n^2 sqrt(1 - z^2).
     found = half_power(FREQUENCY, receptance(FREQUENCY), (40.0, 60.0))
     peak = NATURAL**2 * (1 - 2 * ZETA**2)
     side = 2 * ZETA * NATURAL**2 * np.sqrt(1 - ZETA**2)
@@ -29,8 +30,12 @@ def test_points_are_those_of_the_closed_form() -> None:
 
 
 def test_the_scale_does_not_matter() -> None:
-    plain, tiny = (half_power(FREQUENCY, factor * receptance(FREQUENCY), (40.0, 60.0)) for factor in (1.0, 1e-12))
-    assert tiny.low == pytest.approx(plain.low, rel=1e-12) and tiny.amplitude == pytest.approx(1e-12 * plain.amplitude)
+    plain, tiny = (
+        half_power(FREQUENCY, factor * receptance(FREQUENCY), (40.0, 60.0)) for factor in (1.0, 1e-12)
+    )
+    assert tiny.low == pytest.approx(plain.low, rel=1e-12) and tiny.amplitude == pytest.approx(
+        1e-12 * plain.amplitude
+    )
 
 
 def test_a_coarse_peak_of_two_modes_is_near() -> None:
@@ -56,7 +61,9 @@ def test_lines_too_far_apart_for_a_sharp_peak_are_refused() -> None:
 
 
 def test_points_on_a_straight_line_have_their_crossing_on_it() -> None:
-    """1/|H|^2 = 1 + 3/4 |x| with x = f^2 - 400 beyond the parabola 1 + 3/4 x^2 of the peak: 2 at x = -+4/3."""
+    """1/|H|^2 = 1 + 3/4 |x| with x = f^2 - 400 beyond the parabola 1 + 3/4 x^2 of the peak: 2 at x =
+    -+4/3.
+    """
     x = np.arange(-4.0, 5.0)
     found = half_power(np.sqrt(400 + x), 1 / np.sqrt(1 + 0.75 * np.abs(x)), (19.9, 20.1))
     assert (found.low**2, found.high**2) == (pytest.approx(400 - 4 / 3), pytest.approx(400 + 4 / 3))

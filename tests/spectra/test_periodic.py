@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import ConfigError, DataError
-from labpipe.spectra.period_average import LineSpectrum, PeriodAverage, excited_lines, samples_per_period, smoothed_noise
+from labpipe.spectra.period_average import (
+    LineSpectrum,
+    PeriodAverage,
+    excited_lines,
+    samples_per_period,
+    smoothed_noise,
+)
 
 N = 64
 
@@ -110,11 +116,14 @@ def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
 
 def line_noise(power: np.ndarray, dof: float) -> LineSpectrum:
     n = power.size
-    return LineSpectrum(np.arange(1.0, n + 1), np.zeros((n, 1), complex), power[:, None, None].astype(complex), 5, dof)
+    return LineSpectrum(
+        np.arange(1.0, n + 1), np.zeros((n, 1), complex), power[:, None, None].astype(complex), 5, dof
+    )
 
 
 def test_leakage_beside_a_shaft_speed_line_is_left_out_too() -> None:
-    # Leakage falls with the square of the distance; the strongest line hides the weaker ones in the first pass.
+    # Leakage falls with the square of the distance; the strongest line hides the weaker ones in the first
+    # pass.
     power = np.ones(60)
     power[28:33] = [25.0, 100.0, 1e4, 100.0, 25.0]
     smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real

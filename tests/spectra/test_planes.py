@@ -44,7 +44,8 @@ def test_angles_make_a_plane_unless_they_are_one() -> None:
 
 
 def test_whole_motion_and_orbit_of_two_ends() -> None:
-    """Front: forward 30 um, backward 10 um, and 20 um of 2x forward; rear: half of it without 2x. Offsets count for nothing.
+    """Front: forward 30 um, backward 10 um, and 20 um of 2x forward; rear: half of it without 2x. Offsets
+    count for nothing.
 
     Orbit by its closed form: |f| + |b| = 15 + 5 um at the rear; at the front the radius over a fine grid.
     """
@@ -65,4 +66,6 @@ def test_whole_motion_and_orbit_of_two_ends() -> None:
     np.testing.assert_allclose(track.overall[:, 0], np.ptp(path.real) / 2, rtol=1e-3)
     circles = plane_track(track, track.planes[0])
     assert [port.label for port in circles.ports] == ["front:f", "front:b"]
-    np.testing.assert_allclose(np.abs(circles.amplitude), np.tile([30e-6, 10e-6], (circles.time.size, 1)), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(circles.amplitude), np.tile([30e-6, 10e-6], (circles.time.size, 1)), rtol=1e-9
+    )

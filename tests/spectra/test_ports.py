@@ -9,7 +9,10 @@ from labpipe.errors import DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.ports import find_layout
 
-X, Y = Channel("x", "displacement", "output", "x", 0.0), Channel("y", "displacement", "output", "y", np.pi / 2)
+X, Y = (
+    Channel("x", "displacement", "output", "x", 0.0),
+    Channel("y", "displacement", "output", "y", np.pi / 2),
+)
 TACHO = Channel("tacho", "voltage", "reference", "tacho")
 
 
@@ -46,13 +49,19 @@ def test_padding_puts_every_channel_in_its_place() -> None:
 def test_delays_turn_the_phase_by_their_difference() -> None:
     late = Channel("x", "displacement", "output", "x", 0.0, delay=3e-3)
     layout = find_layout([run("a", shaker("x", delay=1e-3), late)])
-    np.testing.assert_allclose(layout.sensor_factor(np.array([25.0])), np.exp(2j * np.pi * 25 * 2e-3) * np.ones((1, 1, 1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        layout.sensor_factor(np.array([25.0])),
+        np.exp(2j * np.pi * 25 * 2e-3) * np.ones((1, 1, 1)),
+        rtol=1e-12,
+    )
 
 
 def test_labels_stay_unique() -> None:
     layout = find_layout([run("a", shaker("x", "f"), shaker("x", "g"), X)])
     assert [port.label for port in layout.inputs] == ["f", "g"]
-    layout = find_layout([run("a", shaker("x", "f"), X), run("b", shaker("y", "f"), X), run("c", shaker("x", "g"), X)])
+    layout = find_layout(
+        [run("a", shaker("x", "f"), X), run("b", shaker("y", "f"), X), run("c", shaker("x", "g"), X)]
+    )
     assert [port.label for port in layout.inputs] == ["f@x", "y", "g"]
 
 
@@ -72,7 +81,9 @@ def base(quantity: str) -> Channel:
     ],
 )
 def test_motion_over_the_motion_of_a_base_is_a_transmissibility(causes: tuple[str, ...], form: str) -> None:
-    """As long as all inputs are one motion: a probe and an accelerometer on the base are no inputs of one matrix."""
+    """As long as all inputs are one motion: a probe and an accelerometer on the base are no inputs of one
+    matrix.
+    """
     layout = find_layout([run("a", *(base(quantity) for quantity in causes), X)])
     assert layout.form == form
     # Displacement over acceleration is motion over motion after two integrations of the base's.
@@ -80,7 +91,13 @@ def test_motion_over_the_motion_of_a_base_is_a_transmissibility(causes: tuple[st
 
 
 @pytest.mark.parametrize(
-    ("quantity", "form"), [("displacement", "receptance"), ("velocity", "mobility"), ("acceleration", "accelerance"), ("voltage", "other")]
+    ("quantity", "form"),
+    [
+        ("displacement", "receptance"),
+        ("velocity", "mobility"),
+        ("acceleration", "accelerance"),
+        ("voltage", "other"),
+    ],
 )
 def test_the_form_follows_the_quantities(quantity: str, form: str) -> None:
     assert find_layout([run("a", shaker("x"), Channel("r", quantity, "output", "x"))]).form == form

@@ -26,12 +26,17 @@ from labpipe.spectra.windows import window_values
 def test_sums_are_those_written_out(
     rng: np.random.Generator, way: type[SegmentProducts], n: int, step: int, lines: range, n_channel: int
 ) -> None:
-    # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by segment.
+    # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by
+    # segment.
     window, basis = window_values("hann", n), trend_basis("linear", n)
     samples = rng.normal(size=(6 * step + n, n_channel)) + 3.0
     segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step].swapaxes(1, 2)
     trend = np.fft.rfft(window * basis, axis=1)[:, lines.start : lines.stop]
-    products = way(window, step, lines, n_channel, trend) if way is RowProducts else way(window, lines, n_channel, trend)
+    products = (
+        way(window, step, lines, n_channel, trend)
+        if way is RowProducts
+        else way(window, lines, n_channel, trend)
+    )
     for chunk in (segments[:3], segments[3:]):
         while chunk.shape[0]:
             number = min(products.room, chunk.shape[0])

@@ -26,12 +26,16 @@ class Stored(Recording):
 
 
 def stored(rng: np.random.Generator, value: float) -> Stored:
-    return Stored(CHANNELS, rng.normal(size=(READ_SAMPLES + 10, 2)), 100.0, "run", conditions={"value": value})
+    return Stored(
+        CHANNELS, rng.normal(size=(READ_SAMPLES + 10, 2)), 100.0, "run", conditions={"value": value}
+    )
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_sample_that_is_no_number_is_named(rng: np.random.Generator, value: float) -> None:
-    where = rf"channel 'x' of 'run' has no number at sample {READ_SAMPLES + 2} \({(READ_SAMPLES + 2) / 100:g} s\)"
+    where = (
+        rf"channel 'x' of 'run' has no number at sample {READ_SAMPLES + 2} \({(READ_SAMPLES + 2) / 100:g} s\)"
+    )
     with pytest.raises(DataError, match=where):
         list(checked_blocks(stored(rng, value)))
 
@@ -49,4 +53,7 @@ def test_a_force_that_never_moves_is_named_a_response_is_not() -> None:
     with pytest.raises(DataError, match="force channel 'f' of 'run' does not vary"):
         list(checked_blocks(Recording(CHANNELS, samples, 100.0, "run")))
     samples[-1, 0] = 1e-30
-    assert sum(block.shape[0] for block in checked_blocks(Recording(CHANNELS, samples, 100.0, "run"))) == READ_SAMPLES + 5
+    assert (
+        sum(block.shape[0] for block in checked_blocks(Recording(CHANNELS, samples, 100.0, "run")))
+        == READ_SAMPLES + 5
+    )

@@ -1,4 +1,6 @@
-"""Realisations of the phases: grouped, averaged, and their distortion held against the scatter of many single ones."""
+"""Realisations of the phases: grouped, averaged, and their distortion held against the scatter of many single
+ones.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,17 @@ N, LINES = 512, np.arange(1, 80)
 X = Channel("x", "displacement", "output", "x", 0.0)
 Y = Channel("y", "displacement", "output", "y", np.pi / 2)
 FORCES = (Channel("f", "force", "input", "x", 0.0), Channel("f", "force", "input", "y", np.pi / 2))
-SETTINGS = FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0), realisations=True)
+SETTINGS = FrfSettings(
+    excitation="periodic", period=1.0, skip=0, smooth=5, band=(1.0, 79.0), realisations=True
+)
 
 
 def recording(
-    rng: np.random.Generator, cube: float, noise: float, force: Channel = FORCES[0], outputs: tuple[Channel, ...] = (X,)
+    rng: np.random.Generator,
+    cube: float,
+    noise: float,
+    force: Channel = FORCES[0],
+    outputs: tuple[Channel, ...] = (X,),
 ) -> Recording:
     """Six periods of y = u + cube u^3 with noise on y, the phases of u drawn anew."""
     spectrum = np.zeros(N // 2 + 1, complex)
@@ -31,7 +39,9 @@ def recording(
     period = np.fft.irfft(spectrum, N)
     u = np.tile(period / np.std(period), 6)
     share = [1.0, 0.5] if force is FORCES[0] else [0.25, 2.0]
-    y = [(u + cube * u**3) * share[number] + noise * rng.normal(size=u.size) for number in range(len(outputs))]
+    y = [
+        (u + cube * u**3) * share[number] + noise * rng.normal(size=u.size) for number in range(len(outputs))
+    ]
     return Recording((force, *outputs), np.column_stack([u, *y]), float(N), f"run {force.dof}")
 
 
@@ -59,7 +69,8 @@ def test_the_covariance_of_the_mean_holds_both_noise_and_distortion(rng: np.rand
     found = [measure([recording(rng, 0.02, 0.05) for _ in range(3)], SETTINGS) for _ in range(60)]
     observed = np.mean(np.var([each.matrix[:, 0, 0] for each in found], axis=0, ddof=1))
     predicted = np.mean([each.variance for each in found])
-    # 60 x 79 values of chi-square with two degrees of freedom, lines of the distortion not quite independent: 5 %.
+    # 60 x 79 values of chi-square with two degrees of freedom, lines of the distortion not quite independent:
+    # 5 %.
     assert predicted / observed == pytest.approx(1.0, abs=0.15)
 
 
@@ -68,7 +79,9 @@ def test_directions_are_sorted_into_realisations(rng: np.random.Generator) -> No
     for k, group in enumerate(realisations(runs)):
         assert [id(source) for source in group] == [id(runs[k]), id(runs[k + 3])]
     response = measure(runs, SETTINGS)
-    np.testing.assert_allclose(response.matrix, np.broadcast_to([[1.0, 0.25], [0.5, 2.0]], response.matrix.shape), atol=1e-4)
+    np.testing.assert_allclose(
+        response.matrix, np.broadcast_to([[1.0, 0.25], [0.5, 2.0]], response.matrix.shape), atol=1e-4
+    )
 
 
 def test_what_are_no_realisations_is_refused(rng: np.random.Generator) -> None:

@@ -22,7 +22,9 @@ COVARIANCE = ROOT @ ROOT.conj().T
 PORTS = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
 
 
-def measured(rng: np.random.Generator, truth: np.ndarray = TRUTH, n: int = N, dof: float = np.inf) -> FrequencyResponse:
+def measured(
+    rng: np.random.Generator, truth: np.ndarray = TRUTH, n: int = N, dof: float = np.inf
+) -> FrequencyResponse:
     noise = (rng.normal(size=(n, 4)) + 1j * rng.normal(size=(n, 4))) / np.sqrt(2)
     covariance = np.broadcast_to(COVARIANCE, (n, 4, 4))
     if np.isfinite(dof):
@@ -37,7 +39,9 @@ def test_p_values_are_spread_evenly_where_reciprocity_holds(dof: float) -> None:
     rng = np.random.default_rng(21)
     values = [reciprocity(measured(rng, dof=dof))[0].p_value for _ in range(1500)]
     for level in (0.05, 0.2, 0.5, 0.8):
-        assert np.mean(np.array(values) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 1500) + 0.02)
+        assert np.mean(np.array(values) < level) == pytest.approx(
+            level, abs=4 * np.sqrt(level * (1 - level) / 1500) + 0.02
+        )
 
 
 def test_noise_shared_between_lines_is_counted() -> None:
@@ -48,7 +52,11 @@ def test_noise_shared_between_lines_is_counted() -> None:
         plain = measured(rng, 0 * TRUTH, N)
         mixed = plain.matrix + 2 / 3 * (np.roll(plain.matrix, 1, axis=0) + np.roll(plain.matrix, -1, axis=0))
         mixed = mixed / np.sqrt(1 + 8 / 9) + TRUTH
-        values.append(reciprocity(FrequencyResponse(FREQUENCY, mixed, PORTS, PORTS, covariance=plain.covariance))[0].p_value)
+        values.append(
+            reciprocity(FrequencyResponse(FREQUENCY, mixed, PORTS, PORTS, covariance=plain.covariance))[
+                0
+            ].p_value
+        )
     assert np.mean(np.array(values) < 0.05) < 0.08
     assert np.mean(np.array(values) < 0.5) == pytest.approx(0.5, abs=0.1)
 
@@ -69,11 +77,19 @@ def test_what_cannot_be_compared_is_refused(rng: np.random.Generator) -> None:
         reciprocity(FrequencyResponse(FREQUENCY, response.matrix, PORTS, PORTS))
     other = (Port("a", "a", "a"), Port("b", "b", "b"))
     with pytest.raises(DataError, match="two dofs"):
-        reciprocity(FrequencyResponse(FREQUENCY, response.matrix, PORTS, other, covariance=response.covariance))
+        reciprocity(
+            FrequencyResponse(FREQUENCY, response.matrix, PORTS, other, covariance=response.covariance)
+        )
     with pytest.raises(DataError, match="2 degrees of freedom"):
-        reciprocity(FrequencyResponse(FREQUENCY, response.matrix, PORTS, PORTS, covariance=response.covariance, covariance_dof=2.0))
+        reciprocity(
+            FrequencyResponse(
+                FREQUENCY, response.matrix, PORTS, PORTS, covariance=response.covariance, covariance_dof=2.0
+            )
+        )
     with pytest.raises(DataError, match="no variance"):
-        reciprocity(FrequencyResponse(FREQUENCY, response.matrix, PORTS, PORTS, covariance=0 * response.covariance))
+        reciprocity(
+            FrequencyResponse(FREQUENCY, response.matrix, PORTS, PORTS, covariance=0 * response.covariance)
+        )
 
 
 @pytest.mark.parametrize("form", ["receptance", "accelerance"])
@@ -88,19 +104,31 @@ def test_covariance_of_the_dynamic_stiffness_is_the_scatter_of_inverses(form: st
     predicted = dynamic_stiffness_covariance(converted(response, form))[0]
     scale = np.sqrt(np.outer(np.diag(observed).real, np.diag(observed).real))
     np.testing.assert_allclose(predicted / scale, observed / scale, atol=0.04)
-    np.testing.assert_allclose(dynamic_stiffness(converted(response, form))[0], np.linalg.inv(TRUTH), rtol=1e-12)
+    np.testing.assert_allclose(
+        dynamic_stiffness(converted(response, form))[0], np.linalg.inv(TRUTH), rtol=1e-12
+    )
 
 
 def test_without_covariance_there_is_none_of_the_stiffness() -> None:
     assert dynamic_stiffness_covariance(FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS)) is None
 
 
-@pytest.mark.parametrize(("k_yx", "verdict"), [(30e3, "as noise explains"), (-20e3, "more than noise explains")])
+@pytest.mark.parametrize(
+    ("k_yx", "verdict"), [(30e3, "as noise explains"), (-20e3, "more than noise explains")]
+)
 def test_the_frf_stage_tells_of_it_in_a_note(k_yx: float, verdict: str) -> None:
     stiffness = ((620e3, 30e3), (k_yx, 690e3))
-    rig = WhiteNoiseRig("virtual-white-noise-rig", stiffness, ((190.0, 15.0), (15.0, 160.0)), 2.4, blocks=8, unbalance=0.0)
+    rig = WhiteNoiseRig(
+        "virtual-white-noise-rig", stiffness, ((190.0, 15.0), (15.0, 160.0)), 2.4, blocks=8, unbalance=0.0
+    )
     response = measure(recordings(rig, 3), FrfSettings(excitation="random", block=5.0, band=(50.0, 110.0)))
     (finding,) = [f for f in response.findings if f.code == "reciprocity"]
-    assert finding.level == "note" and verdict in finding.message and finding.message.startswith("H of x to y and of y to x differ by")
-    alone = measure(recordings(rig, 3, ["along-x"]), FrfSettings(excitation="random", block=5.0, band=(50.0, 110.0)))
+    assert (
+        finding.level == "note"
+        and verdict in finding.message
+        and finding.message.startswith("H of x to y and of y to x differ by")
+    )
+    alone = measure(
+        recordings(rig, 3, ["along-x"]), FrfSettings(excitation="random", block=5.0, band=(50.0, 110.0))
+    )
     assert not [f for f in alone.findings if f.code == "reciprocity"]

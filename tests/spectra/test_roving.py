@@ -23,10 +23,16 @@ def twice(recordings: list[Recording], rng: np.random.Generator) -> list[Recordi
     """Every point hit twice: the second time with other noise."""
     both = []
     for first in recordings:
-        again = first.samples + rng.normal(0, 1, first.samples.shape) * np.r_[0.05, 4e-3 * np.abs(first.samples[:, 1:]).max(axis=0)]
+        again = (
+            first.samples
+            + rng.normal(0, 1, first.samples.shape)
+            * np.r_[0.05, 4e-3 * np.abs(first.samples[:, 1:]).max(axis=0)]
+        )
         # The block of a hit begins shortly before it, so that of the last ends beyond its samples.
         rest = again[-64:]
-        both.append(Recording(first.channels, np.vstack([first.samples, again, rest]), first.sample_rate, first.name))
+        both.append(
+            Recording(first.channels, np.vstack([first.samples, again, rest]), first.sample_rate, first.name)
+        )
     return both
 
 
@@ -37,7 +43,9 @@ def settings(n_sample: int, decay: float | None = None) -> FrfSettings:
 
 @pytest.mark.parametrize("decay", [None, 0.1])
 def test_columns_are_those_of_their_hits_alone(decay: float | None, rng: np.random.Generator) -> None:
-    """H and, with the noise of all hits and as many degrees of freedom, the covariance of a column are those of its recording."""
+    """H and, with the noise of all hits and as many degrees of freedom, the covariance of a column are those
+    of its recording.
+    """
     recordings = twice(hits(4, 2, 1024), rng)
     together = measure(recordings, settings(1024, decay))
     assert isinstance(together.stored_covariance, BlockCovariance)
@@ -53,7 +61,9 @@ def test_columns_are_those_of_their_hits_alone(decay: float | None, rng: np.rand
 
 
 def test_the_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
-    """Noise of one level on all responses: variance over 60 repeats of three points hit three times each, over its mean prediction."""
+    """Noise of one level on all responses: variance over 60 repeats of three points hit three times each,
+    over its mean prediction.
+    """
     plain = hits(3, 2, 4096, noise=0.0)
 
     def drawn(recording: Recording) -> Recording:
@@ -76,7 +86,9 @@ def test_blocks_read_as_the_whole_covariance(tmp_path: Path, rng: np.random.Gene
     index, lines = [5, 3, 2, 0], np.arange(len(whole)) % 2 == 0
     np.testing.assert_array_equal(held.chosen(lines, index).whole(), whole[lines][:, index][:, :, index])
     factor = rng.normal(size=(len(whole), 6)) + 1j
-    np.testing.assert_allclose(held.times(factor).whole(), whole * factor[:, :, None] * factor[:, None].conj(), rtol=1e-12)
+    np.testing.assert_allclose(
+        held.times(factor).whole(), whole * factor[:, :, None] * factor[:, None].conj(), rtol=1e-12
+    )
     np.testing.assert_array_equal(held.element(1, 4), whole[:, 1, 4])
     np.testing.assert_array_equal(held.element(1, 3), np.zeros(len(whole)))
     write_response(tmp_path / "r.frf.parquet", response, Header("frf", {}, inputs=()))
@@ -96,7 +108,9 @@ def test_a_large_response_is_shown_in_part(rng: np.random.Generator) -> None:
 
 
 def test_memory_grows_with_the_number_of_hits() -> None:
-    """Bytes at the peak beyond those of the samples, 10 against 40 hits: in proportion to the hits, not to their square."""
+    """Bytes at the peak beyond those of the samples, 10 against 40 hits: in proportion to the hits, not to
+    their square.
+    """
 
     def peak(n_hit: int) -> int:
         recordings = hits(n_hit, 3, 1024)
@@ -111,7 +125,10 @@ def test_memory_grows_with_the_number_of_hits() -> None:
 
 
 def test_nine_modes_from_raw_files(tmp_path: Path, labpipe: Command) -> None:
-    """From CSV to modes, result and report: the closed-form frequencies and damping ratios; a result below 5 MB."""
+    """From CSV to modes, result and report: the closed-form frequencies and damping ratios.
+
+    A result below 5 MB.
+    """
     path = write_pipeline(tmp_path, hits(40), 30)
     labpipe("run", path, "-o", tmp_path / "out")
     fit = json.loads((tmp_path / "out" / "identification.json").read_text())["fits"][0]

@@ -22,22 +22,33 @@ def read(tmp_path: Path, text: str) -> tuple[FrfSettings | None, Faults]:
 
 
 def test_a_mask_by_speed(tmp_path: Path) -> None:
-    found, _ = read(tmp_path, "excitation: random\nblock: 5 s\nmask: {speed: 3000 rpm, harmonics: 3, width: 0.5 Hz}\n")
+    found, _ = read(
+        tmp_path, "excitation: random\nblock: 5 s\nmask: {speed: 3000 rpm, harmonics: 3, width: 0.5 Hz}\n"
+    )
     assert found is not None and found.mask == MaskSettings(speed=50.0, harmonics=3, width=0.5)
     assert found.remove is None and found.detrend == "constant"
 
 
 def test_removal_by_tacho(tmp_path: Path) -> None:
-    found, _ = read(tmp_path, "excitation: random\nblock: 5 s\nremove: {tacho: key, pulses: 2}\ndetrend: linear\ndirectional: true\n")
+    found, _ = read(
+        tmp_path,
+        "excitation: random\nblock: 5 s\nremove: {tacho: key, pulses: 2}\ndetrend: "
+        "linear\ndirectional: true\n",
+    )
     assert found is not None and found.remove == ShaftLines(tacho="key", pulses=2)
     assert found.detrend == "linear" and found.directional
 
 
 def test_hits(tmp_path: Path) -> None:
-    text = "excitation: impact\nblock: 2 s\nimpact: {trigger: 20 %, decay: 300 ms, force_window: 5 ms, double_hit: 5 %, reject: [3, 4]}\n"
+    text = (
+        "excitation: impact\nblock: 2 s\nimpact: {trigger: 20 %, decay: 300 ms, force_window: 5 ms, "
+        "double_hit: 5 %, reject: [3, 4]}\n"
+    )
     found, _ = read(tmp_path, text)
     assert found is not None
-    assert found.impact == ImpactSettings(trigger=0.2, decay=0.3, force_window=5e-3, double_hit=0.05, reject=("3", "4"))
+    assert found.impact == ImpactSettings(
+        trigger=0.2, decay=0.3, force_window=5e-3, double_hit=0.05, reject=("3", "4")
+    )
     assert found.impact.reject == (3, 4)
 
 
@@ -45,12 +56,21 @@ def test_hits(tmp_path: Path) -> None:
     ("text", "fault"),
     [
         ("excitation: impact\n", "'block' is missing"),
-        ("excitation: random\nblock: 5 s\nmask: {speed: 9 Hz, harmonic: 3}\n", "mask.harmonic: unknown key; did you mean 'harmonics'?"),
+        (
+            "excitation: random\nblock: 5 s\nmask: {speed: 9 Hz, harmonic: 3}\n",
+            "mask.harmonic: unknown key; did you mean 'harmonics'?",
+        ),
         ("excitation: random\nblock: 5 s\nmask: {speed: 50 N}\n", "frf.mask.speed"),
-        ("excitation: random\nblock: 5 s\nremove: {speed: 50 Hz, tacho: key}\n", "one of 'speed' and 'tacho'"),
+        (
+            "excitation: random\nblock: 5 s\nremove: {speed: 50 Hz, tacho: key}\n",
+            "one of 'speed' and 'tacho'",
+        ),
         ("excitation: impact\nblock: 1 s\nremove: {speed: 50 Hz}\n", "'remove' is not for impact excitation"),
         ("excitation: random\nblock: 5 s\ndetrend: square\n", "unknown choice 'square'"),
-        ("excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n", "'pretrigger' must be at least 0 and below 100 %"),
+        (
+            "excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n",
+            "'pretrigger' must be at least 0 and below 100 %",
+        ),
         ("excitation: impact\nblock: 1 s\nimpact: {reject: [two]}\n", "'two' is not the number of a hit"),
         ("excitation: impact\nblock: -1 s\n", "'block' must be positive"),
     ],
@@ -64,10 +84,35 @@ def test_faults_are_said_at_their_place(tmp_path: Path, text: str, fault: str) -
 
 
 WRITTEN = {
-    **{"period": "1 s", "block": "1 s", "skip": "2", "settle": "1 s", "smooth": "3", "window": "hamming", "overlap": "25 %"},
-    **{"detrend": "linear", "estimator": "H2", "local": "polynomial", "degree": "4", "half_width": "9", "band": "1-9 Hz"},
-    **{"exclude": "[2-3 Hz]", "mask": "{speed: 5 Hz, width: 1 Hz}", "remove": "{speed: 5 Hz}", "realisations": "true"},
-    **{"impact": "{trigger: 20 %}", "windowed": "{exponential: 1 s}", "decay": "{start: 1 s}", "result": "spectra"},
+    **{
+        "period": "1 s",
+        "block": "1 s",
+        "skip": "2",
+        "settle": "1 s",
+        "smooth": "3",
+        "window": "hamming",
+        "overlap": "25 %",
+    },
+    **{
+        "detrend": "linear",
+        "estimator": "H2",
+        "local": "polynomial",
+        "degree": "4",
+        "half_width": "9",
+        "band": "1-9 Hz",
+    },
+    **{
+        "exclude": "[2-3 Hz]",
+        "mask": "{speed: 5 Hz, width: 1 Hz}",
+        "remove": "{speed: 5 Hz}",
+        "realisations": "true",
+    },
+    **{
+        "impact": "{trigger: 20 %}",
+        "windowed": "{exponential: 1 s}",
+        "decay": "{start: 1 s}",
+        "result": "spectra",
+    },
     **{"reference": "r", "directional": "true"},
 }
 NEEDED = {"periodic": "period: 1 s\n", "random": "block: 1 s\n", "impact": "block: 1 s\n"}
@@ -78,8 +123,12 @@ def test_every_key_of_the_section_is_walked() -> None:
     assert set(KEYS) == set(EXCITATIONS) and {key for keys in KEYS.values() for key in keys} == set(WRITTEN)
 
 
-@pytest.mark.parametrize(("excitation", "key"), [(e, key) for e in EXCITATIONS for key in WRITTEN if key not in KEYS[e]])
-def test_a_key_of_another_excitation_is_refused_at_its_line(tmp_path: Path, excitation: str, key: str) -> None:
+@pytest.mark.parametrize(
+    ("excitation", "key"), [(e, key) for e in EXCITATIONS for key in WRITTEN if key not in KEYS[e]]
+)
+def test_a_key_of_another_excitation_is_refused_at_its_line(
+    tmp_path: Path, excitation: str, key: str
+) -> None:
     needed = NEEDED.get(excitation, "")
     found, faults = read(tmp_path, f"excitation: {excitation}\n{needed}{key}: {WRITTEN[key]}\n")
     assert found is None
@@ -96,7 +145,9 @@ def test_blocks_have_a_window_or_polynomials(tmp_path: Path, key: str) -> None:
     local = "local: polynomial\n" if key in ("window", "overlap", "detrend") else ""
     _, faults = read(tmp_path, f"excitation: random\nblock: 1 s\n{local}{key}: {WRITTEN[key]}\n")
     way = "none" if local else "polynomial"
-    with pytest.raises(ConfigError, match=rf"p.yaml:{4 if local else 3}:1: frf.{key}: '{key}' is for local: {way}"):
+    with pytest.raises(
+        ConfigError, match=rf"p.yaml:{4 if local else 3}:1: frf.{key}: '{key}' is for local: {way}"
+    ):
         faults.raise_any()
 
 
@@ -107,5 +158,12 @@ def test_the_schema_knows_the_sections() -> None:
         "minimum": 0,
         "description": "multiples of the speed that count, from 1x",
     }
-    assert set(frf["excitation"]["enum"]) == {"periodic", "random", "impact", "decay", "stepped-sine", "sweep"}
+    assert set(frf["excitation"]["enum"]) == {
+        "periodic",
+        "random",
+        "impact",
+        "decay",
+        "stepped-sine",
+        "sweep",
+    }
     assert json.dumps(frf)

@@ -15,7 +15,10 @@ TACHO = Channel("tacho", "voltage", "reference", "tacho")
 
 
 def pulse_train(revolutions: np.ndarray, noise: np.ndarray | float = 0.0, offset: float = 2.0) -> Recording:
-    """5 V while the shaft is in the first tenth of a revolution; edges rise within two samples, so that they lie between samples."""
+    """5 V while the shaft is in the first tenth of a revolution.
+
+    Edges rise within two samples, so that they lie between samples.
+    """
     share = revolutions % 1.0
     speed = np.gradient(revolutions)
     edge = np.clip(np.where(share > 0.5, share - 1, share) / speed / 2, -0.5, 0.5) + 0.5
@@ -51,7 +54,9 @@ def test_a_run_up_is_followed() -> None:
     inside = (time > motion.times[0]) & (time < motion.times[-1])
     turned = motion.angle(time)[inside] / (2 * np.pi) + 0.75  # the first pulse is at 1.0 - 0.25 revolutions
     # Straight lines between pulses miss the parabola by at most dt^2 / 4 revolutions.
-    assert np.max(np.abs(turned - (5 * time + time**2)[inside])) < np.max(np.diff(motion.times)) ** 2 / 4 + 1e-9
+    assert (
+        np.max(np.abs(turned - (5 * time + time**2)[inside])) < np.max(np.diff(motion.times)) ** 2 / 4 + 1e-9
+    )
 
 
 def test_the_speed_range_is_not_that_of_single_pulses(rng: np.random.Generator) -> None:
@@ -68,7 +73,9 @@ def test_several_pulses_per_revolution() -> None:
 
 
 def test_a_given_speed_turns_evenly_beyond_its_ends() -> None:
-    np.testing.assert_allclose(steady(2.0, 1.0).angle(np.array([-1.0, 0.0, 0.25, 3.0])), 2 * np.pi * np.array([-2.0, 0.0, 0.5, 6.0]))
+    np.testing.assert_allclose(
+        steady(2.0, 1.0).angle(np.array([-1.0, 0.0, 0.25, 3.0])), 2 * np.pi * np.array([-2.0, 0.0, 0.5, 6.0])
+    )
 
 
 def test_what_is_no_tacho_is_refused() -> None:
@@ -83,7 +90,11 @@ def test_what_is_no_tacho_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("given", "fault"),
-    [({}, "one of 'speed' and 'tacho'"), ({"speed": 1.0, "tacho": "t"}, "one of"), ({"speed": 0.0}, "'speed' must be positive")],
+    [
+        ({}, "one of 'speed' and 'tacho'"),
+        ({"speed": 1.0, "tacho": "t"}, "one of"),
+        ({"speed": 0.0}, "'speed' must be positive"),
+    ],
 )
 def test_the_speed_is_given_in_one_way(given: dict[str, object], fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):

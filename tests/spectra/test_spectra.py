@@ -49,18 +49,29 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def same(one: ChannelSpectra, other: ChannelSpectra) -> bool:
-    arrays = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("frequency", "vectors", "covariance"))
-    plain = all(
-        getattr(one, name) == getattr(other, name) for name in ("channels", "runs", "covariance_dof", "findings", "conditions", "name")
+    arrays = all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("frequency", "vectors", "covariance")
     )
-    factors = all(np.array_equal(a.derivative, b.derivative) and a.name == b.name for a, b in zip(one.factors, other.factors, strict=True))
+    plain = all(
+        getattr(one, name) == getattr(other, name)
+        for name in ("channels", "runs", "covariance_dof", "findings", "conditions", "name")
+    )
+    factors = all(
+        np.array_equal(a.derivative, b.derivative) and a.name == b.name
+        for a, b in zip(one.factors, other.factors, strict=True)
+    )
     return arrays and plain and factors
 
 
 def test_spectra_are_those_of_the_recordings(lab: Path) -> None:
-    """The file holds what the functions give for the calibrated recordings, and the factor with its uncertainty."""
+    """The file holds what the functions give for the calibrated recordings, and the factor with its
+    uncertainty.
+    """
     stored = labpipe.read(lab / "out/seal.spectra.parquet")
-    recordings = [labpipe.read(lab / f"seal-{end}.parquet", rig=lab / "rig.yaml") for end in ("plus", "minus")]
+    recordings = [
+        labpipe.read(lab / f"seal-{end}.parquet", rig=lab / "rig.yaml") for end in ("plus", "minus")
+    ]
     settings = labpipe.FrfSettings("periodic", period="1 s", skip=0, band="10-100 Hz", result="spectra")
     made = labpipe.channel_spectra(recordings, settings, name="seal", conditions={"speed": "2000 rpm"})
     assert same(stored, made) and [factor.name for factor in made.factors] == ["m_s"]
@@ -92,14 +103,18 @@ def test_it_can_be_looked_at_and_exported(lab: Path, labpipe) -> None:  # type: 
     assert labpipe("export", lab / "out/seal.spectra.parquet", "--to", "csv", "-o", lab / "s.csv").code == 0
     table, stored = pd.read_csv(lab / "s.csv"), read_spectra(lab / "out/seal.spectra.parquet")
     rows = table[table["run"] == "seal-minus"]
-    np.testing.assert_allclose(rows["d_x:re [m]"] + 1j * rows["d_x:im [m]"], stored.vectors[:, 1, 2], rtol=1e-12)
+    np.testing.assert_allclose(
+        rows["d_x:re [m]"] + 1j * rows["d_x:im [m]"], stored.vectors[:, 1, 2], rtol=1e-12
+    )
     np.testing.assert_allclose(rows["d_x:std [m]"] ** 2, stored.covariance[:, 1, 2, 2].real, rtol=1e-9)
     refused = labpipe("export", lab / "out/seal.spectra.parquet", "--to", "mat", "-o", lab / "s.mat")
     assert refused.code == 2 and "known: csv, parquet" in refused.err
 
 
 def test_a_project_of_such_recordings_is_proposed(lab: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
-    """Once rate, period and mass are decided it runs: of the 60 kg stator on 4 MN/m, k_xx is that of film and hoses together."""
+    """Once rate, period and mass are decided it runs: of the 60 kg stator on 4 MN/m, k_xx is that of film and
+    hoses together.
+    """
     made = labpipe("init", lab / "my", lab / "seal-plus.parquet", lab / "seal-minus.parquet")
     assert made.code == 0
     rig, pipeline = (lab / "my" / name for name in ("rig.yaml", "pipeline.yaml"))
@@ -107,7 +122,9 @@ def test_a_project_of_such_recordings_is_proposed(lab: Path, labpipe) -> None:  
     text = pipeline.read_text()
     assert "result: spectra" in text and text.count("DECIDE") == 2
     pipeline.write_text(
-        text.replace("period: DECIDE", "period: 1 s\n  band: 10-100 Hz").replace("stator_mass: DECIDE", "stator_mass: 60 kg")
+        text.replace("period: DECIDE", "period: 1 s\n  band: 10-100 Hz").replace(
+            "stator_mass: DECIDE", "stator_mass: 60 kg"
+        )
     )
     assert labpipe("run", pipeline, "-o", lab / "my/out", "--set", "report.formats=[]").code == 0
     (fit,) = read_identification(lab / "my/out/identification.json").fits
@@ -116,7 +133,10 @@ def test_a_project_of_such_recordings_is_proposed(lab: Path, labpipe) -> None:  
 
 def test_the_report_shows_amplitudes_noise_and_orbits(lab: Path) -> None:
     page = (lab / "out/report.html").read_text()
-    assert "Amplitudes and noise of the channels of seal" in page and "Half axes of the orbits of d_x and d_y of seal" in page
+    assert (
+        "Amplitudes and noise of the channels of seal" in page
+        and ("Half axes of the orbits of d_x and d_y of seal") in page
+    )
     result = read_identification(lab / "out/identification.json")
     (spectra,) = result.spectra
     stored = read_spectra(lab / "out/seal.spectra.parquet")

@@ -1,6 +1,7 @@
 """Predicted over observed variance of the FRF lies within 0.9 and 1.1 for every window and overlap offered.
 
-Independent calculation: the scatter of many simulated measurements of a filter with a known response, noise on the response.
+Independent calculation: the scatter of many simulated measurements of a filter with a known response, noise
+on the response.
 """
 
 from __future__ import annotations

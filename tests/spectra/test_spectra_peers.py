@@ -1,4 +1,6 @@
-"""What FRF programs are known to get wrong, each against a closed form: units, windows, scales, signs, clipping, coherence."""
+"""What FRF programs are known to get wrong, each against a closed form: units, windows, scales, signs,
+clipping, coherence.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ def noisy_gain(gain: float, share: float, rate: float = 256.0, n: int = 40_000) 
 
 
 def test_hv_is_unbiased_in_newtons_as_in_metres() -> None:
-    # Equal shares of noise on both sides; in metres, with H1 and H2 beside it, it is a row of the validation manual.
+    # Equal shares of noise on both sides; in metres, with H1 and H2 beside it, it is a row of the validation
+    # manual.
     response = measure([noisy_gain(1.0, 0.5)], FrfSettings(excitation="random", block=1.0, estimator="Hv"))
     assert np.mean(response.matrix.real) == pytest.approx(1.0, abs=0.01)
 
@@ -59,7 +62,9 @@ def test_a_clipped_second_response_is_seen() -> None:
     samples[:, 2] = np.clip(samples[:, 2], -1.5, 1.5)
     screen = ChannelScreen(["f", "x", "y"])
     screen.add(samples)
-    assert [(finding.code, finding.message[:9]) for finding in screen.findings()] == [("clipped", "channel y")]
+    assert [(finding.code, finding.message[:9]) for finding in screen.findings()] == [
+        ("clipped", "channel y")
+    ]
 
 
 @pytest.mark.parametrize("rate", [1000 / 3, 51_200 / 7, 0.1])
@@ -70,7 +75,9 @@ def test_a_sampling_rate_that_is_no_whole_number(rate: float) -> None:
     response = measure([recording], FrfSettings(excitation="random", block=100 / rate))
     np.testing.assert_allclose(response.frequency, np.arange(1, 51) * rate / 100, rtol=1e-12)
     # One sample of delay; within a block one sample of 100 is not the force's own.
-    np.testing.assert_allclose(response.matrix[:, 0, 0], np.exp(-2j * np.pi * response.frequency / rate), atol=0.05)
+    np.testing.assert_allclose(
+        response.matrix[:, 0, 0], np.exp(-2j * np.pi * response.frequency / rate), atol=0.05
+    )
 
 
 def test_accelerance_at_0_hz_is_no_receptance() -> None:
@@ -81,7 +88,8 @@ def test_accelerance_at_0_hz_is_no_receptance() -> None:
 
 
 def test_h2_of_a_matrix_that_is_not_symmetric() -> None:
-    # S_uy is not Hermitian: noise-free spectra of H = [[1, 2], [0, 1j]] give H back only by a general inverse.
+    # S_uy is not Hermitian: noise-free spectra of H = [[1, 2], [0, 1j]] give H back only by a general
+    # inverse.
     h = np.array([[[1.0, 2.0], [0.0, 1.0j]]])
     s_uu = np.array([[[2.0, 0.3j], [-0.3j, 1.0]]])
     s_yu = h @ s_uu
@@ -92,11 +100,18 @@ def test_h2_of_a_matrix_that_is_not_symmetric() -> None:
 def test_no_scale_changes_a_result(excitation: str) -> None:
     rng = np.random.default_rng(36)
     n = 8192
-    u = np.tile(rng.normal(size=512), 16) if excitation != "impact" else (np.arange(n) % 1024 == 200).astype(float)
+    u = (
+        np.tile(rng.normal(size=512), 16)
+        if excitation != "impact"
+        else (np.arange(n) % 1024 == 200).astype(float)
+    )
     y = signal.lfilter([1.0], [1.0, -0.5], u) + 1e-3 * rng.normal(size=n)
     length = {"period" if excitation == "periodic" else "block": 1.0}
     settings = FrfSettings(excitation=excitation, band=(5.0, 100.0), **length)
-    plain, tiny = (measure([Recording((FORCE, X), np.column_stack([u, y]) * scale, 512.0, "run")], settings) for scale in (1.0, 1e-12))
+    plain, tiny = (
+        measure([Recording((FORCE, X), np.column_stack([u, y]) * scale, 512.0, "run")], settings)
+        for scale in (1.0, 1e-12)
+    )
     np.testing.assert_allclose(tiny.matrix, plain.matrix, rtol=1e-9)
     np.testing.assert_allclose(tiny.covariance, plain.covariance, rtol=1e-6)
     assert [finding.code for finding in tiny.findings] == [finding.code for finding in plain.findings]

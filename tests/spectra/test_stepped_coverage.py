@@ -1,4 +1,6 @@
-"""Stepped sine on a simulated oscillator: FRF and coefficients within their intervals, transients without a trace."""
+"""Stepped sine on a simulated oscillator: FRF and coefficients within their intervals, transients without a
+trace.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ from tests.spectra.stepped_oscillator import TRUTH, receptance, record
 
 @pytest.mark.parametrize("draws", [12, pytest.param(120, marks=pytest.mark.long)])
 def test_intervals_hold_the_truth_and_transients_leave_no_bias(draws: int) -> None:
-    """Real and imaginary part of 19 lines: 95 % intervals of Student's t; bias below 0.3 standard errors; k and c of the fit."""
+    """Real and imaginary part of 19 lines: 95 % intervals of Student's t; bias below 0.3 standard errors.
+
+    K and c of the fit.
+    """
     errors, holds, scaled = [], [], []
     for seed in range(draws):
         response = measure([record(seed)], FrfSettings("stepped-sine"))

@@ -20,11 +20,15 @@ STEPPED = FrfSettings("stepped-sine")
 
 
 def test_the_motion_is_the_convolution_with_the_impulse_response() -> None:
-    """Independent of the closed form: x = h * f, h = Im(e^(pt)) / Im(p), by the trapezium rule, error of order dt^2 / 12 h'(0) f."""
+    """Independent of the closed form: x = h * f, h = Im(e^(pt)) / Im(p), by the trapezium rule, error of
+    order dt^2 / 12 h'(0) f.
+    """
     rate = 10e3
     force, x = motion([40.0, 41.3], [0.4003, 0.5], rate)
     h = np.exp(POLE * np.arange(force.size) / rate).imag / POLE.imag
-    np.testing.assert_allclose(x, (signal.fftconvolve(force, h)[: force.size] - 0.5 * force[0] * h) / rate, atol=1e-3 * np.std(x))
+    np.testing.assert_allclose(
+        x, (signal.fftconvolve(force, h)[: force.size] - 0.5 * force[0] * h) / rate, atol=1e-3 * np.std(x)
+    )
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -44,14 +48,19 @@ def test_pauses_and_jumps_of_phase_and_level_between_dwells() -> None:
     t = np.arange(1500) / RATE
     pause = np.zeros(400)
     levels = [1.0, 0.2, 2.0, 0.7]
-    sines = [level * np.sin(2 * np.pi * f * t + phase) for level, f, phase in zip(levels, (20, 55, 30, 31), (0, 2, 4, 1), strict=True)]
+    sines = [
+        level * np.sin(2 * np.pi * f * t + phase)
+        for level, f, phase in zip(levels, (20, 55, 30, 31), (0, 2, 4, 1), strict=True)
+    ]
     force = np.concatenate([part for sine in sines for part in (pause, sine)])
     dwells = [d for d in find_dwells(force + 0.002 * rng.normal(size=force.size)) if d.stop - d.start > 1000]
     np.testing.assert_allclose([dwell.frequency * RATE for dwell in dwells], [20, 55, 30, 31], rtol=1e-3)
 
 
 def test_the_frequency_has_the_least_variance_there_can_be() -> None:
-    """400 draws against the bound of Cramer and Rao for frequency, amplitude, phase and offset of 700 samples."""
+    """400 draws against the bound of Cramer and Rao for frequency, amplitude, phase and offset of 700
+    samples.
+    """
     rng = np.random.default_rng(5)
     clean = 3 + 2 * np.cos(2 * np.pi * 0.0431 * np.arange(700) + 0.4)
     found = np.array([sine_frequency(clean + 0.3 * rng.normal(size=700), 0.0432) for _ in range(400)])
@@ -62,13 +71,17 @@ def test_the_frequency_has_the_least_variance_there_can_be() -> None:
 
 
 def test_the_transient_is_left_out_as_long_as_it_lasts() -> None:
-    """1 % of noise and a time constant of 0.2 s: the states' difference has decayed to the noise of a line within 1 to 2 s."""
+    """1 % of noise and a time constant of 0.2 s: the states' difference has decayed to the noise of a line
+    within 1 to 2 s.
+    """
     response = measure([record(1)], STEPPED)
     (message,) = [finding.message for finding in response.findings if finding.code == "dwells"]
     settle = float(message.split("Hz; ")[1].split(" s ")[0])
     assert 1.0 < settle < 2.0 and "19 frequencies, 30.9999-49 Hz" in message
     np.testing.assert_allclose(response.frequency, STEPS, rtol=3e-5)
-    error = np.abs(response.matrix[:, 0, 0] - receptance(response.frequency)) / np.sqrt(response.variance[:, 0, 0])
+    error = np.abs(response.matrix[:, 0, 0] - receptance(response.frequency)) / np.sqrt(
+        response.variance[:, 0, 0]
+    )
     assert np.max(error) < 4
     hasty = measure([record(1)], dataclasses.replace(STEPPED, settle=0.1))
     error = np.abs(hasty.matrix[:, 0, 0] - receptance(hasty.frequency)) / np.sqrt(response.variance[:, 0, 0])
@@ -83,9 +96,14 @@ def along(dof: str, seed: int, steps: tuple[float, ...]) -> Recording:
     one = record(seed, steps, noise=(0.0, 0.0)).samples
     rng = np.random.default_rng([6, seed])
     x = one[:, [1]] * GAINS[:, "xy".index(dof)]
-    channels = (dataclasses.replace(CHANNELS[0], dof=dof), *(Channel(c, "displacement", "output", c, 0.0) for c in "xy"))
+    channels = (
+        dataclasses.replace(CHANNELS[0], dof=dof),
+        *(Channel(c, "displacement", "output", c, 0.0) for c in "xy"),
+    )
     samples = np.column_stack([one[:, 0], x])
-    return Recording(channels, samples + 0.01 * samples.std(axis=0) * rng.normal(size=samples.shape), RATE, dof)
+    return Recording(
+        channels, samples + 0.01 * samples.std(axis=0) * rng.normal(size=samples.shape), RATE, dof
+    )
 
 
 def test_recordings_of_two_forces_give_one_matrix_at_the_frequencies_they_share() -> None:
@@ -115,7 +133,12 @@ def test_dwells_at_one_frequency_are_averaged() -> None:
     once, thrice = measure([record(3, steps)], settled), measure([record(3, steps * 3)], settled)
     assert thrice.n_frequency == 5 and thrice.covariance_dof > 2.5 * once.covariance_dof
     assert np.mean(thrice.variance / once.variance) == pytest.approx(1 / 3, rel=0.35)
-    assert np.max(np.abs(thrice.matrix[:, 0, 0] - receptance(thrice.frequency)) / np.sqrt(thrice.variance[:, 0, 0])) < 4
+    assert (
+        np.max(
+            np.abs(thrice.matrix[:, 0, 0] - receptance(thrice.frequency)) / np.sqrt(thrice.variance[:, 0, 0])
+        )
+        < 4
+    )
 
 
 def of_force(force: np.ndarray) -> Recording:
@@ -124,14 +147,19 @@ def of_force(force: np.ndarray) -> Recording:
 
 def sweep(length: float, low: float, high: float) -> np.ndarray:
     t = np.arange(0, length, 1 / RATE)
-    return np.sin(2 * np.pi * (low * t + (high - low) * t**2 / (2 * length))) + 0.01 * np.random.default_rng(8).normal(size=t.size)
+    return np.sin(2 * np.pi * (low * t + (high - low) * t**2 / (2 * length))) + 0.01 * np.random.default_rng(
+        8
+    ).normal(size=t.size)
 
 
 @pytest.mark.parametrize(
     ("force", "message"),
     [
         (np.random.default_rng(7).normal(size=5000), "'r': the force is no sine"),
-        (sweep(20.0, 20.0, 60.0), "'r': (the frequency of the force runs on: a sweep|the force stays at no frequency)"),
+        (
+            sweep(20.0, 20.0, 60.0),
+            "'r': (the frequency of the force runs on: a sweep|the force stays at no frequency)",
+        ),
         (sweep(200.0, 20.0, 60.0), "'r': the frequency of the force runs on: a sweep"),
         (np.sin(np.arange(300) * 0.1), "'r': the force has 4 periods, too few"),
     ],
@@ -142,7 +170,10 @@ def test_a_recording_without_dwells_is_refused(force: np.ndarray, message: str) 
 
 
 def test_dwells_too_short_and_steps_without_a_frequency_in_common_are_refused() -> None:
-    with pytest.raises(DataError, match=r"the dwell of 'steps' at 30.9979 Hz lasts 0.45 s, 0.694 s are needed: 0.5 s for its transient"):
+    with pytest.raises(
+        DataError,
+        match=r"the dwell of 'steps' at 30.9979 Hz lasts 0.45 s, 0.694 s are needed: 0.5 s for its transient",
+    ):
         measure([record(1, lengths=0.5)], dataclasses.replace(STEPPED, settle=0.5))
     with pytest.raises(DataError, match=r"the responses have not settled .* s after a step"):
         measure([record(1, lengths=0.6)], STEPPED)

@@ -1,4 +1,6 @@
-"""Uncertainties of sums of channels in an FRF, held against FRFs of recordings whose sums were made with the number off by a little."""
+"""Uncertainties of sums of channels in an FRF, held against FRFs of recordings whose sums were made with the
+number off by a little.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -34,7 +36,9 @@ def recordings(excitation: str, mass: float = 3.0, gain: float = 1.0) -> list[Re
 
 
 def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse: bool = False) -> Recording:
-    """Two forces less a mass times acceleration, and the difference of two motions; *gain*: of the accelerometers and of x1."""
+    """Two forces less a mass times acceleration, and the difference of two motions; *gain*: of the
+    accelerometers and of x1.
+    """
     rng = np.random.default_rng(11)
     if excitation == "periodic":
         forces = np.tile(rng.normal(size=(500, 2)), (16, 1))
@@ -52,7 +56,18 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
     x1, x2, y = answer(1, 0.3, 40), answer(0.2, -0.1, 90), answer(0.4, 1.2, 60)
     ax, ay = answer(0.5, 0.1, 55) * 1e4, answer(0.2, 0.8, 70) * 1e4
     ax, ay, x1 = gain * ax, gain * ay, gain * x1
-    columns = [forces[:, 0], forces[:, 1], ax, ay, x1, x2, x1 - x2, y, forces[:, 0] - mass * ax, forces[:, 1] - mass * ay]
+    columns = [
+        forces[:, 0],
+        forces[:, 1],
+        ax,
+        ay,
+        x1,
+        x2,
+        x1 - x2,
+        y,
+        forces[:, 0] - mass * ax,
+        forces[:, 1] - mass * ay,
+    ]
     uncertainties = (GAIN, DELAY)
     channels = (
         Channel("fx", "force", "reference", "x"),
@@ -63,8 +78,17 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
         Channel("x2", "displacement", "reference", "x"),
         Channel("d", "displacement", "output", "x", 0.0, terms=(Term("x1", 1.0), Term("x2", -1.0))),
         Channel("y", "displacement", "output", "y", np.pi / 2),
-        Channel("ex", "force", "input", "x", 0.0, terms=(Term("fx", 1.0), Term("ax", -mass, (MASS,), (-1.0,)))),
-        Channel("ey", "force", "input", "y", np.pi / 2, terms=(Term("fy", 1.0), Term("ay", -mass, (MASS,), (-1.0,)))),
+        Channel(
+            "ex", "force", "input", "x", 0.0, terms=(Term("fx", 1.0), Term("ax", -mass, (MASS,), (-1.0,)))
+        ),
+        Channel(
+            "ey",
+            "force",
+            "input",
+            "y",
+            np.pi / 2,
+            terms=(Term("fy", 1.0), Term("ay", -mass, (MASS,), (-1.0,))),
+        ),
     )
     return Recording(channels, np.column_stack(columns), RATE, f"run{int(reverse)}")
 
@@ -74,23 +98,38 @@ def change_of(response: FrequencyResponse, source: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("excitation", ["random", "periodic"])
-def test_the_change_by_a_mass_and_by_a_common_calibrator_is_that_of_changed_recordings(excitation: str) -> None:
-    """Central differences of FRFs measured anew. Without noise the FRF is exact up to leakage, which the differences share."""
+def test_the_change_by_a_mass_and_by_a_common_calibrator_is_that_of_changed_recordings(
+    excitation: str,
+) -> None:
+    """Central differences of FRFs measured anew.
+
+    Without noise the FRF is exact up to leakage, which the differences share.
+    """
     settings = SETTINGS[excitation]
     response = measure(recordings(excitation), settings)
     assert [finding.code for finding in response.findings if finding.code == "number-uncertainty"] == []
     by_mass, by_gain = (
-        (measure(recordings(excitation, **plus), settings).matrix - measure(recordings(excitation, **minus), settings).matrix) / 2
+        (
+            measure(recordings(excitation, **plus), settings).matrix
+            - measure(recordings(excitation, **minus), settings).matrix
+        )
+        / 2
         for plus, minus in (({"mass": 3.02}, {"mass": 2.98}), ({"gain": 0.99}, {"gain": 1.01}))
     )
     # Random blocks leak, each channel in its own way: the row of a member is known to that only.
     accuracy = 1e-4 if excitation == "periodic" else 0.01
-    for change, expected in ((change_of(response, "m_s, 3 kg"), by_mass), (change_of(response, "calibrator 7"), by_gain)):
+    for change, expected in (
+        (change_of(response, "m_s, 3 kg"), by_mass),
+        (change_of(response, "calibrator 7"), by_gain),
+    ):
         assert np.linalg.norm(change - expected) < accuracy * np.linalg.norm(expected)
 
 
 def test_a_delay_of_a_member_turns_its_phase_in_proportion_to_frequency() -> None:
-    """dH = -H D G with D = -m j w dt for both accelerations, G their own FRF; held against acceleration as a response of its own."""
+    """dH = -H D G with D = -m j w dt for both accelerations, G their own FRF.
+
+    Held against acceleration as a response of its own.
+    """
     made = recordings("periodic")
     response = measure(made, SETTINGS["periodic"])
     roles = {"acceleration": "output", "displacement": "reference"}
@@ -105,7 +144,11 @@ class Counted:
     """A recording that counts how often it is read."""
 
     def __init__(self, recording: Recording) -> None:
-        self.channels, self.sample_rate, self.n_sample = recording.channels, recording.sample_rate, recording.n_sample
+        self.channels, self.sample_rate, self.n_sample = (
+            recording.channels,
+            recording.sample_rate,
+            recording.n_sample,
+        )
         self.name, self.findings, self._recording = recording.name, recording.findings, recording
         self.reads = 0
 
@@ -116,7 +159,10 @@ class Counted:
 
 def test_recordings_are_read_a_second_time_only_where_sums_have_uncertainties() -> None:
     uncertain = recordings("random")[0]
-    plain = tuple(replace(c, uncertainties=(), terms=tuple(Term(t.channel, t.factor) for t in c.terms)) for c in uncertain.channels)
+    plain = tuple(
+        replace(c, uncertainties=(), terms=tuple(Term(t.channel, t.factor) for t in c.terms))
+        for c in uncertain.channels
+    )
     reads = []
     for channels in (plain, uncertain.channels):
         counted = Counted(replace(uncertain, channels=channels))
@@ -132,24 +178,37 @@ def test_errors_follow_the_matrix_into_files_and_other_forms(tmp_path: Path) -> 
     assert [error.uncertainty for error in read.errors] == [error.uncertainty for error in response.errors]
     for before, after in zip(response.errors, read.errors, strict=True):
         np.testing.assert_array_equal(before.change, after.change)
-    # Any linear map of the matrix acts on its changes alike: one standard uncertainty added before or after gives the same.
+    # Any linear map of the matrix acts on its changes alike: one standard uncertainty added before or after
+    # gives the same.
     moved = replace(response, matrix=response.matrix + change_of(response, "m_s, 3 kg"))
     for through in (lambda r: converted(r, "accelerance"), directional):
         expected = through(moved).matrix - through(response).matrix
-        np.testing.assert_allclose(change_of(through(response), "m_s, 3 kg"), expected, atol=1e-12 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            change_of(through(response), "m_s, 3 kg"), expected, atol=1e-12 * np.abs(expected).max()
+        )
     alone = [replace(response, outputs=(response.outputs[n],), **parts_of(response, n)) for n in (0, 1)]
     np.testing.assert_array_equal(change_of(joined(alone), "m_s, 3 kg"), change_of(response, "m_s, 3 kg"))
 
 
 def parts_of(response: FrequencyResponse, row: int) -> dict[str, object]:
     """One row of a response, without its qualities."""
-    none = dict.fromkeys(("covariance", "coherence", "multiple_coherence", "partial_coherence", "distortion", "change", "snr"))
+    none = dict.fromkeys(
+        ("covariance", "coherence", "multiple_coherence", "partial_coherence", "distortion", "change", "snr")
+    )
     errors = tuple(replace(error, change=error.change[:, row : row + 1]) for error in response.errors)
-    return {**none, "snr_channels": (), "matrix": response.matrix[:, row : row + 1], "errors": errors, "name": str(row)}
+    return {
+        **none,
+        "snr_channels": (),
+        "matrix": response.matrix[:, row : row + 1],
+        "errors": errors,
+        "name": str(row),
+    }
 
 
 def test_a_member_that_points_elsewhere_changes_the_sum_as_recordings_of_it_do() -> None:
-    """ax at the angle d from x reads cos d ax + sin d ay: central differences of FRFs of such recordings, 10 mrad either way."""
+    """ax at the angle d from x reads cos d ax + sin d ay: central differences of FRFs of such recordings, 10
+    mrad either way.
+    """
     made, angle = recordings("periodic"), 0.01
     turned = ChannelUncertainty("direction", Uncertainty("ax.dof", angle, "rad"))
 
@@ -159,7 +218,9 @@ def test_a_member_that_points_elsewhere_changes_the_sum_as_recordings_of_it_do()
             samples = run.samples.copy()
             samples[:, 2] = np.cos(by) * run.samples[:, 2] + np.sin(by) * run.samples[:, 3]
             samples[:, 8] = samples[:, 0] - 3.0 * samples[:, 2]
-            channels = tuple(replace(c, uncertainties=uncertainties) if c.name == "ax" else c for c in run.channels)
+            channels = tuple(
+                replace(c, uncertainties=uncertainties) if c.name == "ax" else c for c in run.channels
+            )
             runs.append(replace(run, samples=samples, channels=channels))
         return measure(runs, SETTINGS["periodic"])
 

@@ -1,4 +1,6 @@
-"""Swept sines, found in the force and evaluated line by line, against designed sweeps, closed forms, and a solver in time."""
+"""Swept sines, found in the force and evaluated line by line, against designed sweeps, closed forms, and a
+solver in time.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +38,12 @@ def off(response: FrequencyResponse, exact: np.ndarray) -> float:
 @pytest.mark.parametrize("direction", ["up", "down", "up-down"])
 @pytest.mark.parametrize("pause", [0.0, 2.0])
 @pytest.mark.parametrize("band", [(5.0, 200.0), (35.0, 45.0)])
-def test_sweeps_are_found_where_they_are(law: str, direction: str, pause: float, band: tuple[float, float]) -> None:
-    """Three sweeps of 20 s behind 1.5 s of silence, 2 % of noise: times within the fade and 4 periods of the slow end, law,
-    direction, band, cuts."""
+def test_sweeps_are_found_where_they_are(
+    law: str, direction: str, pause: float, band: tuple[float, float]
+) -> None:
+    """Three sweeps of 20 s behind 1.5 s of silence, 2 % of noise: times within the fade and 4 periods of the
+    slow end, law, direction, band, cuts.
+    """
     rng = np.random.default_rng(5)
     force = np.concatenate([np.zeros(1500), Sweep(band, 20.0, 1.7, law, direction, pause).samples(1000.0, 3)])
     found = find_sweeps(force + 0.034 * rng.normal(size=force.size))
@@ -51,7 +56,10 @@ def test_sweeps_are_found_where_they_are(law: str, direction: str, pause: float,
         assert abs(sweep.start - start) < slow and abs(sweep.stop - (start + 20_000)) < slow
         falls = direction == "down" or (direction == "up-down" and number % 2 == 1)
         assert (sweep.first > sweep.last) == falls
-        assert band[0] * 0.97 < 1000 * sweep.low < 2 * band[0] and 0.96 * band[1] < 1000 * sweep.high < 1.03 * band[1]
+        assert (
+            band[0] * 0.97 < 1000 * sweep.low < 2 * band[0]
+            and 0.96 * band[1] < 1000 * sweep.high < 1.03 * band[1]
+        )
     for (start, stop), true in zip(cuts(found, force.size), starts, strict=True):
         assert start <= true + 100 and stop > true + 19_800
 
@@ -77,16 +85,22 @@ def test_other_forces_are_refused(force, message: str, rng: np.random.Generator)
         find_sweeps(force(rng))
 
 
-@pytest.mark.parametrize("sweep", [UP, replace(UP, law="logarithmic", direction="down"), replace(UP, duration=2.0, pause=6.0)])
+@pytest.mark.parametrize(
+    "sweep", [UP, replace(UP, law="logarithmic", direction="down"), replace(UP, duration=2.0, pause=6.0)]
+)
 def test_without_noise_the_frf_is_the_closed_form(sweep: Sweep) -> None:
-    """Slow and 12 times too fast: ringing is part of the record, so that there is no error but what the first samples lack."""
+    """Slow and 12 times too fast: ringing is part of the record, so that there is no error but what the first
+    samples lack.
+    """
     response = measure([record(0, sweep, noise=(0.0, 0.0))], SWEEP)
     assert off(response, receptance(response.frequency)) < 2e-4
     assert response.frequency[0] >= BAND[0] and response.frequency[-1] <= BAND[1] * 1.01
 
 
 def test_the_equation_of_motion_solved_in_time_gives_the_same_frf() -> None:
-    """Independent of any transform: y'' + 2 zeta w y' + w^2 y = f by scipy.signal.lsim, 24 points per sample, no noise."""
+    """Independent of any transform: y'' + 2 zeta w y' + w^2 y = f by scipy.signal.lsim, 24 points per sample,
+    no noise.
+    """
     fine = 24
     force = Sweep(BAND, 16.0, 1.0, "linear", "up", 3.0).samples(fine * RATE, 1)
     y = signal.lsim(([1.0], [1.0, 2 * ZETA * W_N, W_N**2]), force, np.arange(force.size) / (fine * RATE))[1]
@@ -95,7 +109,9 @@ def test_the_equation_of_motion_solved_in_time_gives_the_same_frf() -> None:
 
 
 def test_a_record_cut_in_full_motion_has_its_leakage_taken_out() -> None:
-    """The sweep ends 2 Hz above the resonance and the record with it: the plain ratio of the transforms is off twentyfold."""
+    """The sweep ends 2 Hz above the resonance and the record with it: the plain ratio of the transforms is
+    off twentyfold.
+    """
     short = record(1, Sweep((20.0, 42.0), 20.0, 1.0), noise=(0.0, 1e-4))
     response = measure([short], SWEEP)
     assert codes(response)["sweep-leakage"] == "note" and off(response, receptance(response.frequency)) < 2e-3
@@ -105,8 +121,12 @@ def test_a_record_cut_in_full_motion_has_its_leakage_taken_out() -> None:
     assert off(plain, receptance(response.frequency)) > 0.04
 
 
-def test_noise_and_leakage_of_the_local_fit_are_those_of_a_plain_least_squares(rng: np.random.Generator) -> None:
-    """The readable twin: forces times powers, -r Y of the output itself, and powers for each block, in one design."""
+def test_noise_and_leakage_of_the_local_fit_are_those_of_a_plain_least_squares(
+    rng: np.random.Generator,
+) -> None:
+    """The readable twin: forces times powers, -r Y of the output itself, and powers for each block, in one
+    design.
+    """
     forces, responses = (rng.normal(size=(2, 40, 1)) + 1j * rng.normal(size=(2, 40, 1)) for _ in range(2))
     degree, n, line = 2, 7, 9
     found = local_noise(forces, responses, degree, n)
@@ -117,29 +137,40 @@ def test_noise_and_leakage_of_the_local_fit_are_those_of_a_plain_least_squares(r
         around = slice(line, line + 2 * n + 1)
         of_leakage = np.zeros((r.size, 2 * (degree + 1)))
         of_leakage[:, block * (degree + 1) : (block + 1) * (degree + 1)] = powers
-        rows.append(np.column_stack([forces[block, around] * powers, responses[block, around, 0] * r, of_leakage]))
+        rows.append(
+            np.column_stack([forces[block, around] * powers, responses[block, around, 0] * r, of_leakage])
+        )
     design, y = np.concatenate(rows), responses[:, line : line + 2 * n + 1, 0].ravel()
     values = np.linalg.lstsq(design, y, rcond=None)[0]
     dof = design.shape[0] - design.shape[1]
     assert found.dof == dof
-    np.testing.assert_allclose(found.noise[line, 0, 0], np.sum(np.abs(y - design @ values) ** 2) / dof, rtol=1e-8)
+    np.testing.assert_allclose(
+        found.noise[line, 0, 0], np.sum(np.abs(y - design @ values) ** 2) / dof, rtol=1e-8
+    )
     np.testing.assert_allclose(found.leakage[line, :, 0], values[[4, 7]], rtol=1e-7)
     spread = np.diag(np.linalg.inv(design.conj().T @ design)).real[[4, 7]]
     np.testing.assert_allclose(found.spread[line, :, 0], spread, rtol=1e-7)
 
 
 def test_a_single_resonance_leaves_nothing_in_the_local_residual() -> None:
-    """H = 1 / (k - k_0 + 3j) + 0.01 k has a pole hardly wider than its lines: polynomials of degree 2 are off by far more."""
+    """H = 1 / (k - k_0 + 3j) + 0.01 k has a pole hardly wider than its lines: polynomials of degree 2 are off
+    by far more.
+    """
     rng = np.random.default_rng(2)
     k = np.arange(60.0)
     h = 1 / (k - 30.2 + 1.5j)
-    forces = (rng.normal(size=(1, 60, 1)) + 1j * rng.normal(size=(1, 60, 1))) * np.exp(0.4j * k**2)[None, :, None]
+    forces = (rng.normal(size=(1, 60, 1)) + 1j * rng.normal(size=(1, 60, 1))) * np.exp(0.4j * k**2)[
+        None, :, None
+    ]
     found = local_noise(forces, forces * h[None, :, None], 2, 8)
     assert np.max(np.abs(found.noise)) < 1e-20 and np.max(np.abs(found.leakage)) < 1e-9
 
 
 def test_two_shakers_one_after_the_other_give_a_matrix() -> None:
-    """Coupled support, each shaker seen by the other's force as well; the closed form within 5 standard errors at 99.9 % of the values."""
+    """Coupled support, each shaker seen by the other's force as well.
+
+    The closed form within 5 standard errors at 99.9 % of the values.
+    """
     k, c = np.array([[180e3, 25e3], [-18e3, 210e3]]), np.array([[120.0, 15.0], [-10.0, 150.0]])
     one = Sweep((20.0, 90.0), 12.0, 30.0, "logarithmic", "up", 2.0).samples(RATE, 1)
     force = np.column_stack([np.concatenate([one, 0.1 * one]), np.concatenate([-0.05 * one, one])])
@@ -149,8 +180,12 @@ def test_two_shakers_one_after_the_other_give_a_matrix() -> None:
         return np.linalg.inv(k + 1j * w * c - w**2 * 2.4 * np.eye(2))
 
     n = force.shape[0] + 4096
-    x = fft.irfft(np.einsum("foi,fi->fo", exact(fft.rfftfreq(n, 1 / RATE)), fft.rfft(force, n, axis=0)), n, axis=0)[: force.shape[0]]
-    channels = [Channel(f"f{d}", "force", "input", d) for d in "xy"] + [Channel(d, "displacement", "output", d) for d in "xy"]
+    x = fft.irfft(
+        np.einsum("foi,fi->fo", exact(fft.rfftfreq(n, 1 / RATE)), fft.rfft(force, n, axis=0)), n, axis=0
+    )[: force.shape[0]]
+    channels = [Channel(f"f{d}", "force", "input", d) for d in "xy"] + [
+        Channel(d, "displacement", "output", d) for d in "xy"
+    ]
     noisy = np.column_stack([force, x + 0.01 * x.std() * np.random.default_rng(4).normal(size=x.shape)])
     response = measure([Recording(tuple(channels), noisy, RATE, "both")], SWEEP)
     error = np.abs(response.matrix - exact(response.frequency)) / np.sqrt(response.variance)
@@ -176,28 +211,41 @@ def test_sweeps_that_do_not_fit_together_are_refused() -> None:
 
 def test_the_recording_is_described_and_lines_are_left_out() -> None:
     response = measure(
-        [record(1, replace(UP, direction="up-down"), count=2)], FrfSettings("sweep", band=(30.0, 60.0), exclude=((49.0, 51.0),))
+        [record(1, replace(UP, direction="up-down"), count=2)],
+        FrfSettings("sweep", band=(30.0, 60.0), exclude=((49.0, 51.0),)),
     )
     (described,) = (finding.message for finding in response.findings if finding.code == "sweeps")
     assert "2 sweep(s)" in described and "linear, 3 Hz/s" in described
-    assert np.all((response.frequency >= 30) & (response.frequency <= 60) & (np.abs(response.frequency - 50) > 1))
+    assert np.all(
+        (response.frequency >= 30) & (response.frequency <= 60) & (np.abs(response.frequency - 50) > 1)
+    )
 
 
 def test_the_rate_is_held_against_the_standard() -> None:
-    """ISO 7626-2 (Ewins, sec. 3.7): 216 f^2 zeta^2 Hz/min, at 40 Hz and 2 % 138 Hz/min; 310 f zeta^2 octaves/min is the same to 1 %."""
+    """ISO 7626-2 (Ewins, sec. 3.7): 216 f^2 zeta^2 Hz/min, at 40 Hz and 2 % 138 Hz/min.
+
+    310 f zeta^2 octaves/min is the same to 1 %.
+    """
     assert 60 * largest_rate(F_N, ZETA) == pytest.approx(138.24)
     assert 60 * largest_rate(F_N, ZETA) == pytest.approx(310 * F_N * ZETA**2 * np.log(2) * F_N, rel=0.01)
     slow = measure([record(1, replace(UP, duration=30.0))], SWEEP)
     fast = measure([record(1, replace(UP, duration=4.0))], SWEEP)
     cut = measure([record(1, Sweep((20.0, 45.0), 3.0, 1.0), noise=(0.0, 1e-3))], SWEEP)
-    assert "sweep-rate" not in codes(slow) and codes(fast)["sweep-rate"] == "note" and codes(cut)["sweep-rate"] == "warning"
+    assert (
+        "sweep-rate" not in codes(slow)
+        and codes(fast)["sweep-rate"] == "note"
+        and codes(cut)["sweep-rate"] == "warning"
+    )
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"block": 1.0}, "'block' is not for sweep excitation"),
-        ({"settle": 1.0}, "'settle' is not for sweep excitation; leave it out; excitations that take it: stepped-sine"),
+        (
+            {"settle": 1.0},
+            "'settle' is not for sweep excitation; leave it out; excitations that take it: stepped-sine",
+        ),
         ({"degree": 0}, "'degree' is 0"),
         ({"degree": 4, "half_width": 4}, "'half_width' must exceed 'degree'"),
         ({"mask": MaskSettings(speed=50.0)}, "'mask' needs its 'width' with sweep"),

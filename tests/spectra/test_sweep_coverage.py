@@ -1,4 +1,6 @@
-"""Swept sines on a simulated oscillator: stiffness, damping and natural frequency within their intervals as often as these say."""
+"""Swept sines on a simulated oscillator: stiffness, damping and natural frequency within their intervals as
+often as these say.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from tests.spectra.swept_oscillator import BAND, TRUTH, receptance, record
 
-# One sweep has its noise from the lines around, three have it from their scatter; one that ends in full motion leaves leakage, and
-# its intervals are on the safe side: sweeps, their number, noise of force and displacement, whether intervals are exact.
+# One sweep has its noise from the lines around, three have it from their scatter; one that ends in full
+# motion leaves leakage, and its intervals are on the safe side: sweeps, their number, noise of force and
+# displacement, whether intervals are exact.
 CASES = {
     "one linear": (Sweep(BAND, 10.0, 1.0, "linear", "up", 3.0), 1, (0.0, 0.01), True),
     "one logarithmic": (Sweep(BAND, 10.0, 1.0, "logarithmic", "down", 3.0), 1, (0.0, 0.01), True),
@@ -29,7 +32,12 @@ def test_intervals_hold_the_truth(case: str, draws: int) -> None:
     errors, holds, power = [], [], []
     for seed in range(draws):
         response = measure([record(seed, sweep, count, noise)], FrfSettings("sweep"))
-        power.append(np.mean(np.abs(response.matrix[:, 0, 0] - receptance(response.frequency)) ** 2 / response.variance[:, 0, 0]))
+        power.append(
+            np.mean(
+                np.abs(response.matrix[:, 0, 0] - receptance(response.frequency)) ** 2
+                / response.variance[:, 0, 0]
+            )
+        )
         (fit,) = identify(response, FitSettings("sdof", mass=1.0))
         found = [fit.parameter(name) for name in ("k", "c", "f_n")]
         errors.append([(p.value - true) / p.std_error for p, true in zip(found, TRUTH, strict=True)])
@@ -41,5 +49,8 @@ def test_intervals_hold_the_truth(case: str, draws: int) -> None:
     assert np.all(np.abs(np.mean(errors, axis=0)) < 3.5 / np.sqrt(draws))
     if exact:
         assert np.all(np.mean(holds, axis=0) < 0.95 + chance)
-        # E|d|^2 over its variance, of dof complex degrees of freedom: dof / (dof - 1); of some 700 lines in every draw.
-        assert np.mean(power) == pytest.approx(response.covariance_dof / (response.covariance_dof - 1), rel=0.03 + 0.1 / np.sqrt(draws))
+        # E|d|^2 over its variance, of dof complex degrees of freedom: dof / (dof - 1); of some 700 lines in
+        # every draw.
+        assert np.mean(power) == pytest.approx(
+            response.covariance_dof / (response.covariance_dof - 1), rel=0.03 + 0.1 / np.sqrt(draws)
+        )

@@ -1,4 +1,6 @@
-"""A line of the shaft speed in a record of random excitation: removed or masked, the response beside it is unharmed."""
+"""A line of the shaft speed in a record of random excitation: removed or masked, the response beside it is
+unharmed.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,12 @@ FORCE, X = Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement"
 TACHO = Channel("tacho", "voltage", "reference", "tacho")
 
 
-def run(rng: np.random.Generator, revolutions: np.ndarray, amplitudes: tuple[complex, ...], noise: float = 0.1) -> Recording:
-    """White force through a resonance at 60 Hz, harmonics of the shaft on the response, and one pulse per revolution."""
+def run(
+    rng: np.random.Generator, revolutions: np.ndarray, amplitudes: tuple[complex, ...], noise: float = 0.1
+) -> Recording:
+    """White force through a resonance at 60 Hz, harmonics of the shaft on the response, and one pulse per
+    revolution.
+    """
     n = revolutions.size
     force = rng.normal(size=n)
     response = signal.lfilter(*signal.iirpeak(60.0, 8.0, fs=RATE), force) + noise * rng.normal(size=n)
@@ -39,7 +45,8 @@ def truth(frequency: np.ndarray) -> np.ndarray:
 def test_the_amplitudes_taken_out_are_those_put_in(rng: np.random.Generator) -> None:
     recording = run(rng, even(50.0), (3.0 + 4.0j, -1.0j), noise=0.0)
     amplitude = without_synchronous(recording, ShaftLines(speed=50.0, harmonics=2)).amplitude
-    # 60,000 samples of a resonance's noise of about 0.3 leave about 0.3 sqrt(2 / 60,000) x 4 at a line inside its peak.
+    # 60,000 samples of a resonance's noise of about 0.3 leave about 0.3 sqrt(2 / 60,000) x 4 at a line inside
+    # its peak.
     np.testing.assert_allclose(amplitude[:, 1], [3.0 + 4.0j, -1.0j], atol=0.05)
     assert np.max(np.abs(amplitude[:, 0])) < 0.05
     np.testing.assert_array_equal(amplitude[:, 2], 0.0)
@@ -49,7 +56,9 @@ def test_a_pure_line_is_taken_out_to_rounding() -> None:
     revolutions = even(47.3)
     samples = np.column_stack([np.cos(2 * np.pi * revolutions), 7.0 + np.sin(4 * np.pi * revolutions)])
     recording = Recording((FORCE, X), samples, RATE, "pure")
-    left = np.concatenate(list(without_synchronous(recording, ShaftLines(speed=47.3, harmonics=2)).blocks(7000)))
+    left = np.concatenate(
+        list(without_synchronous(recording, ShaftLines(speed=47.3, harmonics=2)).blocks(7000))
+    )
     np.testing.assert_allclose(left, np.tile([0.0, 7.0], (revolutions.size, 1)), atol=1e-9)
 
 
@@ -64,13 +73,16 @@ def test_the_tacho_follows_a_speed_that_changes(rng: np.random.Generator) -> Non
     time = np.arange(60_000) / RATE
     recording = run(rng, 50 * time + 0.3 * np.sin(2 * np.pi * 0.05 * time) / 0.05, (5.0,))
     found = without_synchronous(recording, ShaftLines(tacho="tacho"))
-    # A pulse is known to a sample, a tenth of a revolution here: exp(j phi), |phi| < 0.31, loses 0.31^2 / 6 of its mean at most.
+    # A pulse is known to a sample, a tenth of a revolution here: exp(j phi), |phi| < 0.31, loses 0.31^2 / 6
+    # of its mean at most.
     assert 5 * (1 - 0.31**2 / 6) - 0.05 < abs(found.amplitude[0, 1]) < 5.05
     assert found.findings[-1].message.startswith("channel x: the part synchronous with 4")
 
 
 @pytest.mark.parametrize("way", ["remove", "mask"])
-def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_uncertainty(rng: np.random.Generator, way: str) -> None:
+def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_uncertainty(
+    rng: np.random.Generator, way: str
+) -> None:
     recording = run(rng, even(50.0), (5.0, 0.5, 0.2))
     lines = MaskSettings(speed=50.0, harmonics=3) if way == "mask" else ShaftLines(speed=50.0, harmonics=3)
     settings = FrfSettings(excitation="random", block=1.0, band=(40.0, 160.0), **{way: lines})
@@ -80,8 +92,14 @@ def test_beside_a_removed_or_masked_line_the_response_is_right_within_its_uncert
     assert np.mean(error / response.variance[:, 0, 0]) < 1.5
     assert np.max(error / response.variance[:, 0, 0]) < 12
     kept = response.frequency.tolist()
-    assert ([f for f in (47.0, 48.0, 49.0, 50.0, 51.0, 52.0, 53.0) if f in kept] == [47.0, 53.0]) if way == "mask" else 50.0 in kept
-    assert [finding.code for finding in response.findings][:1] == [{"mask": "masked", "remove": "synchronous-removed"}[way]]
+    assert (
+        ([f for f in (47.0, 48.0, 49.0, 50.0, 51.0, 52.0, 53.0) if f in kept] == [47.0, 53.0])
+        if way == "mask"
+        else 50.0 in kept
+    )
+    assert [finding.code for finding in response.findings][:1] == [
+        {"mask": "masked", "remove": "synchronous-removed"}[way]
+    ]
     untreated = measure([recording], FrfSettings(excitation="random", block=1.0, band=(40.0, 160.0)))
     plain = np.abs(untreated.matrix[:, 0, 0] - truth(untreated.frequency))
     assert plain[10] > 5 * np.sqrt(np.max(error))

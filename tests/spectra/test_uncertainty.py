@@ -1,4 +1,6 @@
-"""The predicted covariance of an FRF matrix against the scatter of simulated measurements, and against loops."""
+"""The predicted covariance of an FRF matrix against the scatter of simulated measurements, and against
+loops.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,16 @@ def estimated(name: str, u: np.ndarray, y: np.ndarray, averages: float) -> tuple
     """Estimate and predicted covariance from the spectra u, y (n_run, n, n_average) of many measurements."""
     n_input, both = u.shape[1], np.concatenate([u, y], axis=1)
     joint = both @ both.conj().swapaxes(1, 2) / u.shape[2]
-    response = ESTIMATORS[name](joint[:, :n_input, :n_input], joint[:, n_input:, :n_input], joint[:, n_input:, n_input:])
+    response = ESTIMATORS[name](
+        joint[:, :n_input, :n_input], joint[:, n_input:, :n_input], joint[:, n_input:, n_input:]
+    )
     instruments = INSTRUMENTS[name](response, np.einsum("faa->fa", joint).real)
     return response, covariance_of_random(joint, response, instruments, averages)
 
 
-@pytest.mark.parametrize(("name", "force_noise", "response_noise"), [("H1", 0.0, 1.0), ("H2", 0.3, 0.0), ("Hv", 0.15, 0.3)])
+@pytest.mark.parametrize(
+    ("name", "force_noise", "response_noise"), [("H1", 0.0, 1.0), ("H2", 0.3, 0.0), ("Hv", 0.15, 0.3)]
+)
 def test_random_data_off_diagonals_included(name: str, force_noise: float, response_noise: float) -> None:
     # Recipe: E[d d^H] over 8,000 simulated measurements of 60 averages each, around their mean.
     rng = np.random.default_rng(11)
@@ -45,13 +51,15 @@ def test_random_data_off_diagonals_included(name: str, force_noise: float, respo
 
 @pytest.mark.parametrize("coherence", [0.5, 0.8, 0.95])
 def test_h1_and_h2_have_the_same_relative_variance(coherence: float) -> None:
-    # Closed form, one force and one response: H2 = S_yy / S_uy errs by sum r y* / (n S_uy), so var H2 = S_rr S_yy / |S_uy|^2 / (n - 1)
-    # with S_rr = |H2|^2 S_uu - S_yy: (1 - c) / c |H2|^2 / (n - 1), as for H1.
+    # Closed form, one force and one response: H2 = S_yy / S_uy errs by sum r y* / (n S_uy), so var H2 = S_rr
+    # S_yy / |S_uy|^2 / (n - 1) with S_rr = |H2|^2 S_uu - S_yy: (1 - c) / c |H2|^2 / (n - 1), as for H1.
     joint = np.array([[[1.0, 2.0], [2.0, 4.0 / coherence]]], complex)
     shares = []
     for name in ("H1", "H2"):
         response = ESTIMATORS[name](joint[:, :1, :1], joint[:, 1:, :1], joint[:, 1:, 1:])
-        covariance = covariance_of_random(joint, response, INSTRUMENTS[name](response, np.array([[1.0, 4.0 / coherence]])), 101.0)
+        covariance = covariance_of_random(
+            joint, response, INSTRUMENTS[name](response, np.array([[1.0, 4.0 / coherence]])), 101.0
+        )
         shares.append(covariance[0, 0, 0].real / abs(response[0, 0, 0]) ** 2)
     np.testing.assert_allclose(shares, (1 - coherence) / coherence / 100, rtol=1e-12)
 
@@ -70,7 +78,9 @@ def test_h1_covariance_equals_its_literal_twin(rng: np.random.Generator) -> None
 
 
 @pytest.mark.parametrize("half_width", [0, 2])
-def test_the_short_way_for_h1_is_the_general_one_with_forces_as_instruments(rng: np.random.Generator, half_width: int) -> None:
+def test_the_short_way_for_h1_is_the_general_one_with_forces_as_instruments(
+    rng: np.random.Generator, half_width: int
+) -> None:
     u, y = complex_normal(rng, 9, 2, 40), complex_normal(rng, 9, 3, 40)
     both = np.concatenate([u, y], axis=1)
     joint = both @ both.conj().swapaxes(1, 2) / 40

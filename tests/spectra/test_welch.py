@@ -20,7 +20,9 @@ def averaged(samples: np.ndarray, n: int, step: int, block: int, window: str = "
     return average.spectra(100.0).matrix
 
 
-@pytest.mark.parametrize(("window", "step"), [("hann", 32), ("boxcar", 64), ("blackman", 16), ("flattop", 21)])
+@pytest.mark.parametrize(
+    ("window", "step"), [("hann", 32), ("boxcar", 64), ("blackman", 16), ("flattop", 21)]
+)
 def test_equals_scipy_pair_by_pair(rng: np.random.Generator, window: str, step: int) -> None:
     # scipy conjugates the first argument: csd(a, b) = E[A* B].
     samples = rng.normal(size=(1000, 3))
@@ -28,7 +30,13 @@ def test_equals_scipy_pair_by_pair(rng: np.random.Generator, window: str, step: 
     for a in range(3):
         for b in range(3):
             _, expected = signal.csd(
-                samples[:, b], samples[:, a], fs=100.0, window=window, nperseg=64, noverlap=64 - step, detrend="constant"
+                samples[:, b],
+                samples[:, a],
+                fs=100.0,
+                window=window,
+                nperseg=64,
+                noverlap=64 - step,
+                detrend="constant",
             )
             # scipy does not double the line at half the sampling rate; no measurement uses it.
             np.testing.assert_allclose(matrix[:-1, a, b], expected[1:-1], rtol=1e-10, atol=1e-14)
@@ -38,16 +46,23 @@ def test_equals_scipy_pair_by_pair(rng: np.random.Generator, window: str, step: 
 @given(block=st.integers(1, 700), step=st.integers(1, 64))
 def test_block_size_changes_nothing_but_rounding(block: int, step: int) -> None:
     samples = np.random.default_rng(1).normal(size=(650, 2))
-    np.testing.assert_allclose(averaged(samples, 64, step, block), averaged(samples, 64, step, 650), rtol=1e-10)
+    np.testing.assert_allclose(
+        averaged(samples, 64, step, block), averaged(samples, 64, step, 650), rtol=1e-10
+    )
 
 
 def test_effective_averages_closed_forms() -> None:
-    # Boxcar without overlap: all blocks are independent. Hann at 50 %: rho_1 = (1/6)^2 (Welch 1967), so K=2: 2/(1 + 2/2 /36).
+    # Boxcar without overlap: all blocks are independent. Hann at 50 %: rho_1 = (1/6)^2 (Welch 1967), so K=2:
+    # 2/(1 + 2/2 /36).
     assert effective_averages(np.ones(64), 64, 10) == pytest.approx(10.0)
-    assert effective_averages(window_values("hann", 4096), 2048, 2) == pytest.approx(2 / (1 + 1 / 36), rel=1e-6)
+    assert effective_averages(window_values("hann", 4096), 2048, 2) == pytest.approx(
+        2 / (1 + 1 / 36), rel=1e-6
+    )
 
 
-@pytest.mark.parametrize(("window", "overlap"), [("hann", 0.5), ("hann", 0.75), ("boxcar", 0.5), ("blackman", 0.5)])
+@pytest.mark.parametrize(
+    ("window", "overlap"), [("hann", 0.5), ("hann", 0.75), ("boxcar", 0.5), ("blackman", 0.5)]
+)
 def test_effective_averages_predict_the_scatter_of_a_spectrum(window: str, overlap: float) -> None:
     # The variance of an averaged power spectrum of white noise is S^2 / n_e.
     rng = np.random.default_rng(5)
@@ -86,15 +101,25 @@ def test_a_band_keeps_its_lines_as_they_are(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(spectra.matrix, averaged(samples, 64, 32, 1000)[4:11], rtol=1e-12)
 
 
-@pytest.mark.parametrize(("detrend", "theirs"), [("constant", "constant"), ("linear", "linear"), ("none", False)])
+@pytest.mark.parametrize(
+    ("detrend", "theirs"), [("constant", "constant"), ("linear", "linear"), ("none", False)]
+)
 @pytest.mark.parametrize(("window", "step"), [("hann", 32), ("boxcar", 20), ("kaiser 5", 48)])
-def test_detrending_is_that_of_scipy(rng: np.random.Generator, detrend: str, theirs: str | bool, window: str, step: int) -> None:
+def test_detrending_is_that_of_scipy(
+    rng: np.random.Generator, detrend: str, theirs: str | bool, window: str, step: int
+) -> None:
     # An offset and a drift far above the noise.
     samples = rng.normal(size=(700, 2)) + 1e3 + np.arange(700)[:, None] * [1.0, -3.0]
     average = WelchAverage(window_values(window, 64), step, 2, detrend=detrend)
     average.add(samples)
     _, expected = signal.csd(
-        samples[:, 0], samples[:, 1], fs=100.0, window=window_values(window, 64), nperseg=64, noverlap=64 - step, detrend=theirs
+        samples[:, 0],
+        samples[:, 1],
+        fs=100.0,
+        window=window_values(window, 64),
+        nperseg=64,
+        noverlap=64 - step,
+        detrend=theirs,
     )
     matrix = average.spectra(100.0).matrix[:, 1, 0]
     np.testing.assert_allclose(matrix[:-1], expected[1:-1], rtol=1e-8, atol=1e-11 * np.abs(expected).max())
@@ -107,7 +132,9 @@ def test_an_unknown_trend_is_refused() -> None:
 
 def test_blocks_shorter_than_a_segment_and_in_columns_are_taken(rng: np.random.Generator) -> None:
     samples = np.asfortranarray(rng.normal(size=(1000, 3)).astype(np.float32))
-    np.testing.assert_allclose(averaged(samples, 64, 30, 7), averaged(np.ascontiguousarray(samples), 64, 30, 1000), rtol=1e-10)
+    np.testing.assert_allclose(
+        averaged(samples, 64, 30, 7), averaged(np.ascontiguousarray(samples), 64, 30, 1000), rtol=1e-10
+    )
 
 
 def test_the_matrix_is_hermitian_to_the_last_digit(rng: np.random.Generator) -> None:

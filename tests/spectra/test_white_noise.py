@@ -1,4 +1,6 @@
-"""White noise from force to coefficients: truth inside the intervals as often as stated, and a shaft-speed line changes nothing."""
+"""White noise from force to coefficients: truth inside the intervals as often as stated, and a shaft-speed
+line changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ def fitted(rig: WhiteNoiseRig, settings: FrfSettings, seed: int = 1) -> Fit:
 
 def normal_errors(fit: Fit, rig: WhiteNoiseRig) -> list[float]:
     known = rig.truth
-    return [(fit.parameter(name).value - known[name]) / (fit.parameter(name).std_error or np.nan) for name in NAMES]
+    return [
+        (fit.parameter(name).value - known[name]) / (fit.parameter(name).std_error or np.nan)
+        for name in NAMES
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +43,19 @@ def rig() -> WhiteNoiseRig:
 
 @pytest.mark.parametrize(
     ("how", "settings"),
-    [("masked", {"mask": MaskSettings(50.0)}), ("removed", {"remove": ShaftLines(50.0)}), ("left in, its lines weigh little", {})],
+    [
+        ("masked", {"mask": MaskSettings(50.0)}),
+        ("removed", {"remove": ShaftLines(50.0)}),
+        ("left in, its lines weigh little", {}),
+    ],
 )
-def test_a_shaft_speed_line_leaves_the_parameters_within_their_intervals(rig: WhiteNoiseRig, how: str, settings: dict) -> None:
-    with_line, without = fitted(rig, replace(SETTINGS, **settings)), fitted(replace(rig, unbalance=0.0), SETTINGS)
+def test_a_shaft_speed_line_leaves_the_parameters_within_their_intervals(
+    rig: WhiteNoiseRig, how: str, settings: dict
+) -> None:
+    with_line, without = (
+        fitted(rig, replace(SETTINGS, **settings)),
+        fitted(replace(rig, unbalance=0.0), SETTINGS),
+    )
     for name in NAMES:
         ours, plain = with_line.parameter(name), without.parameter(name)
         assert ours.ci95 is not None and ours.ci95[0] < plain.value < ours.ci95[1]

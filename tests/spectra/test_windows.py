@@ -1,4 +1,7 @@
-"""Windows against sums written out; the printed figures of Harris (1978) are in the validation manual (tests/validation/frf.py)."""
+"""Windows against sums written out.
+
+The printed figures of Harris (1978) are in the validation manual (tests/validation/frf.py).
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ from labpipe.spectra.windows import (
 
 @pytest.mark.parametrize("name", ["hann", "hamming"])
 def test_cosine_windows_have_closed_forms(name: str) -> None:
-    # w = a - (1 - a) cos: sum w^2 = n (a^2 + b^2/2); at half overlap cos turns its sign: sum = n (a^2/2 - b^2/4), the mixed terms cancel.
-    # Harris prints 23.5 % for Hamming where this gives 23.4.
+    # w = a - (1 - a) cos: sum w^2 = n (a^2 + b^2/2); at half overlap cos turns its sign: sum = n (a^2/2 -
+    # b^2/4), the mixed terms cancel. Harris prints 23.5 % for Hamming where this gives 23.4.
     a = {"hann": 0.5, "hamming": 0.54}[name]
     b, window = 1 - a, window_values(name, 1024)
     assert noise_bandwidth(window) == pytest.approx((a**2 + b**2 / 2) / a**2, rel=1e-12)
@@ -37,7 +40,9 @@ def test_overlap_correlation_is_the_sum_written_out() -> None:
 
 def test_a_window_s_parameter_stands_behind_its_name() -> None:
     np.testing.assert_array_equal(window_values("tukey 0", 16), np.ones(16))
-    assert noise_bandwidth(window_values("kaiser 8.6", 4096)) == pytest.approx(1.72, abs=0.01)  # Kaiser-Bessel, Harris' alpha = 8.6 / pi
+    assert noise_bandwidth(window_values("kaiser 8.6", 4096)) == pytest.approx(
+        1.72, abs=0.01
+    )  # Kaiser-Bessel, Harris' alpha = 8.6 / pi
     for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3"):
         with pytest.raises(ConfigError, match=f"unknown window '{wrong}'"):
             window_values(wrong, 16)
@@ -49,16 +54,24 @@ def test_without_overlap_every_block_counts() -> None:
 
 
 def correlation_written_out(window: np.ndarray, step: int, n_block: int, apart: int) -> float:
-    """sum over pairs of blocks of |sum_t w(t - m step) w(t - n step) exp(-2 pi j d t / N)|^2, over the same at d = 0."""
+    """sum over pairs of blocks of |sum_t w(t - m step) w(t - n step) exp(-2 pi j d t / N)|^2, over the same
+    at d = 0.
+    """
     n = window.size
     t = np.arange((n_block - 1) * step + n)
-    blocks = [np.concatenate([np.zeros(b * step), window, np.zeros(t.size - n - b * step)]) for b in range(n_block)]
+    blocks = [
+        np.concatenate([np.zeros(b * step), window, np.zeros(t.size - n - b * step)]) for b in range(n_block)
+    ]
     turn = np.exp(-2j * np.pi * apart * t / n)
-    products = {d: sum(abs(np.sum(one * other * turn**d)) ** 2 for one in blocks for other in blocks) for d in (0, 1)}
+    products = {
+        d: sum(abs(np.sum(one * other * turn**d)) ** 2 for one in blocks for other in blocks) for d in (0, 1)
+    }
     return products[1] / products[0]
 
 
-@pytest.mark.parametrize(("name", "overlap"), [("hann", 0.5), ("hann", 0.75), ("hamming", 0.3), ("boxcar", 0.5), ("flattop", 0.6)])
+@pytest.mark.parametrize(
+    ("name", "overlap"), [("hann", 0.5), ("hann", 0.75), ("hamming", 0.3), ("boxcar", 0.5), ("flattop", 0.6)]
+)
 def test_line_correlation_is_the_sum_over_pairs_of_blocks(name: str, overlap: float) -> None:
     window = window_values(name, 60)
     step = round(60 * (1 - overlap))
@@ -78,16 +91,23 @@ def test_amplitudes_share_noise_through_a_window() -> None:
 def test_line_correlation_closed_forms() -> None:
     assert line_correlation(window_values("boxcar", 64), 64, 10) == ()
     # Blocks apart: of w^2 = 3/8 - cos/2 + cos(2 .)/8 the lines are 3/8, 1/4, 1/16.
-    assert line_correlation(window_values("hann", 64), 64, 10) == pytest.approx(((2 / 3) ** 2, (1 / 6) ** 2), rel=1e-9)
+    assert line_correlation(window_values("hann", 64), 64, 10) == pytest.approx(
+        ((2 / 3) ** 2, (1 / 6) ** 2), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(("name", "overlap"), [("hann", 0.5), ("hamming", 0.0)])
-def test_the_noise_of_an_frf_is_shared_as_predicted(name: str, overlap: float, rng: np.random.Generator) -> None:
+def test_the_noise_of_an_frf_is_shared_as_predicted(
+    name: str, overlap: float, rng: np.random.Generator
+) -> None:
     n, n_record = 32, 3000
     window, step = window_values(name, n), round(n * (1 - overlap))
     starts = np.arange(6) * step
     force, noise = rng.standard_normal((2, n_record, starts[-1] + n))
-    u, e = (np.fft.rfft(np.stack([x[:, s : s + n] * window for s in starts], 1))[:, :, 3:14] for x in (force, noise))
+    u, e = (
+        np.fft.rfft(np.stack([x[:, s : s + n] * window for s in starts], 1))[:, :, 3:14]
+        for x in (force, noise)
+    )
     error = np.sum(e * u.conj(), axis=1)
     power = np.mean(np.abs(error) ** 2)
     predicted = line_correlation(window, step, 6)

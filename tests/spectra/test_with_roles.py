@@ -17,5 +17,6 @@ def test_named_channels_are_the_only_outputs_and_forces_stay() -> None:
 
 
 CHANNELS = (
-    ("f", "force", "input"), ("a", "displacement", "output"), ("b", "displacement", "reference"), ("t", "tacho", "reference"),
+    ("f", "force", "input"), ("a", "displacement", "output"), ("b", "displacement", "reference"), ("t",
+    "tacho", "reference"),
 )  # fmt: skip

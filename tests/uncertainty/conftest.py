@@ -13,7 +13,13 @@ from labpipe.uncertainty.observations import Campaign, campaign_of
 from labpipe.uncertainty.settings import CompareSettings
 
 
-def a_fit(test: str, values: dict[str, tuple[float, float]], correlation: float = 0.0, term: str = "", name: str = "axial") -> Fit:
+def a_fit(
+    test: str,
+    values: dict[str, tuple[float, float]],
+    correlation: float = 0.0,
+    term: str = "",
+    name: str = "axial",
+) -> Fit:
     """A fit whose parameters have the (value, standard error) given, units by their first letter."""
     units = {"k": "N/m", "c": "N.s/m", "m": "kg"}
     parameters = tuple(

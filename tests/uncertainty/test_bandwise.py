@@ -1,4 +1,6 @@
-"""Two tests band by band: Holm's correction, its rate of false alarms, what it finds, and what both tests share."""
+"""Two tests band by band: Holm's correction, its rate of false alarms, what it finds, and what both tests
+share.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +27,22 @@ from labpipe.uncertainty.settings import CompareSettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured
 from tests.uncertainty.conftest import a_fit
 
-ASKED = CompareSettings(kind="bands", fit="sliding", group="speed", groups=("0 rpm", "8000 rpm"), name="rotation")
+ASKED = CompareSettings(
+    kind="bands", fit="sliding", group="speed", groups=("0 rpm", "8000 rpm"), name="rotation"
+)
 
 
 def test_holm_is_that_of_the_textbook() -> None:
-    """Holm (1979): p = .01 .04 .03 .005 -> .03 .06 .06 .02; by hand: 4 x .005, 3 x .01, 2 x .03, then not below .06."""
+    """Holm (1979): p = .01 .04 .03 .005 -> .03 .06 .06 .02; by hand: 4 x .005, 3 x .01, 2 x .03, then not
+    below .06.
+    """
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
     np.testing.assert_allclose(holm(np.array([0.6, 0.7])), [1.0, 1.0])
 
 
-def made(values: Sequence[tuple[float, float]], test: str, errors: Sequence[tuple[float, float]] | None = None) -> tuple[Fit, ...]:
+def made(
+    values: Sequence[tuple[float, float]], test: str, errors: Sequence[tuple[float, float]] | None = None
+) -> tuple[Fit, ...]:
     """A fit per band of 10 Hz with (k, c) and *errors*, by default 100 N/m and 1 N.s/m."""
     fits = []
     for number, (k, c) in enumerate(values):
@@ -50,22 +58,36 @@ def compared(first: tuple[Fit, ...], second: tuple[Fit, ...], **asked) -> Compar
 
 
 def test_the_p_value_is_welch_s(rng: np.random.Generator) -> None:
-    """t = 500 / (100 sqrt 2), dof = (2 s^2)^2 / (s^4 / 20 + s^4 / 20) = 40 for two fits with 20 each; four coefficients."""
+    """t = 500 / (100 sqrt 2), dof = (2 s^2)^2 / (s^4 / 20 + s^4 / 20) = 40 for two fits with 20 each.
+
+    Four coefficients.
+    """
     found = compared(made([(1e4, 5.0), (1e4, 5.0)], "a"), made([(1e4, 5.0), (10_500.0, 5.0)], "b"))
-    assert found.verdict == "different" and found.amount("different").value == 1 and found.amount("tested").value == 4
+    assert (
+        found.verdict == "different"
+        and found.amount("different").value == 1
+        and found.amount("tested").value == 4
+    )
     assert found.amount("p_value").value == pytest.approx(4 * 2 * stats.t.sf(5 / np.sqrt(2), 40))
     assert "k 10-20 Hz" in found.statement and "k 0-10 Hz" not in found.statement
     band = next(band for band in found.bands if band.p_value < 0.05)
     reach = stats.t.ppf(0.975, 40) * 100 * np.sqrt(2) / 1e4
-    assert band.ratio == pytest.approx(1.05) and band.ratio_ci95 == pytest.approx((1.05 - reach, 1.05 + reach))
+    assert band.ratio == pytest.approx(1.05) and band.ratio_ci95 == pytest.approx(
+        (1.05 - reach, 1.05 + reach)
+    )
 
 
 def test_what_the_support_adds_to_both_is_no_part_of_the_difference() -> None:
-    """60 N/m are each test's own, 80 N/m come from the support under both: the difference has 60 sqrt(2) N/m."""
+    """60 N/m are each test's own, 80 N/m come from the support under both: the difference has 60 sqrt(2)
+    N/m.
+    """
     support = Uncertainty("stiffness of the support", 160.0, "N/m")
 
     def on_it(k: float, test: str) -> tuple[Fit, ...]:
-        return tuple(with_sources(fit, [(support, np.array([-80.0, 0.0]))]) for fit in made([(k, 5.0)], test, [(60.0, 1.0)]))
+        return tuple(
+            with_sources(fit, [(support, np.array([-80.0, 0.0]))])
+            for fit in made([(k, 5.0)], test, [(60.0, 1.0)])
+        )
 
     found = compared(on_it(1e4, "a"), on_it(10_300.0, "b"), parameter="k")
     tested = compared(made([(1e4, 5.0)], "a"), made([(10_300.0, 5.0)], "b"), parameter="k")
@@ -75,7 +97,8 @@ def test_what_the_support_adds_to_both_is_no_part_of_the_difference() -> None:
 
 
 def test_false_alarms_are_as_rare_as_stated(rng: np.random.Generator) -> None:
-    """600 pairs of tests of one rig, 20 bands with errors as stated, estimated from 20 degrees of freedom each.
+    """600 pairs of tests of one rig, 20 bands with errors as stated, estimated from 20 degrees of freedom
+    each.
 
     Independent bands come near to Holm's 5 %: between 3 and 7.5 % is the binomial at 1 in 100 to either side.
     """
@@ -93,7 +116,9 @@ def test_false_alarms_are_as_rare_as_stated(rng: np.random.Generator) -> None:
 
 @pytest.mark.long
 def test_fits_of_one_rig_raise_no_alarm_more_often(rng: np.random.Generator) -> None:
-    """Sliding fits of two recordings of one rig, noise from 6 averages each: at most 5 of 30 alarm, 1 in 150 at 5 %."""
+    """Sliding fits of two recordings of one rig, noise from 6 averages each: at most 5 of 30 alarm, 1 in 150
+    at 5 %.
+    """
     file = bearing("hmb-geometry")
     alarms = 0
     for _ in range(30):
@@ -106,14 +131,17 @@ def test_errors_of_fits_that_miss_something_are_enlarged() -> None:
     """Where the residual is twice the noise, the difference counts half."""
     first, second = made([(1e4, 5.0)], "a"), made([(10_300.0, 5.0)], "b")
     missing = tuple(
-        replace(fit, parameters=tuple(replace(p, std_error_inflated=2 * p.std_error) for p in fit.parameters)) for fit in (*first, *second)
+        replace(fit, parameters=tuple(replace(p, std_error_inflated=2 * p.std_error) for p in fit.parameters))
+        for fit in (*first, *second)
     )
     found = compared(missing[:1], missing[1:])
     assert found.amount("p_value").value == pytest.approx(2 * 2 * stats.t.sf(300 / (200 * np.sqrt(2)), 40))
 
 
 def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
-    """The amplifier's bandwidth drops from 1 kHz to 300 Hz: damping falls in the bands around the resonance."""
+    """The amplifier's bandwidth drops from 1 kHz to 300 Hz: damping falls in the bands around the
+    resonance.
+    """
     file = bearing("hmb-geometry")
     other = with_unknowns(file, {"bandwidth": 300.0})
     views = [measured(each, rng, fits=True) for each in (file, other)]
@@ -126,7 +154,9 @@ def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
 def test_groups_are_found_by_their_condition(rng: np.random.Generator) -> None:
     views = {name: measured(bearing("hmb-geometry"), rng, fits=True) for name in ("still", "turning")}
     speeds = {"still": "0 rpm", "turning": "8000 rpm"}
-    responses = tuple(replace(view.response, name=name, conditions={"speed": speeds[name]}) for name, view in views.items())
+    responses = tuple(
+        replace(view.response, name=name, conditions={"speed": speeds[name]}) for name, view in views.items()
+    )
     fits = tuple(replace(fit, test=name) for name, view in views.items() for fit in view.fits)
     evidence = Evidence(fits, responses, (SETTINGS,))
     found = compare(ASKED, evidence)
@@ -153,6 +183,9 @@ def test_it_survives_its_file_and_is_reported() -> None:
     blocks = comparison_blocks(found, ())
     (figure,) = (block for block in blocks if isinstance(block, Figure))
     assert [panel.y.label for panel in figure.graphic.panels] == ["k: ratio", "c: ratio"]
-    assert {series.name for series in figure.graphic.panels[0].series if series.name} == {"alike", "different"}
+    assert {series.name for series in figure.graphic.panels[0].series if series.name} == {
+        "alike",
+        "different",
+    }
     table = [block for block in blocks if isinstance(block, Table)][1]
     assert table.header[-1] == "p-value, corrected" and table.rows[1][0] == "10-20"

@@ -1,9 +1,11 @@
-"""The preload pipeline's ratio on the virtual ball-bearing rig, 30 times: its 95 % interval must hold the rig's truth in 90-99 %.
+"""The preload pipeline's ratio on the virtual ball-bearing rig, 30 times: its 95 % interval must hold the
+rig's truth in 90-99 %.
 
 Thirty repeats are marked `long`; by default six of them must not contradict the stated errors.
 
-Source: labpipe.methods.rolling_bearing.virtual_rig with the shipped configuration, new noise, new settings of the preload and, since the
-pipeline knows the shaft's stiffness to 1 % only, a new bending stiffness in every repeat. The truth is the ratio 1.12.
+Source: labpipe.methods.rolling_bearing.virtual_rig with the shipped configuration, new noise, new settings of
+the preload and, since the pipeline knows the shaft's stiffness to 1 % only, a new bending stiffness in every
+repeat. The truth is the ratio 1.12.
 """
 
 from __future__ import annotations
@@ -43,11 +45,15 @@ def few() -> list[dict[str, Comparison]]:
 
 
 def repeated(repeats: int) -> list[dict[str, Comparison]]:
-    """Every repeat's ratio and Rayleigh comparisons by name, made as the shipped pipeline makes them, but on every other line."""
+    """Every repeat's ratio and Rayleigh comparisons by name, made as the shipped pipeline makes them, but on
+    every other line.
+    """
     pipeline = load_pipeline(ROOT / "pipelines/preload-series.yaml", ["frf.period=250 ms"])
     rig = load_virtual_rig(ROOT / "configs/virtual-ball-bearing.yaml")
     chosen = [settings for settings in pipeline.sections["compare"] if settings.kind in ("ratio", "rayleigh")]
-    theories = {settings.name: theory_of(pipeline.folder, settings.theory) for settings in chosen if settings.theory}
+    theories = {
+        settings.name: theory_of(pipeline.folder, settings.theory) for settings in chosen if settings.theory
+    }
     rng = np.random.default_rng(20260801)
     found = []
     for seed in range(1000, 1000 + repeats):
@@ -65,8 +71,12 @@ def _evidence(pipeline, rig, seed: int) -> Evidence:
         runs = simulate_ball_bearing(rig, seed, [f"6208-{preload:g}N-up-{force}" for force in FORCES])
         test = f"{preload:g} N up"
         conditions = {"preload": f"{preload:g} N"}
-        responses.append(measure([run.recording for run in runs], pipeline.frf, name=test, conditions=conditions))
-        fits.extend(replace(fit, test=test) for settings in pipeline.fits for fit in identify(responses[-1], settings))
+        responses.append(
+            measure([run.recording for run in runs], pipeline.frf, name=test, conditions=conditions)
+        )
+        fits.extend(
+            replace(fit, test=test) for settings in pipeline.fits for fit in identify(responses[-1], settings)
+        )
     return Evidence(tuple(fits), tuple(responses), pipeline.fits)
 
 
@@ -76,7 +86,10 @@ def _compared(settings: CompareSettings, evidence: Evidence, theories) -> Compar
 
 @pytest.mark.long
 def test_six_repeats_do_not_contradict_the_stated_errors(few) -> None:
-    """Squared deviations in standard errors are chi-square; the mean of six within four of its own. Each fails by chance once in 10000."""
+    """Squared deviations in standard errors are chi-square; the mean of six within four of its own.
+
+    Each fails by chance once in 10000.
+    """
     for item, truth in (("ratio", TRUTH), ("beta", BETA)):
         kind = "ratio" if item == "ratio" else "rayleigh"
         amounts = [[repeat[f"{way}-{kind}"].amount(item) for repeat in few] for way in WAYS]
@@ -101,7 +114,9 @@ def test_the_ratio_is_unbiased_and_its_error_true(campaigns, name: str) -> None:
 def test_the_intervals_hold_the_truth_in_90_to_99_per_cent(campaigns) -> None:
     """30 repeats in three directions: 81 to 89 of 90."""
     hits = {
-        name: sum(low <= TRUTH <= high for low, high in (repeat[name].amount("ratio").ci95 for repeat in campaigns))
+        name: sum(
+            low <= TRUTH <= high for low, high in (repeat[name].amount("ratio").ci95 for repeat in campaigns)
+        )
         for name in ("radial-ratio", "axial-ratio", "tilt-ratio")
     }
     total = sum(hits.values())
@@ -110,10 +125,20 @@ def test_the_intervals_hold_the_truth_in_90_to_99_per_cent(campaigns) -> None:
 
 
 @pytest.mark.long
-def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_one_case_in_twenty(campaigns) -> None:
+def test_one_ratio_holds_for_all_preloads_and_damping_is_proportional_but_for_one_case_in_twenty(
+    campaigns,
+) -> None:
     """180 tests at 5 %: at most 9 + 3.5 binomial standard deviations reject."""
-    scatter = [repeat[f"{way}-ratio"].amount("scatter_p").value for repeat in campaigns for way in ("radial", "axial", "tilt")]
-    damping = [repeat[f"{way}-rayleigh"].amount("p_value").value for repeat in campaigns for way in ("radial", "axial", "tilt")]
+    scatter = [
+        repeat[f"{way}-ratio"].amount("scatter_p").value
+        for repeat in campaigns
+        for way in ("radial", "axial", "tilt")
+    ]
+    damping = [
+        repeat[f"{way}-rayleigh"].amount("p_value").value
+        for repeat in campaigns
+        for way in ("radial", "axial", "tilt")
+    ]
     assert np.sum(np.array([*scatter, *damping]) < 0.05) <= 9 + 3.5 * np.sqrt(180 * 0.05 * 0.95)
 
 

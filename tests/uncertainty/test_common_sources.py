@@ -22,22 +22,36 @@ def with_gain(fit: Fit, gain: float, source: str = "force sensor") -> Fit:
     """The fit with a relative uncertainty of its k by one source."""
     k = fit.parameter("k")
     change = -gain * k.value
-    budget = Budget(("k",), np.array([k.std_error]), 30.0, (Uncertainty(source, gain, "1"),), np.array([[change]]))
+    budget = Budget(
+        ("k",), np.array([k.std_error]), 30.0, (Uncertainty(source, gain, "1"),), np.array([[change]])
+    )
     whole = float(np.hypot(k.std_error, change))
-    return dataclasses.replace(fit, parameters=(dataclasses.replace(k, std_error_inflated=whole, systematic=abs(change)),), budget=budget)
+    return dataclasses.replace(
+        fit,
+        parameters=(dataclasses.replace(k, std_error_inflated=whole, systematic=abs(change)),),
+        budget=budget,
+    )
 
 
 def gained(values, source=lambda _n: "force sensor", gain: float = 0.02, error: float = 1e3):
-    fits = [with_gain(a_fit(f"t{n}", {"k": (value, error)}), gain, source(n)) for n, value in enumerate(values)]
-    conditions = {f"t{n}": {"load": f"{n % 2 + 1} kN", "way": "up" if n < 2 else "down"} for n in range(len(values))}
+    fits = [
+        with_gain(a_fit(f"t{n}", {"k": (value, error)}), gain, source(n)) for n, value in enumerate(values)
+    ]
+    conditions = {
+        f"t{n}": {"load": f"{n % 2 + 1} kN", "way": "up" if n < 2 else "down"} for n in range(len(values))
+    }
     return fits, conditions
 
 
-PAIRED = CompareSettings(kind="difference", fit="axial", over="load", group="way", groups=("up", "down"), name="d")
+PAIRED = CompareSettings(
+    kind="difference", fit="axial", over="load", group="way", groups=("up", "down"), name="d"
+)
 
 
 def test_a_ratio_of_two_tests_does_not_carry_the_sensor_they_share() -> None:
-    """k of both groups changes alike with the force sensor: the difference keeps the error of noise alone, sqrt(2) s / k / sqrt(2)."""
+    """k of both groups changes alike with the force sensor: the difference keeps the error of noise alone,
+    sqrt(2) s / k / sqrt(2).
+    """
     fits, conditions = gained([1e6, 2e6, 1.05e6, 2.1e6])
     shared = difference(campaign_of(PAIRED, fits, conditions)).amount("difference")
     plain = [a_fit(fit.test, {"k": (fit.parameters[0].value, 1e3)}) for fit in fits]
@@ -54,17 +68,24 @@ def test_different_sensors_do_not_cancel() -> None:
 
 
 def test_a_trend_keeps_its_slope_and_its_level_takes_the_uncertainty() -> None:
-    """A common gain moves level and slope by 2 % of themselves: level 1.5e6, slope 1e6 / kN (closed form for a line through the tests)."""
+    """A common gain moves level and slope by 2 % of themselves: level 1.5e6, slope 1e6 / kN (closed form for
+    a line through the tests).
+    """
     fits, conditions = gained([1e6, 2e6, 1e6, 2e6])
     settings = CompareSettings(kind="trend", fit="axial", over="load", name="t")
     found = trend(campaign_of(settings, fits, conditions))
     noise = 1e3 / np.sqrt(4)
     assert found.amount("level").std_error == pytest.approx(np.hypot(0.02 * 1.5e6, noise), rel=1e-6)
-    assert found.amount("slope").std_error == pytest.approx(np.hypot(0.02 * 1e3, 1e3 / np.sqrt(4 * 500.0**2)), rel=1e-6)
+    assert found.amount("slope").std_error == pytest.approx(
+        np.hypot(0.02 * 1e3, 1e3 / np.sqrt(4 * 500.0**2)), rel=1e-6
+    )
 
 
 def test_the_mean_of_repeats_keeps_the_error_that_no_repetition_shows() -> None:
-    """Settings a and b of two tests each: MSB / 4 = ((a - b) / 2)^2, 2 % of 1e6 by one sensor; dof (u / u_A)^4 (JCGM 100, G.4.1)."""
+    """Settings a and b of two tests each: MSB / 4 = ((a - b) / 2)^2, 2 % of 1e6 by one sensor.
+
+    Dof (u / u_A)^4 (JCGM 100, G.4.1).
+    """
     values = [995e3, 995e3 + 1e3, 1005e3 - 1e3, 1005e3]
     fits, conditions = gained(values)
     settings = CompareSettings(kind="repeatability", fit="axial", group="way", name="r")
@@ -87,7 +108,10 @@ def test_random_error_is_that_of_the_test_alone() -> None:
 
 
 def test_a_value_apart_is_seen_behind_a_large_common_error(rng) -> None:
-    """Six values with a common error of 10 and noise of 0.1; one 1 off the others is told, sound ones by chance only."""
+    """Six values with a common error of 10 and noise of 0.1.
+
+    One 1 off the others is told, sound ones by chance only.
+    """
     covariance = 0.01 * np.eye(6) + 100.0
     values = 50.0 + 0.1 * rng.standard_normal(6)
     assert np.min(from_the_rest(values, covariance)[1]) > 1e-3
@@ -98,10 +122,17 @@ def test_a_value_apart_is_seen_behind_a_large_common_error(rng) -> None:
 
 
 def test_a_line_through_values_with_a_common_error_scatters_as_stated(rng) -> None:
-    """500 lines: slopes scatter with the noise alone (4 standard deviations of a scatter), levels with both."""
+    """500 lines: slopes scatter with the noise alone (4 standard deviations of a scatter), levels with
+    both.
+    """
     x = np.arange(5.0)
     covariance = 0.04 * np.eye(5) + 9.0
-    fits = [straight_trend(x, 3 * rng.standard_normal() + 0.2 * rng.standard_normal(5) + x, covariance) for _ in range(500)]
+    fits = [
+        straight_trend(x, 3 * rng.standard_normal() + 0.2 * rng.standard_normal(5) + x, covariance)
+        for _ in range(500)
+    ]
     for number in (0, 1):
         scatter = np.std([fit.values[number] for fit in fits])
-        assert scatter == pytest.approx(np.median([fit.std_error(number) for fit in fits]), rel=4 / np.sqrt(1000))
+        assert scatter == pytest.approx(
+            np.median([fit.std_error(number) for fit in fits]), rel=4 / np.sqrt(1000)
+        )

@@ -1,4 +1,6 @@
-"""The table of comparisons: every kind answers, every verdict is one of the documented ones, the same theory is matched once."""
+"""The table of comparisons: every kind answers, every verdict is one of the documented ones, the same theory
+is matched once.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def evidence(rng) -> Evidence:
         for preload in (427.0, 500.0, 600.0):
             name = f"{preload:g} {way}"
             made = measured(1.12 * preload / 427, BENDING, rng)
-            responses.append(dataclasses.replace(made, name=name, conditions={"preload": f"{preload:g} N", "way": way}))
+            responses.append(
+                dataclasses.replace(made, name=name, conditions={"preload": f"{preload:g} N", "way": way})
+            )
             fits.extend(dataclasses.replace(fit, test=name) for fit in identify(made, PEAKS))
     return Evidence(tuple(fits), tuple(responses), (PEAKS,))
 
@@ -67,7 +71,10 @@ def every_kind(evidence: Evidence) -> dict[str, Comparison]:
         "rayleigh": CompareSettings(kind="rayleigh", **SERIES),
         "reciprocity": CompareSettings(kind="reciprocity", name="symmetry"),
     }
-    return {kind: compare(settings, evidence, theory([]) if settings.theory else None) for kind, settings in own.items()}
+    return {
+        kind: compare(settings, evidence, theory([]) if settings.theory else None)
+        for kind, settings in own.items()
+    }
 
 
 def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evidence) -> None:
@@ -87,9 +94,17 @@ def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(evid
 
 
 def test_the_numbers_are_those_of_the_making(evidence) -> None:
-    """K grows as the preload, so the exponent of z is 1; the ratio is 1.12; beta 20 us; both ways are alike."""
+    """K grows as the preload, so the exponent of z is 1; the ratio is 1.12; beta 20 us.
+
+    Both ways are alike.
+    """
     found = every_kind(evidence)
-    within = {"trend": ("exponent", 1.0), "ratio": ("ratio", 1.12), "rayleigh": ("beta", 20e-6), "difference": ("difference", 0.0)}
+    within = {
+        "trend": ("exponent", 1.0),
+        "ratio": ("ratio", 1.12),
+        "rayleigh": ("beta", 20e-6),
+        "difference": ("difference", 0.0),
+    }
     within["quotient"] = ("quotient", 1.0)
     for kind, (name, truth) in within.items():
         amount = found[kind].amount(name)
@@ -108,29 +123,45 @@ def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence
     assert len(calls) == 3
     assert first.amount("ratio").value == pytest.approx(1.12, rel=0.01)
     assert second.amount("beta").value == pytest.approx(20e-6, rel=0.01)
-    compare(CompareSettings(kind="ratio", theory=dataclasses.replace(THEORY, shaft=None), **radial), evidence, theory(calls))
+    compare(
+        CompareSettings(kind="ratio", theory=dataclasses.replace(THEORY, shaft=None), **radial),
+        evidence,
+        theory(calls),
+    )
     assert len(calls) == 6
 
 
 def test_the_bending_shaft_makes_radial_damping_fall_though_the_bearing_s_grows(evidence) -> None:
-    """The measured c over the preload falls, the bearing's damping is beta K: the theory sees through it, c / k does not."""
+    """The measured c over the preload falls, the bearing's damping is beta K: the theory sees through it, c /
+    k does not.
+    """
     radial = {**SERIES, "term": "x"}
-    assert compare(CompareSettings(kind="trend", parameter="c", law="power", **radial), evidence).verdict == "falling"
+    assert (
+        compare(CompareSettings(kind="trend", parameter="c", law="power", **radial), evidence).verdict
+        == "falling"
+    )
     assert compare(CompareSettings(kind="rayleigh", **radial), evidence).verdict == "not proportional"
-    assert compare(CompareSettings(kind="rayleigh", theory=THEORY, **radial), evidence, theory([])).verdict == "proportional"
+    assert (
+        compare(CompareSettings(kind="rayleigh", theory=THEORY, **radial), evidence, theory([])).verdict
+        == "proportional"
+    )
 
 
 def test_overlays_are_the_first_and_the_last_condition(evidence) -> None:
     found = compare(CompareSettings(kind="ratio", theory=THEORY, **SERIES), evidence, theory([]))
     assert [overlay.test.split()[0] for overlay in found.overlays] == ["427", "600"]
     for overlay in found.overlays:
-        measured_peak, matched_peak, theory_peak = (max(curve) for curve in (overlay.measured, overlay.matched, overlay.theory))
+        measured_peak, matched_peak, theory_peak = (
+            max(curve) for curve in (overlay.measured, overlay.matched, overlay.theory)
+        )
         assert matched_peak == pytest.approx(measured_peak, rel=0.02)
         assert theory_peak < 1.1 * matched_peak
 
 
 def test_errors_name_the_test_and_what_is_missing(evidence) -> None:
-    settings = CompareSettings(kind="ratio", theory=dataclasses.replace(THEORY, arm=None), **{**SERIES, "term": "by"})
+    settings = CompareSettings(
+        kind="ratio", theory=dataclasses.replace(THEORY, arm=None), **{**SERIES, "term": "by"}
+    )
     with pytest.raises(ConfigError, match="test 427 up: the tilt by is compared without an arm"):
         compare(settings, evidence, theory([]))
     with pytest.raises(ConfigError, match=r"bearing\.yaml: no such file"):
@@ -149,7 +180,9 @@ def test_a_fit_without_noise_gives_the_ratio_itself() -> None:
     quiet: list[FrequencyResponse] = []
     fits = []
     for preload in (427.0, 500.0):
-        made = dataclasses.replace(measured(1.12 * preload / 427, BENDING), covariance=None, name=f"{preload:g}")
+        made = dataclasses.replace(
+            measured(1.12 * preload / 427, BENDING), covariance=None, name=f"{preload:g}"
+        )
         quiet.append(dataclasses.replace(made, conditions={"preload": f"{preload:g} N"}))
         fits.extend(dataclasses.replace(fit, test=made.name) for fit in identify(made, PEAKS))
     evidence = Evidence(tuple(fits), tuple(quiet), (PEAKS,))
@@ -161,4 +194,6 @@ def test_a_fit_without_noise_gives_the_ratio_itself() -> None:
 def test_one_test_is_no_campaign(evidence) -> None:
     assert evidence.settings_of("peaks") is PEAKS
     with pytest.raises(FitError, match="at least two are needed"):
-        Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(CompareSettings(kind="trend", **SERIES))
+        Evidence(evidence.fits[:3], evidence.responses, (PEAKS,)).campaign(
+            CompareSettings(kind="trend", **SERIES)
+        )

@@ -1,4 +1,6 @@
-"""Comparisons in a pipeline: read with every fault at its place, judged by rules, written, read again, reported, shown."""
+"""Comparisons in a pipeline: read with every fault at its place, judged by rules, written, read again,
+reported, shown.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def axial_response(stiffness: float, rng) -> FrequencyResponse:
     noise = 0.002 * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
     variance = np.full((w.size, 1, 1), 0.002**2)
     ports = (Port("z", "z", "z"),), (Port("z", "z", "z"),)
-    return FrequencyResponse(frequency, (h + noise)[:, None, None], *ports, form="accelerance", covariance=uncorrelated(variance))
+    return FrequencyResponse(
+        frequency, (h + noise)[:, None, None], *ports, form="accelerance", covariance=uncorrelated(variance)
+    )
 
 
 @pytest.fixture
@@ -58,9 +62,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 def written_series(tmp_path: Path) -> Path:
-    """A pipeline over FRF tables made of the bearing file's own K_zz times 1.1, at three preloads, up and down.
+    """A pipeline over FRF tables made of the bearing file's own K_zz times 1.1, at three preloads, up and
+    down.
 
-    The preloads are exact; a stated setting error makes the interval wider than needed (test_campaign_coverage.py draws the coverage).
+    The preloads are exact; a stated setting error makes the interval wider than needed
+    (test_campaign_coverage.py draws the coverage).
     """
     theory = theory_of(tmp_path, TheorySettings(str(BEARING)))
     rng = np.random.default_rng(20240917)
@@ -68,8 +74,12 @@ def written_series(tmp_path: Path) -> Path:
     for way in ("up", "down"):
         for preload in PRELOADS:
             name = f"{preload:g}-{way}"
-            write_frf_csv(tmp_path / f"{name}.csv", axial_response(1.1 * theory([(preload, "N")]).stiffness[2, 2], rng))
-            tests.append({"name": name, "frfs": f"{name}.csv", "conditions": {"preload": f"{preload:g} N", "way": way}})
+            write_frf_csv(
+                tmp_path / f"{name}.csv", axial_response(1.1 * theory([(preload, "N")]).stiffness[2, 2], rng)
+            )
+            tests.append(
+                {"name": name, "frfs": f"{name}.csv", "conditions": {"preload": f"{preload:g} N", "way": way}}
+            )
     fit = {"model": "sdof", "input": "z", "output": "z", "band": "300-900 Hz"}
     series = {"fit": "axial", "over": "preload"}
     plan = {
@@ -77,7 +87,12 @@ def written_series(tmp_path: Path) -> Path:
         "tests": tests,
         "identify": {"axial": fit},
         "compare": {
-            "ratio": {"kind": "ratio", **series, "setting_error": "0.1 %", "theory": {"bearing": str(BEARING)}},
+            "ratio": {
+                "kind": "ratio",
+                **series,
+                "setting_error": "0.1 %",
+                "theory": {"bearing": str(BEARING)},
+            },
             "damping": {"kind": "rayleigh", **series},
             "trend": {"kind": "trend", "law": "power", **series},
             "ways": {"kind": "difference", **series, "group": "way", "groups": ["up", "down"]},
@@ -117,7 +132,13 @@ def test_a_pipeline_of_comparisons_runs_is_judged_and_read_again(finished, labpi
     assert "ratio: k, fit axial: measured / theory 1.09" in printed
     assert "expect: ratio.ratio.covers 1.1: passed" in printed
     found = read_identification(project / "out/identification.json")
-    assert [comparison.name for comparison in found.sections["compare"]] == ["ratio", "damping", "trend", "ways", "repeats"]
+    assert [comparison.name for comparison in found.sections["compare"]] == [
+        "ratio",
+        "damping",
+        "trend",
+        "ways",
+        "repeats",
+    ]
     entry = json.loads((project / "out/identification.json").read_text())
     assert entry["comparisons"][0]["amounts"][0]["name"] == "ratio"
     assert entry["settings"]["compare"][0]["kind"] == "ratio"
@@ -144,10 +165,14 @@ def test_the_report_says_it_in_words_numbers_and_pictures(finished) -> None:
     project, _ = finished
     found = read_identification(project / "out/identification.json")
     headings = [section.heading for section in build(found).sections]
-    compared = [heading.removeprefix("Comparison: ") for heading in headings if heading.startswith("Comparison: ")]
+    compared = [
+        heading.removeprefix("Comparison: ") for heading in headings if heading.startswith("Comparison: ")
+    ]
     assert compared == ["ratio", "damping", "trend", "ways", "repeats"]
     # What the tests say together comes before the single fits.
-    assert headings.index("Comparison: repeats") < min(n for n, heading in enumerate(headings) if heading.startswith("Result: "))
+    assert headings.index("Comparison: repeats") < min(
+        n for n, heading in enumerate(headings) if heading.startswith("Result: ")
+    )
     for comparison in found.sections["compare"]:
         blocks = comparison_blocks(comparison, found.responses)
         assert comparison.statement in [getattr(block, "text", "") for block in blocks]
@@ -174,12 +199,27 @@ def test_reciprocity_is_drawn_pair_by_pair(labpipe, tmp_path) -> None:
 
 
 FAULTS = [
-    (lambda plan: plan["compare"].update(axial={"kind": "reciprocity"}), "compare.axial: a fit or calibration has this name already"),
-    (lambda plan: plan["compare"]["trend"].update(fit="axail"), "compare.trend.fit: there is no fit 'axail'; did you mean 'axial'?"),
-    (lambda plan: plan["compare"]["ratio"]["theory"].update(bearing="no.yaml"), "compare.ratio.theory.bearing: no such file 'no.yaml'"),
-    (lambda plan: plan["compare"]["trend"].update(kind="tend"), "compare.trend.kind: unknown choice 'tend'; did you mean 'trend'?"),
+    (
+        lambda plan: plan["compare"].update(axial={"kind": "reciprocity"}),
+        "compare.axial: a fit or calibration has this name already",
+    ),
+    (
+        lambda plan: plan["compare"]["trend"].update(fit="axail"),
+        "compare.trend.fit: there is no fit 'axail'; did you mean 'axial'?",
+    ),
+    (
+        lambda plan: plan["compare"]["ratio"]["theory"].update(bearing="no.yaml"),
+        "compare.ratio.theory.bearing: no such file 'no.yaml'",
+    ),
+    (
+        lambda plan: plan["compare"]["trend"].update(kind="tend"),
+        "compare.trend.kind: unknown choice 'tend'; did you mean 'trend'?",
+    ),
     (lambda plan: plan["compare"]["trend"].pop("over"), "compare.trend: 'over' is missing"),
-    (lambda plan: plan["compare"]["ratio"].update(setting_error="1 N"), "compare.ratio.setting_error: 'N' has the wrong dimension"),
+    (
+        lambda plan: plan["compare"]["ratio"].update(setting_error="1 N"),
+        "compare.ratio.setting_error: 'N' has the wrong dimension",
+    ),
     (lambda plan: plan["expect"].update({"rato.ratio": 1}), "expect.rato.ratio: there is no fit 'rato'"),
 ]
 
@@ -202,15 +242,24 @@ RULES = [
 
 
 @pytest.mark.parametrize(("address", "bound", "what"), RULES)
-def test_rules_that_do_not_fit_the_comparison_are_named(project, labpipe, address: str, bound, what: str) -> None:
-    ended = labpipe("run", edited(project, lambda plan: plan.update(expect={address: bound})), "-o", project / "out")
+def test_rules_that_do_not_fit_the_comparison_are_named(
+    project, labpipe, address: str, bound, what: str
+) -> None:
+    ended = labpipe(
+        "run", edited(project, lambda plan: plan.update(expect={address: bound})), "-o", project / "out"
+    )
     assert ended.code == 2
     assert f"expect.{address}" in ended.err
     assert what in ended.err
 
 
 def test_a_rule_on_an_interval_that_is_not_there_fails(project, labpipe) -> None:
-    ended = labpipe("run", edited(project, lambda plan: plan.update(expect={"ways.p_value.covers": 0.5})), "-o", project / "out")
+    ended = labpipe(
+        "run",
+        edited(project, lambda plan: plan.update(expect={"ways.p_value.covers": 0.5})),
+        "-o",
+        project / "out",
+    )
     assert ended.code == 1
     assert "found no interval" in ended.out
 
@@ -225,7 +274,9 @@ def test_a_comparison_that_cannot_be_made_is_named(project, labpipe) -> None:
 
 
 def test_the_theory_is_the_bearing_file_at_the_condition() -> None:
-    """NSK 6208 at 427 N and 1721 N, printed K_zz .1654e8 and .4616e8 (Knaapen 1997, appendix A), to half a printed digit."""
+    """NSK 6208 at 427 N and 1721 N, printed K_zz .1654e8 and .4616e8 (Knaapen 1997, appendix A), to half a
+    printed digit.
+    """
     theory = theory_of(BEARING.parent, TheorySettings(BEARING.name))
     for preload, printed in ((427.0, 0.1654e8), (1721.0, 0.4616e8)):
         at = theory([(preload, "N")])
@@ -270,7 +321,10 @@ def test_a_string_s_force_goes_as_its_frequency_squared(labpipe, tmp_path: Path)
     rows = "\n".join(f"{f!r},{0.009189 * f**2!r}" for f in frequency.tolist())
     (tmp_path / "string.csv").write_text(f"frequency [Hz],force [N]\n{rows}\n")
     entry = {"table": "string.csv", "x": "frequency [Hz]", "y": "force [N]", "through_origin": True}
-    plan = {"calibrate": {"string": {**entry, "x_power": 2}}, "expect": {"string.slope": "0.009189 N/Hz^2 +- 1e-9 N/Hz^2"}}
+    plan = {
+        "calibrate": {"string": {**entry, "x_power": 2}},
+        "expect": {"string.slope": "0.009189 N/Hz^2 +- 1e-9 N/Hz^2"},
+    }
     (tmp_path / "p.yaml").write_text(yaml.safe_dump(plan))
     assert labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out").code == 0
     plan["calibrate"]["string"]["x_power"] = 0
@@ -291,7 +345,10 @@ def test_points_keep_their_parts_through_the_file(finished) -> None:
 
 
 def test_a_theory_at_two_conditions_sets_two_entries(tmp_path: Path) -> None:
-    """A load in x beside that in z: without it K is that of one condition, with it another; an entry that there is not is named."""
+    """A load in x beside that in z: without it K is that of one condition, with it another.
+
+    An entry that there is not is named.
+    """
     text = BEARING.read_text("utf-8")
     (tmp_path / "b.yaml").write_text(text)
     both = theory_of(tmp_path, TheorySettings("b.yaml", entry=("loads.z", "temperature_rise")))
@@ -301,4 +358,6 @@ def test_a_theory_at_two_conditions_sets_two_entries(tmp_path: Path) -> None:
     plain = theory_of(tmp_path, TheorySettings("b.yaml"))
     loaded = moment([(427.0, "N"), (20.0, "N")]).stiffness
     assert not np.allclose(loaded, plain([(427.0, "N")]).stiffness)
-    np.testing.assert_allclose(moment([(427.0, "N"), (0.0, "N")]).stiffness, plain([(427.0, "N")]).stiffness, rtol=1e-9)
+    np.testing.assert_allclose(
+        moment([(427.0, "N"), (0.0, "N")]).stiffness, plain([(427.0, "N")]).stiffness, rtol=1e-9
+    )

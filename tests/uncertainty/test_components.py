@@ -43,7 +43,9 @@ def test_settings_that_scatter_less_than_their_repeats_have_no_part_of_their_own
 
 @pytest.mark.parametrize("between", [0.5, 2.0])
 def test_components_are_recovered_and_intervals_cover(rng, between: float) -> None:
-    """600 tables of 6 x 3 with within = 1: variances unbiased within 4 standard errors, intervals hold the truth in 93.5 % or more."""
+    """600 tables of 6 x 3 with within = 1: variances unbiased within 4 standard errors, intervals hold the
+    truth in 93.5 % or more.
+    """
     groups = np.repeat(np.arange(6).astype(str), 3)
     squares, hits = [], np.zeros(2)
     for _ in range(600):
@@ -85,7 +87,9 @@ def test_repeats_that_scatter_more_than_their_errors_are_told(campaign, rng) -> 
 
 
 def test_settings_with_one_mean_leave_no_scatter_of_it(campaign) -> None:
-    """Both settings have the values 1 and 3: MSB is zero, so is the mean's error where no sensor is uncertain."""
+    """Both settings have the values 1 and 3: MSB is zero, so is the mean's error where no sensor is
+    uncertain.
+    """
     tests = [(value, 1.0, {"mounting": name}) for name in "ab" for value in (1.0, 3.0)]
     assert repeatability(campaign(SETTINGS, tests)).amount("mean").std_error == 0.0
 

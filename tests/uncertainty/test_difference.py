@@ -10,7 +10,9 @@ from labpipe.uncertainty.settings import CompareSettings
 from labpipe.uncertainty.trend import difference, quotient
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
-PAIRED = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis")
+PAIRED = CompareSettings(
+    kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), name="hysteresis"
+)
 
 
 def both_ways(up, down, error: float = 1e3):
@@ -46,15 +48,31 @@ def test_the_error_is_that_of_the_weighted_logarithms(campaign) -> None:
 
 def test_the_setting_s_error_enters_by_the_exponent(campaign) -> None:
     """Without noise of the fits each pair has sqrt(2) 0.7 x 0.5 %, four pairs half of it."""
-    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    settings = CompareSettings(
+        kind="difference",
+        fit="axial",
+        over="preload",
+        group="way",
+        groups=("up", "down"),
+        setting_error=0.005,
+    )
     k = stiffness()
     found = difference(campaign(settings, both_ways(k, k, 1.0)))
     assert found.amount("difference").std_error == pytest.approx(np.sqrt(2) * 0.7 * 0.005 / 2, rel=1e-4)
 
 
 def test_no_difference_is_claimed_at_the_stated_rate_and_three_per_cent_are_seen(campaign, rng) -> None:
-    """300 campaigns: 5 % false alarms (within 3.5 binomial standard deviations of 6.7 %, with enlarged errors); 3 % found in 99 %."""
-    settings = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "down"), setting_error=0.005)
+    """300 campaigns: 5 % false alarms (within 3.5 binomial standard deviations of 6.7 %, with enlarged
+    errors); 3 % found in 99 %.
+    """
+    settings = CompareSettings(
+        kind="difference",
+        fit="axial",
+        over="preload",
+        group="way",
+        groups=("up", "down"),
+        setting_error=0.005,
+    )
     false, seen = 0, 0
     for _ in range(300):
         up, down = (stiffness(rng, 0.005, 1e4) for _ in range(2))
@@ -74,34 +92,56 @@ def test_only_shared_conditions_are_paired(campaign) -> None:
 
 def test_without_a_condition_groups_are_compared_as_they_are(campaign) -> None:
     settings = CompareSettings(kind="difference", fit="axial", group="way", groups=("before", "after"))
-    given = [(value, 0.1, {"way": way}) for way, value in (("before", 10.0), ("before", 10.0), ("after", 11.0), ("after", 11.0))]
+    given = [
+        (value, 0.1, {"way": way})
+        for way, value in (("before", 10.0), ("before", 10.0), ("after", 11.0), ("after", 11.0))
+    ]
     found = difference(campaign(settings, given))
     assert found.amount("difference").value == pytest.approx(0.1, rel=1e-9)
-    assert found.amount("difference").std_error == pytest.approx(1.1 * np.hypot(0.01, 0.1 / 11) / np.sqrt(2), rel=1e-6)
+    assert found.amount("difference").std_error == pytest.approx(
+        1.1 * np.hypot(0.01, 0.1 / 11) / np.sqrt(2), rel=1e-6
+    )
 
 
 def test_groups_that_are_not_there_are_named(campaign) -> None:
     k = stiffness()
-    wrong = CompareSettings(kind="difference", fit="axial", over="preload", group="way", groups=("up", "dwon"))
+    wrong = CompareSettings(
+        kind="difference", fit="axial", over="preload", group="way", groups=("up", "dwon")
+    )
     with pytest.raises(ConfigError, match="no test has way: dwon") as caught:
         difference(campaign(wrong, both_ways(k, k)))
     assert caught.value.hint == "known: down, up"
     with pytest.raises(ConfigError, match="at no common 'preload'"):
         difference(campaign(PAIRED, [both_ways(k, k)[0], both_ways(k, k)[7]]))
-    lone = CompareSettings(kind="difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01)
+    lone = CompareSettings(
+        kind="difference", fit="axial", group="way", groups=("up", "down"), setting_error=0.01
+    )
     with pytest.raises(FitError, match="'setting_error' needs the condition"):
         difference(campaign(lone, both_ways(k, k)))
 
 
 TWICE = CompareSettings(
-    kind="difference", fit="axial", over=("speed", "load"), group="way", groups=("up", "down"), tolerance=0.01, name="two"
+    kind="difference",
+    fit="axial",
+    over=("speed", "load"),
+    group="way",
+    groups=("up", "down"),
+    tolerance=0.01,
+    name="two",
 )
 
 
 def test_tests_are_paired_by_both_conditions(campaign) -> None:
-    """k rises with speed and falls with load; down is 2 % above up at equal conditions, which were set to within 0.2 %."""
+    """k rises with speed and falls with load.
+
+    Down is 2 % above up at equal conditions, which were set to within 0.2 %.
+    """
     tests = [
-        (1e6 * speed / load * (1.02 if way == "down" else 1.0), 1e3, {"speed": f"{set_speed} Hz", "load": f"{load} N", "way": way})
+        (
+            1e6 * speed / load * (1.02 if way == "down" else 1.0),
+            1e3,
+            {"speed": f"{set_speed} Hz", "load": f"{load} N", "way": way},
+        )
         for speed in (20.0, 40.0)
         for load in (1.0, 2.0)
         for way, set_speed in (("up", speed), ("down", speed * 1.002))
@@ -116,8 +156,21 @@ def test_a_quotient_is_the_ratio_of_two_tests_with_the_interval_of_its_logarithm
     settings = CompareSettings(kind="quotient", fit="axial", groups=("test 0", "test 1"))
     found = quotient(campaign(settings, [(10.0, 0.1, {}), (11.0, 0.1, {})]))
     amount, error = found.amount("quotient"), np.hypot(0.01, 0.1 / 11)
-    assert amount.value == pytest.approx(1.1, rel=1e-12) and amount.std_error == pytest.approx(1.1 * error, rel=1e-9)
-    assert amount.ci95 == pytest.approx((1.1 * np.exp(-1.959964 * error), 1.1 * np.exp(1.959964 * error)), rel=1e-7)
-    assert found.kind == "quotient" and found.verdict == "different" and "test 1 over test 0 1.1 " in found.statement
+    assert amount.value == pytest.approx(1.1, rel=1e-12) and amount.std_error == pytest.approx(
+        1.1 * error, rel=1e-9
+    )
+    assert amount.ci95 == pytest.approx(
+        (1.1 * np.exp(-1.959964 * error), 1.1 * np.exp(1.959964 * error)), rel=1e-7
+    )
+    assert (
+        found.kind == "quotient"
+        and found.verdict == "different"
+        and "test 1 over test 0 1.1 " in found.statement
+    )
     with pytest.raises(ConfigError, match="no test 'wet'"):
-        quotient(campaign(CompareSettings(kind="quotient", fit="axial", groups=("test 0", "wet")), [(10.0, 0.1, {}), (11.0, 0.1, {})]))
+        quotient(
+            campaign(
+                CompareSettings(kind="quotient", fit="axial", groups=("test 0", "wet")),
+                [(10.0, 0.1, {}), (11.0, 0.1, {})],
+            )
+        )

@@ -16,7 +16,10 @@ K = np.array([[4.0, 1.0], [-2.0, 3.0]])
 
 
 def test_the_mean_of_repeats_has_their_covariance_over_their_number() -> None:
-    """K^-1 u by numbers, its covariance by central differences of each coefficient; three repeats that say the same."""
+    """K^-1 u by numbers, its covariance by central differences of each coefficient.
+
+    Three repeats that say the same.
+    """
     settings = EquilibriumSettings(load="load", x="x", y="y", direction=0.3, support=0.5)
     load = np.array([np.cos(0.3), np.sin(0.3)])
 
@@ -25,7 +28,9 @@ def test_the_mean_of_repeats_has_their_covariance_over_their_number() -> None:
 
     step = 1e-6
     units = np.eye(4).reshape(4, 2, 2)
-    slopes = np.column_stack([(displacement(step * unit) - displacement(-step * unit)) / (2 * step) for unit in units])
+    slopes = np.column_stack(
+        [(displacement(step * unit) - displacement(-step * unit)) / (2 * step) for unit in units]
+    )
     values = {name: (float(value), 0.01) for name, value in zip(STIFFNESS, K.ravel(), strict=True)}
     for repeats in (1, 3):
         found = _shaken(settings, [a_fit(f"test {n}", values) for n in range(repeats)])
@@ -40,7 +45,10 @@ def test_no_coefficients_no_displacement() -> None:
 
 
 def test_an_error_in_common_does_not_shrink_with_repeats() -> None:
-    """A gain of 2 % on all of K: K^-1 u goes 2 % the other way. One sensor in three repeats, then one sensor in each."""
+    """A gain of 2 % on all of K: K^-1 u goes 2 % the other way.
+
+    One sensor in three repeats, then one sensor in each.
+    """
     settings = EquilibriumSettings(load="load", x="x", y="y", direction=0.3)
     load = np.array([np.cos(0.3), np.sin(0.3)])
     values = {name: (float(value), 0.01) for name, value in zip(STIFFNESS, K.ravel(), strict=True)}
@@ -51,7 +59,9 @@ def test_an_error_in_common_does_not_shrink_with_repeats() -> None:
         changes = -0.02 * np.array([[plain.parameter(name).value for name in STIFFNESS]])
         budget = Budget(STIFFNESS, np.full(4, 0.01), None, (Uncertainty(source, 0.02, "1"),), changes)
         combined = [
-            replace(parameter, std_error_inflated=float(np.hypot(0.01, change)), systematic=abs(float(change)))
+            replace(
+                parameter, std_error_inflated=float(np.hypot(0.01, change)), systematic=abs(float(change))
+            )
             for parameter, change in zip(plain.parameters, changes[0], strict=True)
         ]
         return replace(plain, parameters=tuple(combined), budget=budget)

@@ -1,4 +1,6 @@
-"""Every key of a comparison with every kind: it changes what is found, or it is refused at its line with the kinds that take it."""
+"""Every key of a comparison with every kind: it changes what is found, or it is refused at its line with the
+kinds that take it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ from labpipe.project.schema import pipeline_schema
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.uncertainty import settings as comparison_settings
 from labpipe.uncertainty.compare import Evidence, compare
-from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, ComparisonKind, TheorySettings, comparison_kind, takers
+from labpipe.uncertainty.settings import (
+    COMPARISONS,
+    CompareSettings,
+    ComparisonKind,
+    TheorySettings,
+    comparison_kind,
+    takers,
+)
 from tests.methods.magnetic_bearing import certified, loop_cases
 from tests.uncertainty.conftest import a_fit
 from tests.uncertainty.test_theory import BENDING, PEAKS
@@ -51,7 +60,15 @@ def two_directions() -> Evidence:
     noise = 0.05 * (rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape)) / np.sqrt(2)
     covariance = np.broadcast_to(0.05**2 * np.eye(4), (40, 4, 4)).astype(complex)
     outputs, inputs = (tuple(Port(f"{kind}{dof}", dof, dof) for dof in "xy") for kind in ("", "f"))
-    return Evidence((), (FrequencyResponse(np.arange(1.0, 41.0), matrix + noise, outputs, inputs, covariance=covariance, name="t"),), ())
+    return Evidence(
+        (),
+        (
+            FrequencyResponse(
+                np.arange(1.0, 41.0), matrix + noise, outputs, inputs, covariance=covariance, name="t"
+            ),
+        ),
+        (),
+    )
 
 
 def two_speeds() -> Evidence:
@@ -79,8 +96,16 @@ def signals() -> Evidence:
     again = (*made.outputs, *(Port(f"other_{port.label}", port.label, port.dof) for port in made.outputs))
     assert made.covariance is not None
     doubled = np.tile(made.covariance, (1, 2, 2))
-    response = replace(made, matrix=np.concatenate([made.matrix, 1.01 * made.matrix], axis=1), outputs=again, covariance=doubled, name="t")
-    zeta = dataclasses.replace(a_fit("t", {"k": (0.03, 0.001)}, name="a").parameters[0], name="zeta", unit="1")
+    response = replace(
+        made,
+        matrix=np.concatenate([made.matrix, 1.01 * made.matrix], axis=1),
+        outputs=again,
+        covariance=doubled,
+        name="t",
+    )
+    zeta = dataclasses.replace(
+        a_fit("t", {"k": (0.03, 0.001)}, name="a").parameters[0], name="zeta", unit="1"
+    )
     fit = replace(a_fit("t", {"k": (1.0, 0.1)}, name="a"), parameters=(zeta,))
     return Evidence((fit,), (response,), (), folder=BEARINGS)
 
@@ -128,7 +153,9 @@ OF_KIND: dict[tuple[str, str], Any] = {
 }
 # What else a key needs to have a meaning.
 BESIDE: dict[tuple[str, str], dict[str, Any]] = {
-    ("prediction", "over"): {"theory": TheorySettings(bearing="hmb-magnetic.yaml", entry=("loop.proportional",))},
+    ("prediction", "over"): {
+        "theory": TheorySettings(bearing="hmb-magnetic.yaml", entry=("loop.proportional",))
+    },
     ("certificate", "fit"): {"theory": None},
 }
 PAIRS = list(itertools.product(COMPARISONS, WRITTEN))
@@ -142,17 +169,25 @@ def evidence_of(kind: str) -> Evidence:
 def found(kind: str, **more: Any) -> str:
     """All that a comparison says, in numbers and words; where it is not possible, why."""
     try:
-        return repr(entry_of(compare(CompareSettings(kind=kind, name="a", **{**CASES[kind][1], **more}), evidence_of(kind))))
+        return repr(
+            entry_of(
+                compare(CompareSettings(kind=kind, name="a", **{**CASES[kind][1], **more}), evidence_of(kind))
+            )
+        )
     except LabpipeError as error:
         return error.what
 
 
 def test_every_key_and_kind_is_walked() -> None:
-    assert {*WRITTEN, "kind"} == {field.name for field in fields(CompareSettings) if "setting" in field.metadata}
+    assert {*WRITTEN, "kind"} == {
+        field.name for field in fields(CompareSettings) if "setting" in field.metadata
+    }
     assert set(CASES) == set(COMPARISONS)
 
 
-@pytest.mark.parametrize(("kind", "key"), [pair for pair in PAIRS if pair[0] in takers(pair[1]) and pair[1] != "level"])
+@pytest.mark.parametrize(
+    ("kind", "key"), [pair for pair in PAIRS if pair[0] in takers(pair[1]) and pair[1] != "level"]
+)
 def test_a_key_that_is_taken_changes_what_is_found(kind: str, key: str) -> None:
     beside = BESIDE.get((kind, key), {})
     changed = OF_KIND.get((kind, key), VALUES.get(key, WRITTEN[key]))
@@ -163,7 +198,10 @@ def test_a_key_that_is_taken_changes_what_is_found(kind: str, key: str) -> None:
 def test_a_level_on_either_side_of_the_p_value_changes_the_verdict(kind: str) -> None:
     plain = CompareSettings(kind=kind, name="a", **CASES[kind][1])
     p_value = compare(plain, evidence_of(kind)).amount("p_value").value
-    below, above = (compare(replace(plain, level=level), evidence_of(kind)).verdict for level in (0.9 * p_value, p_value**0.9))
+    below, above = (
+        compare(replace(plain, level=level), evidence_of(kind)).verdict
+        for level in (0.9 * p_value, p_value**0.9)
+    )
     assert below != above
 
 
@@ -174,16 +212,26 @@ def test_a_key_that_is_not_taken_is_refused_at_its_line(kind: str, key: str, tmp
         load_pipeline(written(tmp_path, f"{{kind: {kind},\n    {key}: {value}}}"))
     (fault,) = refused.value.faults
     assert str(fault).startswith(f"{tmp_path / 'p.yaml'}:9:5: compare.q.{key}: ")
-    assert fault.what.endswith(f"is not for the kind {kind}") and fault.hint.endswith(f"kinds that take it: {', '.join(takers(key))}")
+    assert fault.what.endswith(f"is not for the kind {kind}") and fault.hint.endswith(
+        f"kinds that take it: {', '.join(takers(key))}"
+    )
     with pytest.raises(ConfigError, match=f"'{key}' is not for the kind {kind}"):
-        CompareSettings(kind=kind, **{**CASES[kind][1], key: OF_SHAFT if key == "theory" else VALUES.get(key, WRITTEN[key])})
+        CompareSettings(
+            kind=kind,
+            **{**CASES[kind][1], key: OF_SHAFT if key == "theory" else VALUES.get(key, WRITTEN[key])},
+        )
 
 
 def written(folder: Path, comparison: str) -> Path:
     """A pipeline whose last lines, from the eighth on, are a comparison q."""
-    (folder / "rig.yaml").write_text("name: R\nsample_rate: 1 kHz\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n")
+    (folder / "rig.yaml").write_text(
+        "name: R\nsample_rate: 1 kHz\nchannels:\n  f: {quantity: force}\n  x: {quantity: displacement}\n"
+    )
     (folder / "a.csv").write_text("f,x\n1,2\n")
-    head = "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s}\nidentify:\n  b: {model: sdof,\n    mass: 1 kg}\n"
+    head = (
+        "rig: rig.yaml\nrecordings: a.csv\nfrf: {excitation: periodic, period: 1 s}\nidentify:\n  b: "
+        "{model: sdof,\n    mass: 1 kg}\n"
+    )
     (folder / "p.yaml").write_text(f"{head}compare:\n  q: {comparison}\n")
     return folder / "p.yaml"
 
@@ -193,11 +241,15 @@ def test_the_section_of_another_kind_is_refused_at_its_line(kind: str, tmp_path:
     with pytest.raises(ConfigErrors) as refused:
         load_pipeline(written(tmp_path, f"{{kind: {kind},\n    certificate: {{zone: A}}}}"))
     (fault,) = refused.value.faults
-    assert str(fault) == f"{tmp_path / 'p.yaml'}:9:5: compare.q.certificate: is not for the kind {kind}; kind: certificate"
+    assert str(fault) == (
+        f"{tmp_path / 'p.yaml'}:9:5: compare.q.certificate: is not for the kind {kind}; kind: certificate"
+    )
 
 
 def test_a_section_of_a_kind_is_read_with_its_faults(tmp_path: Path) -> None:
-    (settings,) = load_pipeline(written(tmp_path, "{kind: certificate,\n    certificate: {zone: A}}")).sections["compare"]
+    (settings,) = load_pipeline(
+        written(tmp_path, "{kind: certificate,\n    certificate: {zone: A}}")
+    ).sections["compare"]
     assert settings.kind_settings.zone == "A"
     with pytest.raises(ConfigErrors, match=r"9:19: compare\.q\.certificate\.zone: unknown choice 'Z'"):
         load_pipeline(written(tmp_path, "{kind: certificate,\n    certificate: {zone: Z}}"))

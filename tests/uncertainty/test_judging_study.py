@@ -14,16 +14,39 @@ from labpipe.records.study import Study, StudyCase, StudyThreshold
 def case(fit: str, noise: float, coverage: float) -> StudyCase:
     errors = {"mean_error": 0.1, "median_error": 0.1, "error_variance": 0.01, "rmse_over_bound": 1.0}
     return StudyCase(
-        fit=fit, estimator="ml", noise=noise, lines=10, repeats=100, failed=0, success=(1.0,), coverage=coverage, parameters=(), **errors
+        fit=fit,
+        estimator="ml",
+        noise=noise,
+        lines=10,
+        repeats=100,
+        failed=0,
+        success=(1.0,),
+        coverage=coverage,
+        parameters=(),
+        **errors,
     )
 
 
-CASES = (case("other", 0.01, 0.1), case("direct", 0.01, 0.95), case("direct", 0.07, 0.8), case("direct", 0.0700001, 0.7))
+CASES = (
+    case("other", 0.01, 0.1),
+    case("direct", 0.01, 0.95),
+    case("direct", 0.07, 0.8),
+    case("direct", 0.0700001, 0.7),
+)
 STUDIES = (Study("rig", 1, (0.1,), 0.9, CASES, (StudyThreshold("direct", 0.1, 0.05, 100),)),)
 
 
 def rule(item: str, bound: str) -> Rule:
-    return Rule(section="accept", address=f"study.{item}", fit="study", which="", item=item, kind=">=", bound=bound, place="p.yaml:1:1")
+    return Rule(
+        section="accept",
+        address=f"study.{item}",
+        fit="study",
+        which="",
+        item=item,
+        kind=">=",
+        bound=bound,
+        place="p.yaml:1:1",
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Matrices of tests: levels, means of repeats with what repeating does not make smaller, theory beside, rest positions."""
+"""Matrices of tests: levels, means of repeats with what repeating does not make smaller, theory beside, rest
+positions.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,10 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
         ({"k": (2.0e6, 1e3)}, at("6000 rpm", "1 kN")),
     ]
     matrix = a_matrix(tests)
-    assert [axis.levels for axis in matrix.axes] == [(pytest.approx(50.0), pytest.approx(100.0)), (pytest.approx(1000.0),)]
+    assert [axis.levels for axis in matrix.axes] == [
+        (pytest.approx(50.0), pytest.approx(100.0)),
+        (pytest.approx(1000.0),),
+    ]
     (first, second) = matrix.points
     assert (first.tests, second.tests) == (("t0", "t1"), ("t2",))
     assert first.values[0].parameter.value == pytest.approx(1.0005e6)
@@ -54,7 +59,9 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
 
 def test_what_is_common_to_repeats_does_not_shrink() -> None:
     """100 repeats, noise 1 and common part 3: sqrt(0.1^2 + 3^2), closed form."""
-    one = Parameter("k", 10.0, "N/m", std_error=1.0, std_error_inflated=float(np.sqrt(10.0)), ci95=(8.0, 12.0))
+    one = Parameter(
+        "k", 10.0, "N/m", std_error=1.0, std_error_inflated=float(np.sqrt(10.0)), ci95=(8.0, 12.0)
+    )
     values = 10.0 + np.linspace(-1.7, 1.7, 100)
     mean = repeated([dataclasses.replace(one, value=value) for value in values]).parameter
     assert mean.value == pytest.approx(10.0)
@@ -74,23 +81,36 @@ def test_repeats_apart_are_named_and_their_mean_widened() -> None:
 
 
 def test_sound_repeats_are_rarely_called_apart(rng) -> None:
-    """300 matrices of 6 points with 5 repeats: at most 5 % + 3.5 binomial standard deviations have any finding."""
+    """300 matrices of 6 points with 5 repeats: at most 5 % + 3.5 binomial standard deviations have any
+    finding.
+    """
     alarms = 0
     for _ in range(300):
         tests = [
-            ({"k": (1e6 + 1e3 * rng.standard_normal(), 1e3)}, at(f"{speed} Hz", "1 kN")) for speed in range(10, 70, 10) for _ in range(5)
+            ({"k": (1e6 + 1e3 * rng.standard_normal(), 1e3)}, at(f"{speed} Hz", "1 kN"))
+            for speed in range(10, 70, 10)
+            for _ in range(5)
         ]
         alarms += bool(a_matrix(tests).findings)
     assert alarms <= 300 * 0.05 + 3.5 * np.sqrt(300 * 0.05 * 0.95)
 
 
 def test_means_of_repeats_hold_the_truth(rng) -> None:
-    """1500 points of 4 repeats with a common error three times that of noise: 95 % intervals hold, within 3.5 binomial deviations."""
+    """1500 points of 4 repeats with a common error three times that of noise: 95 % intervals hold, within 3.5
+    binomial deviations.
+    """
     held = 0
     for _ in range(1500):
         common = 3.0 * rng.standard_normal()
         draws = [
-            Parameter("k", 100 + common + rng.standard_normal(), "N/m", std_error=1.0, std_error_inflated=10**0.5, ci95=(0.0, 1.0))
+            Parameter(
+                "k",
+                100 + common + rng.standard_normal(),
+                "N/m",
+                std_error=1.0,
+                std_error_inflated=10**0.5,
+                ci95=(0.0, 1.0),
+            )
             for _ in range(4)
         ]
         low, high = repeated(draws).parameter.ci95 or (0.0, 0.0)
@@ -119,7 +139,9 @@ def test_what_tests_do_not_have_is_named(settings, message) -> None:
         a_matrix([({"k": (1e6, 1e3)}, at("50 Hz", "1 kN"))], settings)
 
 
-@pytest.mark.parametrize("entries", [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.5}, {"level": 0.0}])
+@pytest.mark.parametrize(
+    "entries", [{"over": ()}, {"over": ("speed", "speed")}, {"tolerance": 1.5}, {"level": 0.0}]
+)
 def test_settings_that_cannot_be_are_refused(entries) -> None:
     with pytest.raises(ConfigError):
         MatrixSettings(**{"fit": "axial", "over": ("speed",), **entries})
@@ -130,7 +152,9 @@ STIFFNESS = np.array([[8e6, 3e6], [-4e6, 1.2e7]])
 
 def _fit_of(stiffness: np.ndarray, error: float, test: str) -> Fit:
     names = ("k_xx", "k_xy", "k_yx", "k_yy")
-    return a_fit(test, {name: (float(value), error) for name, value in zip(names, stiffness.reshape(-1), strict=True)})
+    return a_fit(
+        test, {name: (float(value), error) for name, value in zip(names, stiffness.reshape(-1), strict=True)}
+    )
 
 
 def a_path(rng, tests_per_load: int, static: np.ndarray, shaken: np.ndarray, spread: float = 1e-8):
@@ -148,7 +172,11 @@ def a_path(rng, tests_per_load: int, static: np.ndarray, shaken: np.ndarray, spr
             name = f"{load:g}-{number}"
             measured = rest + spread * rng.standard_normal(2)
             fits.append(_fit_of(shaken + 2e4 * rng.standard_normal((2, 2)), 2e4, name))
-            conditions[name] = {"load": f"{load} N", "x": f"{measured[0] * 1e6:.12g} um", "y": f"{measured[1] * 1e6:.12g} um"}
+            conditions[name] = {
+                "load": f"{load} N",
+                "x": f"{measured[0] * 1e6:.12g} um",
+                "y": f"{measured[1] * 1e6:.12g} um",
+            }
     return condition_matrix(settings, fits, conditions).paths[0]
 
 
@@ -165,7 +193,10 @@ def test_the_slope_of_the_path_is_the_compliance(rng) -> None:
 
 
 def test_static_and_shaken_stiffness_that_differ_are_shown(rng) -> None:
-    """A static stiffness 20 % above that from shaking; where both agree, p-values are seldom small (binomial, 60 points)."""
+    """A static stiffness 20 % above that from shaking.
+
+    Where both agree, p-values are seldom small (binomial, 60 points).
+    """
     apart = a_path(rng, 6, 1.2 * STIFFNESS, STIFFNESS)
     assert all(point.p_value < 1e-3 for point in apart.points)
     alike = [point.p_value for _ in range(20) for point in a_path(rng, 12, STIFFNESS, STIFFNESS).points]

@@ -1,4 +1,6 @@
-"""The section matrix from YAML to report, tables and rules: FRFs of known bearings at every condition, theory beside, faults."""
+"""The section matrix from YAML to report, tables and rules: FRFs of known bearings at every condition, theory
+beside, faults.
+"""
 
 from __future__ import annotations
 
@@ -67,13 +69,21 @@ def folder(tmp_path_factory) -> Path:
                 (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2)),
             )
             name = f"{speed}rpm-{load}kN-{repeat}"
-            response = FrequencyResponse(frequency, noisy, *ports, covariance=uncorrelated(np.full(h.shape, std**2)), name=name)
+            response = FrequencyResponse(
+                frequency, noisy, *ports, covariance=uncorrelated(np.full(h.shape, std**2)), name=name
+            )
             write_frf_csv(folder / f"{name}.csv", response)
             oil = f"oil: {40 + repeat} degC"
             conditions = f"{{speed: {speed + repeat} rpm, load: {load} kN, {oil}}}"
             entries.append(f"  - {{name: {name}, frfs: {name}.csv, conditions: {conditions}}}")
-    names = [f"{letter}_{axes} [{unit}]" for letter, unit in (("k", "MN/m"), ("c", "kN.s/m")) for axes in ("xx", "xy", "yx", "yy")]
-    pd.DataFrame(rows, columns=["speed [rpm]", "load [kN]", *names]).to_csv(folder / "theory.csv", index=False)
+    names = [
+        f"{letter}_{axes} [{unit}]"
+        for letter, unit in (("k", "MN/m"), ("c", "kN.s/m"))
+        for axes in ("xx", "xy", "yx", "yy")
+    ]
+    pd.DataFrame(rows, columns=["speed [rpm]", "load [kN]", *names]).to_csv(
+        folder / "theory.csv", index=False
+    )
     (folder / "p.yaml").write_text(PIPELINE.format(tests="\n".join(entries)))
     return folder
 
@@ -85,7 +95,9 @@ def result(folder: Path) -> Path:
 
 
 def test_every_point_is_near_its_truth_and_mostly_holds_it(result: Path) -> None:
-    """32 intervals of 95 %: at least 26 hold the truth (chance of fewer: 1e-3 by the binomial distribution)."""
+    """32 intervals of 95 %: at least 26 hold the truth (chance of fewer: 1e-3 by the binomial
+    distribution).
+    """
     (matrix,) = read_identification(result).sections["matrix"]
     assert matrix.statement.startswith("film: 12 tests at 4 points (2 speed x 2 load); the theory lies in")
     held = 0
@@ -102,7 +114,9 @@ def test_every_point_is_near_its_truth_and_mostly_holds_it(result: Path) -> None
     assert all(outcome.passed for outcome in read_identification(result).outcomes)
 
 
-def test_the_report_begins_with_the_matrix_and_draws_tests_on_demand(result: Path, folder: Path, labpipe) -> None:
+def test_the_report_begins_with_the_matrix_and_draws_tests_on_demand(
+    result: Path, folder: Path, labpipe
+) -> None:
     page = (result.parent / "report.html").read_text("utf-8")
     assert "Test matrix: tm" in page and "Result: film, test" not in page
     one = labpipe("report", result.parent, "--test", "1500rpm-1kN-0", "-o", folder / "one.md")

@@ -20,7 +20,10 @@ def test_tests_come_in_rising_condition_in_si() -> None:
     assert campaign.condition.tolist() == [427.0, 700.0]
     assert (campaign.condition_unit, campaign.unit) == ("N", "N/m")
     points = campaign.points()
-    assert [(point.test, point.condition, point.value) for point in points] == [("a", 427.0, 1e7), ("b", 700.0, 2e7)]
+    assert [(point.test, point.condition, point.value) for point in points] == [
+        ("a", 427.0, 1e7),
+        ("b", 700.0, 2e7),
+    ]
     assert points[0].ci95 == (1e7 - 2e4, 1e7 + 2e4)
 
 
@@ -32,7 +35,10 @@ def test_a_pure_number_is_a_condition_and_fractions_come_in_parts_of_one() -> No
 
 
 def test_a_term_is_chosen_among_peaks() -> None:
-    fits = [a_fit(test, {"k": (value, 1.0)}, term=term) for test, term, value in (("a", "x", 1.0), ("a", "z", 2.0), ("b", "x", 3.0))]
+    fits = [
+        a_fit(test, {"k": (value, 1.0)}, term=term)
+        for test, term, value in (("a", "x", 1.0), ("a", "z", 2.0), ("b", "x", 3.0))
+    ]
     settings = CompareSettings(kind="trend", fit="axial", term="x", over="preload")
     assert campaign_of(settings, fits, CONDITIONS).value.tolist() == [1.0, 3.0]
     with pytest.raises(ConfigError, match="has no term 'y'"):
@@ -62,7 +68,9 @@ def test_missing_fits_parameters_and_errors_are_named() -> None:
         campaign_of(CompareSettings(kind="trend", fit="axail", over="preload"), fits, CONDITIONS)
     assert "axial" in caught.value.hint
     with pytest.raises(ConfigError, match="fit 'axial' has no 'c'"):
-        campaign_of(CompareSettings(kind="trend", fit="axial", parameter="c", over="preload"), fits, CONDITIONS)
+        campaign_of(
+            CompareSettings(kind="trend", fit="axial", parameter="c", over="preload"), fits, CONDITIONS
+        )
     with pytest.raises(FitError, match=r"has 1 test\(s\)"):
         campaign_of(OVER, fits[:1], CONDITIONS)
     negative = campaign_of(OVER, [a_fit("a", {"k": (-1.0, 0.1)}), fits[1]], CONDITIONS)
@@ -75,11 +83,17 @@ def test_missing_fits_parameters_and_errors_are_named() -> None:
     [
         ({"kind": "trend", "over": "preload"}, "'fit' is missing"),
         ({"kind": "trend", "fit": "axial"}, "'over' is missing"),
-        ({"kind": "difference", "fit": "axial", "group": "way", "groups": ("up",)}, "two groups are compared, not 1"),
+        (
+            {"kind": "difference", "fit": "axial", "group": "way", "groups": ("up",)},
+            "two groups are compared, not 1",
+        ),
         ({"kind": "repeatability", "fit": "axial"}, "'group' is missing"),
         ({"kind": "ratio", "fit": "axial", "over": "preload"}, "'theory' is missing"),
         ({"kind": "trend", "fit": "axial", "over": "preload", "level": 1.0}, "'level' must lie"),
-        ({"kind": "trend", "fit": "axial", "over": "preload", "setting_error": -0.1}, "'setting_error' must not"),
+        (
+            {"kind": "trend", "fit": "axial", "over": "preload", "setting_error": -0.1},
+            "'setting_error' must not",
+        ),
     ],
 )
 def test_settings_say_what_they_lack(given, what: str) -> None:

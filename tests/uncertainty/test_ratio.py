@@ -11,21 +11,35 @@ from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.uncertainty.conftest import a_fit
 
-RATIO = CompareSettings(kind="ratio", fit="axial", over="preload", theory=TheorySettings("b.yaml"), setting_error=0.01, name="ratio")
+RATIO = CompareSettings(
+    kind="ratio",
+    fit="axial",
+    over="preload",
+    theory=TheorySettings("b.yaml"),
+    setting_error=0.01,
+    name="ratio",
+)
 RAYLEIGH = CompareSettings(kind="rayleigh", fit="axial", over="preload", name="damping")
 
 
-def a_match(ratio: float, error: float = 1e-3, bending: float = 0.0, condition: float = 0.0, beta: float = 2e-5) -> Matched:
+def a_match(
+    ratio: float, error: float = 1e-3, bending: float = 0.0, condition: float = 0.0, beta: float = 2e-5
+) -> Matched:
     log = np.log([ratio, beta])
     covariance = np.diag([error**2, 4e-6])
-    return Matched(log, covariance, np.array([bending, 0.0]), np.array([condition, 0.0]), np.array([1e7, 200.0]))
+    return Matched(
+        log, covariance, np.array([bending, 0.0]), np.array([condition, 0.0]), np.array([1e7, 200.0])
+    )
 
 
 def series(settings: CompareSettings, stiffness=(1e7, 2e7), damping=(200.0, 400.0), error: float = 1.0):
     pairs = enumerate(zip(stiffness, damping, strict=True))
     fits = [a_fit(f"t{n}", {"k": (k, k / 1000), "c": (c, error * c / 500)}) for n, (k, c) in pairs]
     return campaign_of(
-        settings, fits, {fit.test: {"preload": f"{100 * (n + 1)} N"} for n, fit in enumerate(fits)}, "c" if settings is RAYLEIGH else "k"
+        settings,
+        fits,
+        {fit.test: {"preload": f"{100 * (n + 1)} N"} for n, fit in enumerate(fits)},
+        "c" if settings is RAYLEIGH else "k",
     )
 
 
@@ -48,7 +62,9 @@ def test_the_setting_s_error_is_each_test_s_own() -> None:
     found = stiffness_ratio(series(RATIO), [a_match(1.0, 1e-6, condition=-0.7)] * 2, (), 0.0)
     assert found.amount("ratio").std_error == pytest.approx(0.7 * 0.01 / np.sqrt(2), rel=1e-4)
     assert found.verdict == "as theory"
-    assert found.points[0].ratio_ci95 == pytest.approx((np.exp(-1.96 * 0.007), np.exp(1.96 * 0.007)), rel=1e-4)
+    assert found.points[0].ratio_ci95 == pytest.approx(
+        (np.exp(-1.96 * 0.007), np.exp(1.96 * 0.007)), rel=1e-4
+    )
 
 
 def test_one_factor_that_does_not_hold_is_told_and_the_interval_widened() -> None:
@@ -58,7 +74,10 @@ def test_one_factor_that_does_not_hold_is_told_and_the_interval_widened() -> Non
     low, high = found.amount("ratio").ci95
     assert low < 0.8
     assert high > 0.9
-    assert stiffness_ratio(series(RATIO), [a_match(0.8), a_match(0.801)], (), 0.0).verdict == "softer than theory"
+    assert (
+        stiffness_ratio(series(RATIO), [a_match(0.8), a_match(0.801)], (), 0.0).verdict
+        == "softer than theory"
+    )
 
 
 def test_damping_proportional_to_stiffness_is_called_so() -> None:
@@ -79,7 +98,9 @@ def test_constant_damping_is_not_proportional() -> None:
 
 
 def test_with_a_theory_its_beta_counts() -> None:
-    found = rayleigh(series(RAYLEIGH, damping=(200.0, 200.0)), [a_match(1.1, beta=3e-5), a_match(1.1, beta=3e-5)])
+    found = rayleigh(
+        series(RAYLEIGH, damping=(200.0, 200.0)), [a_match(1.1, beta=3e-5), a_match(1.1, beta=3e-5)]
+    )
     assert found.verdict == "proportional"
     assert found.amount("beta").value == pytest.approx(3e-5, rel=1e-9)
 
@@ -96,4 +117,10 @@ def test_chance_alone_is_not_proportional_in_one_case_of_twenty(rng) -> None:
 
 def test_a_fit_without_damping_is_refused() -> None:
     with pytest.raises(FitError, match="has no standard error"):
-        rayleigh(series(RAYLEIGH), [a_match(1.1), Matched(np.log([1.1, 2e-5]), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.ones(2))])
+        rayleigh(
+            series(RAYLEIGH),
+            [
+                a_match(1.1),
+                Matched(np.log([1.1, 2e-5]), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.ones(2)),
+            ],
+        )

@@ -1,4 +1,6 @@
-"""Reciprocity over tests: symmetric matrices with noise, a cross-coupled one, dofs that are not coupled, the number of pairs."""
+"""Reciprocity over tests: symmetric matrices with noise, a cross-coupled one, dofs that are not coupled, the
+number of pairs.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ NOISE = 2e-8
 
 
 def response(rng, skew: float = 0.0, coupled: bool = True, name: str = "t") -> FrequencyResponse:
-    """Receptance of two coupled masses and a third one for itself, K_xy - K_yx = 2 *skew*; white noise of known variance."""
+    """Receptance of two coupled masses and a third one for itself, K_xy - K_yx = 2 *skew*.
+
+    White noise of known variance.
+    """
     frequency = np.arange(10.0, 60.0, 0.5)
     w = 2 * np.pi * frequency[:, None, None]
     cross = 4e4 if coupled else 0.0
@@ -24,13 +29,17 @@ def response(rng, skew: float = 0.0, coupled: bool = True, name: str = "t") -> F
     h = h + NOISE * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
     outputs = tuple(Port(dof, dof, dof) for dof in "xyz")
     inputs = tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in "xyz")
-    return FrequencyResponse(frequency, h, outputs, inputs, covariance=uncorrelated(np.full(h.shape, NOISE**2)), name=name)
+    return FrequencyResponse(
+        frequency, h, outputs, inputs, covariance=uncorrelated(np.full(h.shape, NOISE**2)), name=name
+    )
 
 
 def test_a_symmetric_structure_is_reciprocal(rng) -> None:
     found = reciprocal(SETTINGS, [response(rng, name="a"), response(rng, name="b")])
     assert found.verdict == "reciprocal"
-    assert [(point.test, point.group) for point in found.points] == [(t, g) for t in "ab" for g in ("x-y", "x-z", "y-z")]
+    assert [(point.test, point.group) for point in found.points] == [
+        (t, g) for t in "ab" for g in ("x-y", "x-z", "y-z")
+    ]
     assert found.amount("difference").value < 0.05
     assert "6 pair(s) of dofs in 2 test(s), 2 of them coupled" in found.statement
 
@@ -40,7 +49,8 @@ def test_cross_coupling_of_unequal_size_is_not(rng) -> None:
     assert found.verdict == "not reciprocal"
     worst = min(found.points, key=lambda point: point.p_value)
     assert (worst.test, worst.group) == ("b", "x-y")
-    # H_xy - H_yx = -2 skew / det Z, H_xy + H_yx = -2 cross / det Z: relative rms 2 x 2e3 / rms of (4.2e4, 3.8e4).
+    # H_xy - H_yx = -2 skew / det Z, H_xy + H_yx = -2 cross / det Z: relative rms 2 x 2e3 / rms of (4.2e4,
+    # 3.8e4).
     assert worst.value == pytest.approx(4e3 / np.sqrt((4.2e4**2 + 3.8e4**2) / 2), rel=0.05)
 
 
@@ -59,7 +69,9 @@ def test_the_number_of_pairs_is_accounted_for(rng) -> None:
 
 def test_the_corrected_p_value_is_the_least_times_the_pairs(rng) -> None:
     found = reciprocal(SETTINGS, [response(rng)])
-    assert found.amount("p_value").value == pytest.approx(min(1.0, 3 * min(point.p_value for point in found.points)))
+    assert found.amount("p_value").value == pytest.approx(
+        min(1.0, 3 * min(point.p_value for point in found.points))
+    )
 
 
 def test_without_responses_nothing_is_judged() -> None:

@@ -19,7 +19,8 @@ FRF = FrfSettings(excitation="periodic", period=2.0, skip=3, band=(50.0, 80.0))
 
 
 def test_bounds_of_one_dof_are_the_closed_form() -> None:
-    # d H / dk = -H^2, d H / dc = -j w H^2, each part of the noise of standard deviation s: F = sum |dH|^2 / s^2, cross terms zero.
+    # d H / dk = -H^2, d H / dc = -j w H^2, each part of the noise of standard deviation s: F = sum |dH|^2 /
+    # s^2, cross terms zero.
     source = source_of(ONE, 0.03, None, (), None)
     h = ONE.receptance[:, 0, 0]
     w = 2 * np.pi * ONE.frequency
@@ -77,7 +78,13 @@ def test_what_a_rig_cannot_give_is_said(rig, lines, runs, frf, message: str) -> 
 
 @pytest.mark.parametrize(
     "change",
-    [{"damping": ((0.1, 0.2),)}, {"mass": (1.0, 2.0)}, {"noise": -0.1}, {"lines": Lines(0.6, 0.1, 30)}, {"lines": Lines(0.1, 0.6, 1)}],
+    [
+        {"damping": ((0.1, 0.2),)},
+        {"mass": (1.0, 2.0)},
+        {"noise": -0.1},
+        {"lines": Lines(0.6, 0.1, 30)},
+        {"lines": Lines(0.1, 0.6, 1)},
+    ],
 )
 def test_a_rig_that_cannot_be_is_refused(change: dict) -> None:
     with pytest.raises(ConfigError):

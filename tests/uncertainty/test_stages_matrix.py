@@ -14,7 +14,9 @@ BEARING = BearingCoefficients(("y", "z", "by"), STIFFNESS, 10 * STIFFNESS)
 
 
 def test_rows_and_columns_follow_the_axes_with_their_signs() -> None:
-    """The rig's x is the bearing's z, its y points against the bearing's y: force and motion both change their sign."""
+    """The rig's x is the bearing's z, its y points against the bearing's y: force and motion both change
+    their sign.
+    """
     assert _in_rig_axes(BEARING, ("z", "-y")) == {
         "k_xx": 5, "k_xy": -4, "k_yx": -2, "k_yy": 1, "c_xx": 50, "c_xy": -40, "c_yx": -20, "c_yy": 10,
     }  # fmt: skip

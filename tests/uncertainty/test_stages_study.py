@@ -1,4 +1,6 @@
-"""A study that cannot be made: the message names the section of the pipeline, unless the fault has a place of its own."""
+"""A study that cannot be made: the message names the section of the pipeline, unless the fault has a place of
+its own.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from labpipe.project import study
 from labpipe.project.study import run_studies
 
 
-@pytest.mark.parametrize(("where", "message"), [("", "lab/p.yaml: study: no fit"), ("rig.yaml:2:1", "rig.yaml:2:1: no fit")])
+@pytest.mark.parametrize(
+    ("where", "message"), [("", "lab/p.yaml: study: no fit"), ("rig.yaml:2:1", "rig.yaml:2:1: no fit")]
+)
 def test_a_fault_has_its_place(monkeypatch: pytest.MonkeyPatch, where: str, message: str) -> None:
     def refused(*_: Any) -> Any:
         raise ConfigError("no fit", where=where)

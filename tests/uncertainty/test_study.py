@@ -17,7 +17,8 @@ def pipeline(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = Path(__file__).parents[2]
     path = tmp_path_factory.mktemp("study") / "small.yaml"
     fits = "\n".join(
-        f"  {name}: {{model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: {name}}}" for name in ("ls", "iv", "ml")
+        f"  {name}: {{model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: {name}}}"
+        for name in ("ls", "iv", "ml")
     )
     rules = '  study.ml.rmse_over_bound: [">= 0.8", "<= 1.2"]\n  study.ls[4 %].coverage: <= 90 %\n'
     study = f"study:\n  rig: {root}/configs/three-dof.yaml\n  noise: [2 %, 4 %]\n  repeats: 16\n"
@@ -37,7 +38,9 @@ def test_a_study_leaves_table_report_and_result(labpipe, pipeline: Path, tmp_pat
     assert "RMSE/CRLB" in ended.out and "expect: study.ml.rmse_over_bound >= 0.8: passed" in ended.out
     entries = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     cases = entries["studies"][0]["cases"]
-    assert [(case["fit"], case["noise"]) for case in cases] == [(fit, noise) for noise in (0.02, 0.04) for fit in ("ls", "iv", "ml")]
+    assert [(case["fit"], case["noise"]) for case in cases] == [
+        (fit, noise) for noise in (0.02, 0.04) for fit in ("ls", "iv", "ml")
+    ]
     by_fit = {case["fit"]: case for case in cases if case["noise"] == 0.04}
     assert by_fit["ml"]["median_error"] < by_fit["iv"]["median_error"] < by_fit["ls"]["median_error"]
     rows = list(csv.DictReader((tmp_path / "study.csv").read_text("utf-8").splitlines()))
@@ -50,9 +53,21 @@ def test_a_study_leaves_table_report_and_result(labpipe, pipeline: Path, tmp_pat
 def test_more_processes_give_the_same_figures(labpipe, pipeline: Path, tmp_path: Path) -> None:
     """As many repeats as are worth sharing; the quickest estimator alone."""
     fits = "{ls: {model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, estimator: ls}}"
-    override = ("--set", f"study.repeats={WORTH_SHARING}", "--set", "study.noise=3 %", "--set", f"identify={fits}")
+    override = (
+        "--set",
+        f"study.repeats={WORTH_SHARING}",
+        "--set",
+        "study.noise=3 %",
+        "--set",
+        f"identify={fits}",
+    )
     for jobs in (1, 2):
-        assert labpipe("study", pipeline, "-o", tmp_path / str(jobs), "-j", jobs, *override, "--set", "expect={}").code == 0
+        assert (
+            labpipe(
+                "study", pipeline, "-o", tmp_path / str(jobs), "-j", jobs, *override, "--set", "expect={}"
+            ).code
+            == 0
+        )
     first, second = ((tmp_path / str(jobs) / "study.csv").read_text("utf-8") for jobs in (1, 2))
     assert first == second
 
@@ -69,7 +84,16 @@ def test_run_and_check_hold_the_study_against_its_rules(labpipe, pipeline: Path,
 
 @pytest.mark.long
 def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, tmp_path: Path) -> None:
-    override = ("--set", "study.repeats=20", "--set", "study.noise=2 %", "--set", "study.thresholds=true", "--set", "expect={}")
+    override = (
+        "--set",
+        "study.repeats=20",
+        "--set",
+        "study.noise=2 %",
+        "--set",
+        "study.thresholds=true",
+        "--set",
+        "expect={}",
+    )
     assert labpipe("study", pipeline, "-o", tmp_path, *override).code == 0
     entries = json.loads((tmp_path / "identification.json").read_text("utf-8"))
     levels = {entry["fit"]: entry["noise"] for entry in entries["studies"][0]["thresholds"]}
@@ -109,8 +133,12 @@ expect:
         ("identify={}", "there is nothing to study"),
     ],
 )
-def test_faults_of_a_study_are_said(labpipe, pipeline: Path, tmp_path: Path, override: str, message: str) -> None:
-    ended = labpipe("study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", "study.repeats=10", "--set", override)
+def test_faults_of_a_study_are_said(
+    labpipe, pipeline: Path, tmp_path: Path, override: str, message: str
+) -> None:
+    ended = labpipe(
+        "study", pipeline, "-o", tmp_path / "out", "-j", 1, "--set", "study.repeats=10", "--set", override
+    )
     assert ended.code == 2 and message in ended.err, ended
     assert not (tmp_path / "out").exists()
 
@@ -126,18 +154,29 @@ def test_simulate_writes_the_frf_of_an_mdof_rig(labpipe, root: Path, tmp_path: P
     assert truth["k_1_2"] == -1.0 and truth["m_3_3"] == 3.0
     path = tmp_path / "fit.yaml"
     fit = "{model: mdof, mass: [1 kg, 2 kg, 3 kg], symmetric: true, compare: true}"
-    path.write_text(f"title: t\nfrfs: frf.csv\nidentify:\n  ml: {fit}\nexpect: {{ml.k_3_3: 2 N/m +- 5 %}}\n", encoding="utf-8")
+    path.write_text(
+        f"title: t\nfrfs: frf.csv\nidentify:\n  ml: {fit}\nexpect: {{ml.k_3_3: 2 N/m +- 5 %}}\n",
+        encoding="utf-8",
+    )
     ended = labpipe("run", path, "-o", tmp_path / "out")
     assert ended.code == 0, ended
-    assert labpipe("simulate", root / "configs/three-dof.yaml", "-o", tmp_path / "other", "--run", "x").code == 2
+    assert (
+        labpipe("simulate", root / "configs/three-dof.yaml", "-o", tmp_path / "other", "--run", "x").code == 2
+    )
 
 
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ("kind: virtual-mdof-rigs", "unknown virtual rig 'virtual-mdof-rigs'; did you mean 'virtual-mdof-rig'?"),
+        (
+            "kind: virtual-mdof-rigs",
+            "unknown virtual rig 'virtual-mdof-rigs'; did you mean 'virtual-mdof-rig'?",
+        ),
         ("name: nothing", "kind: is missing"),
-        ("kind: virtual-mdof-rig\nstiffness: [[1 N/m, 2 N/m], [3 N/m]]", "the rows of the matrix are not equally long"),
+        (
+            "kind: virtual-mdof-rig\nstiffness: [[1 N/m, 2 N/m], [3 N/m]]",
+            "the rows of the matrix are not equally long",
+        ),
         ("kind: virtual-mdof-rig\nstiffness: 3", "is not a matrix"),
     ],
 )

@@ -15,11 +15,18 @@ TRUTH = {"k_1_1": 3.0, "k_1_2": -2.0, "k_2_1": -2.0, "k_2_2": 4.0}
 
 
 def outcome(diagonal: float, beside: float, converged: bool = True, std_error: float | None = 0.5) -> Outcome:
-    """k_1_1 and k_1_2 with 95 % intervals of two standard errors; k_2_2 exact; a derived one that must not count."""
+    """k_1_1 and k_1_2 with 95 % intervals of two standard errors; k_2_2 exact.
+
+    A derived one that must not count.
+    """
     values = {"k_1_1": diagonal, "k_1_2": beside, "k_2_2": 4.0}
     parameters = [
         Parameter(
-            name, value, "N/m", std_error=std_error, ci95=None if std_error is None else (value - 2 * std_error, value + 2 * std_error)
+            name,
+            value,
+            "N/m",
+            std_error=std_error,
+            ci95=None if std_error is None else (value - 2 * std_error, value + 2 * std_error),
         )
         for name, value in values.items()
     ]
@@ -33,7 +40,12 @@ def test_squared_error_counts_entries_beside_the_diagonal_twice() -> None:
 
 def test_success_needs_a_result_within_the_limit() -> None:
     # |p_true|^2 = 9 + 2 * 4 + 16 = 33; a deviation of 0.5 is 8.7 %, one of 1 is 17 %.
-    outcomes = [outcome(3.5, -2.0), outcome(4.0, -2.0), outcome(3.0, -2.0, converged=False), Outcome(False, ())]
+    outcomes = [
+        outcome(3.5, -2.0),
+        outcome(4.0, -2.0),
+        outcome(3.0, -2.0, converged=False),
+        Outcome(False, ()),
+    ]
     assert success_rate(outcomes, FIT, TRUTH, 0.1) == 0.25
     assert success_rate(outcomes, FIT, TRUTH, 0.2) == 0.5
 
@@ -48,14 +60,18 @@ def test_a_case_by_hand() -> None:
     k = case.parameters[0]
     assert (k.name, k.truth, k.bound, k.std_error) == ("k_1_1", 3.0, 0.5, pytest.approx(0.5))
     assert k.mean == pytest.approx(10.4 / 3) and k.bias == pytest.approx(1.4 / 3)
-    assert k.rmse == pytest.approx(math.sqrt(1.64 / 3)) and case.rmse_over_bound == pytest.approx(k.rmse / 0.5)
+    assert k.rmse == pytest.approx(math.sqrt(1.64 / 3)) and case.rmse_over_bound == pytest.approx(
+        k.rmse / 0.5
+    )
     # 3.4 and 2.8 hold 3 within +- 1, 4.2 does not; the two others always hold their truth.
     assert k.coverage == pytest.approx(2 / 3) and case.coverage == pytest.approx((2 / 3 + 1 + 1) / 3)
 
 
 def test_nothing_but_failures() -> None:
     case = summarised([Outcome(False, ())] * 3, FIT, TRUTH, {}, (0.1,), 0.5, 25)
-    assert case.failed == 3 and math.isnan(case.mean_error) and case.success == (0.0,) and case.parameters == ()
+    assert (
+        case.failed == 3 and math.isnan(case.mean_error) and case.success == (0.0,) and case.parameters == ()
+    )
     assert case.coverage is None and case.rmse_over_bound is None
 
 

@@ -1,4 +1,6 @@
-"""Fit with fit: a response made of the theory times a known ratio gives that ratio back, with slopes as finite differences show."""
+"""Fit with fit: a response made of the theory times a known ratio gives that ratio back, with slopes as
+finite differences show.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing.loads import DOFS
 from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solved, log_covariance, match, overlay
-from labpipe.methods.rolling_bearing.shaft import RigidShaft, bent_transfer_matrix, sdof_stiffness, without_shaft
+from labpipe.methods.rolling_bearing.shaft import (
+    RigidShaft,
+    bent_transfer_matrix,
+    sdof_stiffness,
+    without_shaft,
+)
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 from tests.uncertainty.conftest import a_fit
@@ -24,7 +31,11 @@ K[0, 4] = K[4, 0] = -0.1087e7
 K[1, 3] = K[3, 1] = 0.1087e7
 BETA, BENDING, ARM = 2e-5, 1.176e8, 0.1
 THEORY = TheoryAt(K, K * 1.0007, 1e-3, SHAFT)
-PEAKS = FitSettings("sdof", peaks=(("x", ((700.0, 1200.0),)), ("z", ((300.0, 600.0),)), ("by", ((45.0, 100.0),))), name="peaks")
+PEAKS = FitSettings(
+    "sdof",
+    peaks=(("x", ((700.0, 1200.0),)), ("z", ((300.0, 600.0),)), ("by", ((45.0, 100.0),))),
+    name="peaks",
+)
 BENT, RIGID = Rig(Uncertain(BENDING, 0.01 * BENDING), ARM), Rig(Uncertain(np.inf), ARM)
 
 
@@ -33,13 +44,25 @@ def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> Fr
     frequency = np.arange(20.0, 1500.0, 2.0)
     rows = [DOFS.index(dof) for dof in ("x", "z", "by")]
     arms = np.array([1.0, 1.0, ARM])
-    h = bent_transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows] * arms[:, None] * arms
+    h = (
+        bent_transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows]
+        * arms[:, None]
+        * arms
+    )
     h = -((2 * np.pi * frequency) ** 2)[:, None, None] * h
     if rng is not None:
         h = h + noise * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    outputs, inputs = (tuple(Port(f"{name}{dof}", name or dof, dof) for dof in ("x", "z", "by")) for name in ("", "f"))
+    outputs, inputs = (
+        tuple(Port(f"{name}{dof}", name or dof, dof) for dof in ("x", "z", "by")) for name in ("", "f")
+    )
     return FrequencyResponse(
-        frequency, h, outputs, inputs, form="accelerance", covariance=uncorrelated(np.full(h.shape, noise**2)), name="t"
+        frequency,
+        h,
+        outputs,
+        inputs,
+        form="accelerance",
+        covariance=uncorrelated(np.full(h.shape, noise**2)),
+        name="t",
     )
 
 
@@ -56,13 +79,18 @@ def test_the_ratio_behind_a_response_is_found(term: str, ratio: float) -> None:
 
 
 def test_neither_k_ii_nor_the_plain_series_correction_would_do() -> None:
-    """Radially the plain ratio of fits is far off, after the series correction still over 0.2 %; tilt fits give 26 % of K_ii."""
+    """Radially the plain ratio of fits is far off, after the series correction still over 0.2 %.
+
+    Tilt fits give 26 % of K_ii.
+    """
     response = measured(1.12, BENDING)
     fits = fits_of(response)
     found = match(fits["x"], response, PEAKS, THEORY, BENT)
     total = fits["x"].parameter("k").value
     assert total / found.theory[0] < 1.05
-    corrected = without_shaft(Uncertain(total), Uncertain(BENDING)).bearing.value / sdof_stiffness(SHAFT, K)[0]
+    corrected = (
+        without_shaft(Uncertain(total), Uncertain(BENDING)).bearing.value / sdof_stiffness(SHAFT, K)[0]
+    )
     assert abs(corrected / 1.12 - 1) > 0.002
     tilt = fits["by"].parameter("k").value * ARM**2
     assert tilt / (1.12 * K[4, 4]) == pytest.approx(0.26, abs=0.02)
@@ -72,7 +100,9 @@ def test_an_uncoupled_fit_of_the_theory_is_the_coefficient_itself() -> None:
     response = measured(1.12, np.inf)
     found = match(fits_of(response)["z"], response, PEAKS, THEORY, RIGID)
     np.testing.assert_allclose(found.theory, [K[2, 2], BETA * K[2, 2]], rtol=1e-8)
-    np.testing.assert_allclose(found.covariance[0, 0], log_covariance(fits_of(response)["z"])[0, 0], rtol=1e-6)
+    np.testing.assert_allclose(
+        found.covariance[0, 0], log_covariance(fits_of(response)["z"])[0, 0], rtol=1e-6
+    )
     assert not found.to_bending.any()
     assert found.to_condition[0] == pytest.approx(-0.7, rel=1e-3)
 
@@ -82,7 +112,9 @@ def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
     response = measured(1.12, BENDING)
     fit = fits_of(response)["x"]
     found = match(fit, response, PEAKS, THEORY, BENT)
-    changed = [match(fit, response, PEAKS, THEORY, Rig(Uncertain(BENDING * f), ARM)).log for f in (0.998, 1.002)]
+    changed = [
+        match(fit, response, PEAKS, THEORY, Rig(Uncertain(BENDING * f), ARM)).log for f in (0.998, 1.002)
+    ]
     np.testing.assert_allclose(found.to_bending, (changed[1] - changed[0]) / 0.004, rtol=0.02, atol=1e-4)
     assert found.to_bending[0] < -1.5
     theories = [TheoryAt(K * f, K * f * 1.0007, 1e-3, SHAFT) for f in (0.998, 1.002)]
@@ -92,15 +124,21 @@ def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
 
 @pytest.mark.parametrize("repeats", [12, pytest.param(40, marks=pytest.mark.long)])
 def test_the_covariance_is_the_scatter_of_repeats(rng, repeats: int) -> None:
-    """Repeats of the radial fit: standard deviation of ln ratio and ln beta within 4 of its own standard deviations."""
+    """Repeats of the radial fit: standard deviation of ln ratio and ln beta within 4 of its own standard
+    deviations.
+    """
     logs, stated = [], []
     for _ in range(repeats):
         response = measured(1.12, BENDING, rng)
         found = match(fits_of(response)["x"], response, PEAKS, THEORY, BENT)
         logs.append(found.log)
         stated.append(np.sqrt(np.diag(found.covariance)))
-    np.testing.assert_allclose(np.std(logs, axis=0, ddof=1), np.mean(stated, axis=0), rtol=4 / np.sqrt(2 * repeats))
-    assert np.all(np.abs(np.mean(logs, axis=0) - np.log([1.12, BETA])) < 4 * np.mean(stated, axis=0) / np.sqrt(repeats))
+    np.testing.assert_allclose(
+        np.std(logs, axis=0, ddof=1), np.mean(stated, axis=0), rtol=4 / np.sqrt(2 * repeats)
+    )
+    assert np.all(
+        np.abs(np.mean(logs, axis=0) - np.log([1.12, BETA])) < 4 * np.mean(stated, axis=0) / np.sqrt(repeats)
+    )
 
 
 def test_the_overlay_lies_on_the_measured_curve() -> None:
@@ -126,7 +164,11 @@ def test_what_cannot_be_compared_is_said() -> None:
         match(fits["by"], response, PEAKS, THEORY, Rig(Uncertain(BENDING), None))
     with pytest.raises(ConfigError, match="not of the model sdof"):
         match(fits["z"], response, FitSettings("mdof", name="peaks"), THEORY, BENT)
-    strange = replace(response, outputs=tuple(replace(p, dof="q", label=p.label) for p in response.outputs[:2]) + response.outputs[2:])
+    strange = replace(
+        response,
+        outputs=tuple(replace(p, dof="q", label=p.label) for p in response.outputs[:2])
+        + response.outputs[2:],
+    )
     named = replace(strange, outputs=(Port("q", "q", "q"), *strange.outputs[1:]))
     other = replace(fits["x"], curve=replace(fits["x"].curve, outputs=("q",)))
     with pytest.raises(ConfigError, match="'q' is no dof of the bearing's theory"):
@@ -134,7 +176,10 @@ def test_what_cannot_be_compared_is_said() -> None:
     negative = replace(fits["z"], parameters=tuple(replace(p, value=-p.value) for p in fits["z"].parameters))
     with pytest.raises(FitError, match="impossible for the bearing of the theory"):
         match(negative, response, PEAKS, THEORY, BENT)
-    soft = replace(fits["x"], parameters=tuple(replace(p, value=1e9) if p.name == "k" else p for p in fits["x"].parameters))
+    soft = replace(
+        fits["x"],
+        parameters=tuple(replace(p, value=1e9) if p.name == "k" else p for p in fits["x"].parameters),
+    )
     with pytest.raises(FitError, match="no multiple of the theory"):
         match(soft, response, PEAKS, THEORY, BENT)
 

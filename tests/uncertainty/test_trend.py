@@ -1,4 +1,6 @@
-"""Trends: exact laws are found exactly, errors are propagated as a Monte Carlo shows, no trend is called none."""
+"""Trends: exact laws are found exactly, errors are propagated as a Monte Carlo shows, no trend is called
+none.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ LINE = CompareSettings(kind="trend", fit="axial", over="preload", name="series")
 
 
 def a_series(values, error: float = 1e3, preloads=PRELOADS):
-    return [(value, error, {"preload": f"{preload!r} N"}) for value, preload in zip(values, preloads, strict=True)]
+    return [
+        (value, error, {"preload": f"{preload!r} N"}) for value, preload in zip(values, preloads, strict=True)
+    ]
 
 
 def test_a_power_law_is_found_exactly(campaign) -> None:
@@ -38,7 +42,9 @@ def test_a_straight_line_is_found_exactly(campaign) -> None:
 
 
 def test_the_setting_s_error_widens_the_exponent_s(campaign, rng) -> None:
-    """400 series whose preloads are off by 1 %: the stated error is the scatter, within 4 standard deviations of a scatter."""
+    """400 series whose preloads are off by 1 %: the stated error is the scatter, within 4 standard deviations
+    of a scatter.
+    """
     settings = CompareSettings(kind="trend", fit="axial", over="preload", law="power", setting_error=0.01)
     found, stated = [], []
     for _ in range(400):
@@ -51,8 +57,12 @@ def test_the_setting_s_error_widens_the_exponent_s(campaign, rng) -> None:
 
 
 def test_noise_alone_is_no_trend_at_the_stated_level(campaign, rng) -> None:
-    """1000 series without a trend: 5 % are called one, within 3.5 binomial standard deviations of 7.2 %, the rate with Birge's ratio."""
-    verdicts = [trend(campaign(LINE, a_series(1e7 + 1e5 * rng.standard_normal(4), 1e5))).verdict for _ in range(1000)]
+    """1000 series without a trend: 5 % are called one, within 3.5 binomial standard deviations of 7.2 %, the
+    rate with Birge's ratio.
+    """
+    verdicts = [
+        trend(campaign(LINE, a_series(1e7 + 1e5 * rng.standard_normal(4), 1e5))).verdict for _ in range(1000)
+    ]
     assert verdicts.count("no trend") >= 920
 
 
@@ -81,7 +91,10 @@ GRID = [(speed, load) for speed in (20.0, 40.0, 80.0) for load in (500.0, 1000.0
 
 def a_grid(value, error: float = 1e3, noise=lambda: 0.0):
     """Tests at every speed and load, k by a function of both."""
-    return [(value(speed, load) + error * noise(), error, {"speed": f"{speed} Hz", "load": f"{load} N"}) for speed, load in GRID]
+    return [
+        (value(speed, load) + error * noise(), error, {"speed": f"{speed} Hz", "load": f"{load} N"})
+        for speed, load in GRID
+    ]
 
 
 def test_a_plane_over_two_conditions_is_found_exactly(campaign) -> None:
@@ -102,7 +115,14 @@ def test_a_product_of_powers_is_found_exactly(campaign) -> None:
 
 def test_slopes_over_two_conditions_scatter_as_stated(campaign, rng) -> None:
     """400 grids: scatter over stated error of both slopes within 4 standard deviations of a scatter."""
-    found = [trend(campaign(TWO, a_grid(lambda speed, load: 1e6 + 300 * speed - 20 * load, noise=rng.standard_normal))) for _ in range(400)]
+    found = [
+        trend(
+            campaign(
+                TWO, a_grid(lambda speed, load: 1e6 + 300 * speed - 20 * load, noise=rng.standard_normal)
+            )
+        )
+        for _ in range(400)
+    ]
     for name, truth in (("slope", 300.0), ("second_slope", -20.0)):
         values = np.array([result.amount(name).value for result in found])
         stated = np.median([result.amount(name).std_error for result in found])

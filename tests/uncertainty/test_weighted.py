@@ -31,7 +31,9 @@ def test_a_weighted_line_is_scipy_s(rng) -> None:
 
 
 def test_errors_that_values_share_do_not_average_out() -> None:
-    """Equal own errors s and a shared one b: the mean has s^2 / n + b^2, and the shared part makes no scatter."""
+    """Equal own errors s and a shared one b: the mean has s^2 / n + b^2, and the shared part makes no
+    scatter.
+    """
     values = np.array([1.0, 1.1, 1.2])
     found = weighted_mean(values, 0.01 * np.eye(3) + 0.04)
     assert found.values[0] == pytest.approx(1.1)
@@ -55,7 +57,10 @@ def test_one_value_has_its_own_error_and_no_scatter() -> None:
 
 
 def test_intervals_cover_at_the_stated_rate(rng) -> None:
-    """2000 means of five values with known errors; 95 % +- 3 binomial standard deviations, with the 5 % that are enlarged."""
+    """2000 means of five values with known errors.
+
+    95 % +- 3 binomial standard deviations, with the 5 % that are enlarged.
+    """
     errors = np.array([0.1, 0.2, 0.3, 0.1, 0.2])
     hits = 0
     for _ in range(2000):

@@ -1,4 +1,6 @@
-"""Calibration, uncertainty and scatter: the guide's printed readings, NIST's certified values, descents to a known minimum."""
+"""Calibration, uncertainty and scatter: the guide's printed readings, NIST's certified values, descents to a
+known minimum.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,14 @@ from tests.validation.gaps import gaps
 
 MEASUREMENT = "printed measurement"
 LENGTH, DIFFERENCE, EXPANSION, TEMPERATURE = 50.000623e-3, 215e-9, 11.5e-6, -0.1
-# As printed in table H.1; from their unrounded half widths (1e-6 / K, 0.05 K) the expanded uncertainty would be 92.5 nm.
+# As printed in table H.1; from their unrounded half widths (1e-6 / K, 0.05 K) the expanded uncertainty would
+# be 92.5 nm.
 UNCERTAINTIES = {
     "standard": Uncertainty("standard", 25e-9, "m", dof=18.0),
     "comparison": Uncertainty("comparison", 9.7e-9, "m", dof=25.6),
-    "expansion difference": Uncertainty("expansion difference", 0.58e-6, "1/K", dof=50.0, shape="rectangular"),
+    "expansion difference": Uncertainty(
+        "expansion difference", 0.58e-6, "1/K", dof=50.0, shape="rectangular"
+    ),
     "temperature difference": Uncertainty("temperature difference", 0.029, "K", dof=2.0, shape="rectangular"),
 }
 
@@ -33,32 +38,60 @@ UNCERTAINTIES = {
 def end_gauge() -> list[Claim]:
     """l = l_s + d - l_s (da theta + a_s dtheta); half a printed digit each."""
     slopes = (1.0, 1.0, -LENGTH * TEMPERATURE, -LENGTH * EXPANSION)
-    changes = np.array([[slope * uncertainty.std_error] for slope, uncertainty in zip(slopes, UNCERTAINTIES.values(), strict=True)])
+    changes = np.array(
+        [
+            [slope * uncertainty.std_error]
+            for slope, uncertainty in zip(slopes, UNCERTAINTIES.values(), strict=True)
+        ]
+    )
     budget = Budget(("l",), np.zeros(1), None, tuple(UNCERTAINTIES.values()), changes)
     u, source = 1e9 * budget.combined[0], "GUM H.1"
     return [
         within("u_c of an end gauge", u, 32.0, 0.5, "nm", MEASUREMENT, source),
         within("its degrees of freedom, cut off", int(budget.dof[0]), 16.0, 0.5, "1", MEASUREMENT, source),
-        within("its expanded uncertainty at 99 %", student_quantile(0.995, 16) * u, 93.0, 0.5, "nm", MEASUREMENT, source),
-        within("u_c with terms of second order, 200 000 draws", 1e9 * second_order(), 34.0, 0.5, "nm", MEASUREMENT, source),
+        within(
+            "its expanded uncertainty at 99 %",
+            student_quantile(0.995, 16) * u,
+            93.0,
+            0.5,
+            "nm",
+            MEASUREMENT,
+            source,
+        ),
+        within(
+            "u_c with terms of second order, 200 000 draws",
+            1e9 * second_order(),
+            34.0,
+            0.5,
+            "nm",
+            MEASUREMENT,
+            source,
+        ),
     ]
 
 
 def second_order() -> float:
-    """GUM H.1.7: the mean temperature's 0.5 K cycle (arc-sine) and 0.2 K (normal) enter by the expansion difference only."""
+    """GUM H.1.7: the mean temperature's 0.5 K cycle (arc-sine) and 0.2 K (normal) enter by the expansion
+    difference only.
+    """
     rng, draws = np.random.default_rng(11), 200_000
     theta = TEMPERATURE + 0.2 * rng.standard_normal(draws) + 0.5 * np.sin(2 * np.pi * rng.uniform(size=draws))
     expansion = EXPANSION + 2e-6 * rng.uniform(-1, 1, draws)
     length, difference = (scale * rng.standard_normal(draws) for scale in (25e-9, 9.7e-9))
     da, dtheta = (
-        np.array([drawn_error(UNCERTAINTIES[name], np.random.default_rng(seed)) for seed in range(2000)])[rng.integers(0, 2000, draws)]
+        np.array([drawn_error(UNCERTAINTIES[name], np.random.default_rng(seed)) for seed in range(2000)])[
+            rng.integers(0, 2000, draws)
+        ]
         for name in ("expansion difference", "temperature difference")
     )
     return float(np.std(length + difference - LENGTH * (da * theta + expansion * dtheta)))
 
 
 def impedance() -> list[Claim]:
-    """Resistance, reactance and impedance of five simultaneous readings, with their correlations; half a printed digit."""
+    """Resistance, reactance and impedance of five simultaneous readings, with their correlations.
+
+    Half a printed digit.
+    """
     of = np.array([readings.VOLT, readings.AMPERE, readings.PHASE])
     volt, ampere, phase = of.mean(axis=1)
     means = Estimated(("V", "I", "phi"), ("V", "A", "rad"), of.mean(axis=1), np.cov(of) / 5)
@@ -71,19 +104,40 @@ def impedance() -> list[Claim]:
     }
     source = "GUM H.2"
     values = (("R", r, 127.732), ("X", x, 219.847), ("Z", size, 254.260))
-    found = [worst([within(name, value, printed, 5e-4, "ohm", MEASUREMENT, source) for name, value, printed in values], "mean of R, X, Z")]
-    why = "the five printed readings give 0.2956, which is cut off in print; its second approach prints 0.2955"
+    found = [
+        worst(
+            [
+                within(name, value, printed, 5e-4, "ohm", MEASUREMENT, source)
+                for name, value, printed in values
+            ],
+            "mean of R, X, Z",
+        )
+    ]
+    why = (
+        "the five printed readings give 0.2956, which is cut off in print; its second approach prints 0.2955"
+    )
     for name, printed in (("R", 0.071), ("X", 0.295), ("Z", 0.236)):
         off = why if name == "X" else ""
         found.append(
-            within(f"u({name}) of correlated readings", propagated(means, slopes[name]), printed, 5e-4, "ohm", MEASUREMENT, source, off)
+            within(
+                f"u({name}) of correlated readings",
+                propagated(means, slopes[name]),
+                printed,
+                5e-4,
+                "ohm",
+                MEASUREMENT,
+                source,
+                off,
+            )
         )
     rows = np.array([[of_name.get(name, 0.0) for name in means.names] for of_name in slopes.values()])
     covariance = rows @ means.covariance @ rows.T
     correlation = covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)
     each = [
         within(pair, value, printed, 5e-4, "1", MEASUREMENT, source)
-        for pair, value, printed in zip(("R, X", "R, Z", "X, Z"), correlation[np.triu_indices(3, 1)], (-0.588, -0.485, 0.993), strict=True)
+        for pair, value, printed in zip(
+            ("R, X", "R, Z", "X, Z"), correlation[np.triu_indices(3, 1)], (-0.588, -0.485, 0.993), strict=True
+        )
     ]
     return [*found, worst(each, "correlation of R, X, Z")]
 
@@ -103,19 +157,36 @@ def calibration_lines() -> list[Claim]:
         within("its standard error", errors[1], 0.0029, 5e-5, "K", MEASUREMENT, source),
         within("slope of the correction", line.values[0], 0.00218, 5e-6, "1", MEASUREMENT, source),
         within("its standard error", errors[0], 0.00067, 5e-6, "1", MEASUREMENT, source),
-        within("correlation of both", line.covariance[0, 1] / errors[0] / errors[1], -0.930, 5e-4, "1", MEASUREMENT, source),
+        within(
+            "correlation of both",
+            line.covariance[0, 1] / errors[0] / errors[1],
+            -0.930,
+            5e-4,
+            "1",
+            MEASUREMENT,
+            source,
+        ),
         within("correction at 30 deg C", at_30, -0.1494, 5e-5, "K", MEASUREMENT, source),
         within("its standard error", error_30, 0.0041, 5e-5, "K", MEASUREMENT, source),
         within("slope of ozone monitors", monitors.slope, 1.00211681802045, 1e-10, "1", MEASUREMENT, nist),
         within("its standard error", 1e3 * of_slope, 0.429796848199937, 1e-8, "10^-3", MEASUREMENT, nist),
-        within("intercept of ozone monitors", monitors.values[1], -0.262323073774029, 1e-8, "1", MEASUREMENT, nist),
+        within(
+            "intercept of ozone monitors",
+            monitors.values[1],
+            -0.262323073774029,
+            1e-8,
+            "1",
+            MEASUREMENT,
+            nist,
+        ),
         within("its standard error", of_intercept, 0.232818234301152, 1e-8, "1", MEASUREMENT, nist),
     ]
 
 
 def scatter() -> list[Claim]:
     """Scatter within and between settings: the Zener standard's ten days, five instruments on silicon."""
-    # The analysis of variance needs of every day its mean and standard deviation only, and these are what is printed.
+    # The analysis of variance needs of every day its mean and standard deviation only, and these are what is
+    # printed.
     shape = np.array([-2.0, -1, 0, 1, 2]) / np.sqrt(2.5)
     volts = readings.ZENER_MEAN[:, None] + readings.ZENER_SPREAD[:, None] * shape
     zener = components(volts.ravel(), np.repeat(np.arange(10).astype(str), 5))
@@ -129,7 +200,15 @@ def scatter() -> list[Claim]:
         within("its scatter between days", zener.between, 43.0, 0.5, "uV", MEASUREMENT, source),
         within("its standard error", zener.mean_error, 18.0, 0.5, "uV", MEASUREMENT, source),
         within("F ratio", f_zener, 2.25, 0.05, "1", MEASUREMENT, source),
-        within("scatter within an instrument, silicon", silicon.within, 0.104076068334656, 1e-9, "ohm.cm", MEASUREMENT, nist),
+        within(
+            "scatter within an instrument, silicon",
+            silicon.within,
+            0.104076068334656,
+            1e-9,
+            "ohm.cm",
+            MEASUREMENT,
+            nist,
+        ),
         within("scatter between instruments", silicon.between, between, 1e-9, "ohm.cm", MEASUREMENT, nist),
     ]
 
@@ -151,7 +230,9 @@ class Observed:
 
     def jacobian(self, parameters: np.ndarray) -> np.ndarray:
         steps = 1e-20 * np.diag(np.abs(parameters))
-        return np.stack([self.model(self.x, parameters + 1j * step).imag / step.max() for step in steps], axis=1)
+        return np.stack(
+            [self.model(self.x, parameters + 1j * step).imag / step.max() for step in steps], axis=1
+        )
 
     def chi2(self, parameters: np.ndarray) -> float:
         return sum_of_squares(self.residual, parameters)
@@ -166,22 +247,45 @@ def mobility(x: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 CERTIFIED = {
-    "Misra1a": (Observed(readings.MISRA_X, readings.MISRA_Y, adsorption), (500, 1e-4), (2.3894212918e2, 5.5015643181e-4)),
+    "Misra1a": (
+        Observed(readings.MISRA_X, readings.MISRA_Y, adsorption),
+        (500, 1e-4),
+        (2.3894212918e2, 5.5015643181e-4),
+    ),
     "Thurber": (
         Observed(readings.THURBER_X, readings.THURBER_Y, mobility),
         (1000, 1000, 400, 40, 0.7, 0.3, 0.03),
-        (1.2881396800e3, 1.4910792535e3, 5.8323836877e2, 7.5416644291e1, 9.6629502864e-1, 3.9797285797e-1, 4.9727297349e-2),
+        (
+            1.2881396800e3,
+            1.4910792535e3,
+            5.8323836877e2,
+            7.5416644291e1,
+            9.6629502864e-1,
+            3.9797285797e-1,
+            4.9727297349e-2,
+        ),
     ),
 }
 
 
 def descents() -> list[Claim]:
-    """From NIST's distant start to the certified parameters; labpipe stops where a step is a millionth of a standard error or so."""
+    """From NIST's distant start to the certified parameters.
+
+    Labpipe stops where a step is a millionth of a standard error or so.
+    """
     found = []
     for name, (problem, start, certified) in CERTIFIED.items():
         end = minimise(problem, np.array(start, float))
         each = [
-            within(f"b{number}", 100 * value / known, 100.0, 0.001, "% of certified", MEASUREMENT, f"NIST StRD {name}")
+            within(
+                f"b{number}",
+                100 * value / known,
+                100.0,
+                0.001,
+                "% of certified",
+                MEASUREMENT,
+                f"NIST StRD {name}",
+            )
             for number, (value, known) in enumerate(zip(end.values, certified, strict=True), start=1)
         ]
         found.append(worst(each, f"parameters of {name} from its distant start"))

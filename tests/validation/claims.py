@@ -1,4 +1,6 @@
-"""A claim: one number that labpipe computes, held against a reference that somebody else stands for, with what is accepted."""
+"""A claim: one number that labpipe computes, held against a reference that somebody else stands for, with
+what is accepted.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,17 @@ State = Literal["holds", "fails", "not tested"]
 
 KINDS: dict[Kind, str] = {
     "closed form": "a formula of a textbook, or its quadrature, evaluated in the row itself",
-    "known truth": "recordings of a virtual rig, whose coefficients are known: what many draws of its noise show of the intervals",
-    "independent calculation": "a second program or a series of operations, written for this purpose and sharing nothing with labpipe",
-    "printed calculation": "figures that others computed and printed: in tables, appendices, textbooks, reports of manufacturers",
-    "printed measurement": "figures that others measured and printed, or evaluated from readings that they print",
+    "known truth": "recordings of a virtual rig, whose coefficients are known: what many draws of its noise "
+    "show of the intervals",
+    "independent calculation": "a second program or a series of operations, written for this purpose and "
+    "sharing nothing with labpipe",
+    "printed calculation": "figures that others computed and printed: in tables, appendices, textbooks, "
+    "reports of manufacturers",
+    "printed measurement": "figures that others measured and printed, or evaluated from readings that they "
+    "print",
     "peer program": "what another program makes of the same input",
-    "measured public data": "recordings that others made, run from their raw files; beside them stands what the authors say of them",
+    "measured public data": "recordings that others made, run from their raw files; beside them stands what "
+    "the authors say of them",
 }
 # Kinds whose figures nobody here made, and of these the ones that rest on an instrument.
 MEASURED: tuple[Kind, ...] = ("printed measurement", "measured public data")
@@ -34,8 +41,9 @@ OF_OTHERS: tuple[Kind, ...] = (*MEASURED, "printed calculation", "peer program")
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the manual. The value is accepted from *low* to *high*; *why* is needed where it fails, *recorded* says how what cannot
-    be computed everywhere was recorded."""
+    """A row of the manual. The value is accepted from *low* to *high*; *why* is needed where it fails,
+    *recorded* says how what cannot be computed everywhere was recorded.
+    """
 
     quantity: str
     value: float | None
@@ -56,7 +64,9 @@ class Claim:
 
     @property
     def decimals(self) -> int:
-        """Digits after the point of all of the row's numbers: the half width of what is accepted has two figures."""
+        """Digits after the point of all of the row's numbers: the half width of what is accepted has two
+        figures.
+        """
         width = (self.high - self.low) / 2
         return max(0, 1 - math.floor(math.log10(width))) if width > 0 else 0
 
@@ -76,7 +86,18 @@ def within(
 ) -> Claim:
     """Accepted within *tolerance* of the reference, in its unit or (*relative*) as a share of it."""
     half = tolerance * abs(reference) if relative else tolerance
-    return Claim(quantity, float(value), reference, unit, reference - half, reference + half, kind, source, why, recorded)
+    return Claim(
+        quantity,
+        float(value),
+        reference,
+        unit,
+        reference - half,
+        reference + half,
+        kind,
+        source,
+        why,
+        recorded,
+    )
 
 
 def among(
@@ -101,7 +122,9 @@ def untested(quantity: str, kind: Kind, source: str, why: str) -> Claim:
 
 
 def worst(claims: Sequence[Claim], quantity: str) -> Claim:
-    """Of many figures of one table the one farthest from its reference in tolerances, so that a table is one row."""
+    """Of many figures of one table the one farthest from its reference in tolerances, so that a table is one
+    row.
+    """
 
     def distance(claim: Claim) -> float:
         assert claim.value is not None and claim.reference is not None
@@ -117,7 +140,9 @@ Check = Callable[[], list[Claim]]
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A page: *name* of the file, its title, the checks by section of the page, and those that are computed among the long tests."""
+    """A page: *name* of the file, its title, the checks by section of the page, and those that are computed
+    among the long tests.
+    """
 
     name: str
     title: str

@@ -33,7 +33,13 @@ def measured() -> list[Claim]:
     source = f"{PACKAGE}, case1"
     return [
         within(
-            "sampling rate of an analyser's file", table.sample_rate, float(of["Time_Sample_Rate"].ravel()[0]), 1e-6, "Hz", MEASURED, source
+            "sampling rate of an analyser's file",
+            table.sample_rate,
+            float(of["Time_Sample_Rate"].ravel()[0]),
+            1e-6,
+            "Hz",
+            MEASURED,
+            source,
         ),
         within("largest difference of 4096 samples", difference, 0.0, 1e-12, "V", MEASURED, source),
     ]
@@ -44,8 +50,10 @@ def written_by_others() -> list[Claim]:
     rng, found = np.random.default_rng(3), []
     values = rng.normal(size=400) + 1j * rng.normal(size=400)
     record = {
-        "type": 58, "func_type": 4, "rsp_node": 1, "rsp_dir": 1, "ref_node": 2, "ref_dir": 2, "data": values, "x": np.arange(1.0, 401.0),
-        "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
+        "type": 58, "func_type": 4, "rsp_node": 1, "rsp_dir": 1, "ref_node": 2, "ref_dir": 2, "data": values,
+        "x": np.arange(1.0, 401.0),
+        "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12,
+        "orddenom_spec_data_type": 13,
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         for binary, name in ((1, "binary"), (0, "text")):
@@ -55,13 +63,29 @@ def written_by_others() -> list[Claim]:
                 warnings.simplefilter("ignore", ResourceWarning)
                 pyuff.UFF(str(path)).write_sets([{**record, "binary": binary}], "add")
             difference = np.max(np.abs(read_frf_uff(path).matrix[:, 0, 0] - values))
-            found.append(within(f"largest difference of an FRF, universal file, {name}", difference, 0.0, 1e-9, "1", PEER, "pyuff"))
+            found.append(
+                within(
+                    f"largest difference of an FRF, universal file, {name}",
+                    difference,
+                    0.0,
+                    1e-9,
+                    "1",
+                    PEER,
+                    "pyuff",
+                )
+            )
         path, samples = Path(folder) / "tone.wav", rng.normal(size=2000).astype(np.float32)
         wavfile.write(path, 4096, samples)
         table = open_table(path)
         difference = np.max(np.abs(np.concatenate(list(table.chunks(table.columns)))[:, -1] - samples))
-        found.append(within("largest difference, WAV file", difference, 0.0, 1e-9, "1", PEER, "scipy.io.wavfile"))
+        found.append(
+            within("largest difference, WAV file", difference, 0.0, 1e-9, "1", PEER, "scipy.io.wavfile")
+        )
     return found
 
 
-METHOD = Method("files", "Files", {"measured": measured, "written by others": written_by_others, "not tested": partial(gaps, "files")})
+METHOD = Method(
+    "files",
+    "Files",
+    {"measured": measured, "written by others": written_by_others, "not tested": partial(gaps, "files")},
+)

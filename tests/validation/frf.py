@@ -1,4 +1,6 @@
-"""Frequency responses: printed figures of windows, closed forms of estimators, scipy's spectra, a measured FRF."""
+"""Frequency responses: printed figures of windows, closed forms of estimators, scipy's spectra, a measured
+FRF.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ from tests.validation.shipped import LINE, PACKAGE, last_hit, variables
 
 HARRIS = "Harris 1978, table 1"
 # Equivalent noise bandwidth [lines], correlation at 75 % and 50 % overlap [per cent].
-PRINTED = {"boxcar": (1.00, 75.0, 50.0), "bartlett": (1.33, 71.9, 25.0), "hann": (1.50, 65.9, 16.7), "hamming": (1.36, 70.7, 23.5)}
+PRINTED = {
+    "boxcar": (1.00, 75.0, 50.0),
+    "bartlett": (1.33, 71.9, 25.0),
+    "hann": (1.50, 65.9, 16.7),
+    "hamming": (1.36, 70.7, 23.5),
+}
 FORCE, X = Channel("f", "force", "input", "x", 0.0), Channel("x", "displacement", "output", "x", 0.0)
 
 
@@ -33,28 +40,56 @@ def windows() -> list[Claim]:
     for name, printed in PRINTED.items():
         window = window_values(name, 4096)
         quarter = 100 * np.sqrt(overlap_correlation(window, 1024))
-        why = "the sum in closed form, (a^2/2 - b^2/4) / (a^2 + b^2/2) with a = 0.54, b = 0.46, is 23.4 %" if name == "hamming" else ""
+        why = (
+            "the sum in closed form, (a^2/2 - b^2/4) / (a^2 + b^2/2) with a = 0.54, b = 0.46, is 23.4 %"
+            if name == "hamming"
+            else ""
+        )
         kind = "printed calculation"
-        values = ((noise_bandwidth(window), 0.0051, "lines", ""), (quarter[0], 0.051, "%", ""), (quarter[1], 0.051, "%", why))
-        for column, reference, (value, tolerance, unit, off) in zip(columns.values(), printed, values, strict=True):
+        values = (
+            (noise_bandwidth(window), 0.0051, "lines", ""),
+            (quarter[0], 0.051, "%", ""),
+            (quarter[1], 0.051, "%", why),
+        )
+        for column, reference, (value, tolerance, unit, off) in zip(
+            columns.values(), printed, values, strict=True
+        ):
             column.append(within(name, value, reference, tolerance, unit, kind, HARRIS, off))
     off = columns["correlation at 50 % overlap"].pop()
-    return [*(worst(column, title) for title, column in columns.items()), replace(off, quantity="correlation at 50 % overlap, hamming")]
+    return [
+        *(worst(column, title) for title, column in columns.items()),
+        replace(off, quantity="correlation at 50 % overlap, hamming"),
+    ]
 
 
 def spectra() -> list[Claim]:
-    """All cross-spectra of three channels of noise by Welch's method against scipy.signal.csd: the largest difference of any line."""
+    """All cross-spectra of three channels of noise by Welch's method against scipy.signal.csd: the largest
+    difference of any line.
+    """
     samples, found = np.random.default_rng(7).normal(size=(1000, 3)), []
     for window, step in (("hann", 32), ("boxcar", 64), ("flattop", 21)):
         average = WelchAverage(window_values(window, 64), step, 3)
         average.add(samples)
         ours = average.spectra(100.0).matrix[:-1]
-        # scipy conjugates the first argument, and does not double the line at half the sampling rate, which no measurement uses.
+        # scipy conjugates the first argument, and does not double the line at half the sampling rate, which
+        # no measurement uses.
         asked = {"fs": 100.0, "window": window, "nperseg": 64, "noverlap": 64 - step, "detrend": "constant"}
-        peer = [[signal.csd(samples[:, b], samples[:, a], **asked)[1][1:-1] for b in range(3)] for a in range(3)]
+        peer = [
+            [signal.csd(samples[:, b], samples[:, a], **asked)[1][1:-1] for b in range(3)] for a in range(3)
+        ]
         theirs = np.moveaxis(np.array(peer), 2, 0)
         difference = 100 * np.max(np.abs(ours - theirs)) / np.max(np.abs(theirs))
-        found.append(within(f"largest difference, {window}", difference, 0.0, 1e-6, "% of the largest", "peer program", "scipy.signal.csd"))
+        found.append(
+            within(
+                f"largest difference, {window}",
+                difference,
+                0.0,
+                1e-6,
+                "% of the largest",
+                "peer program",
+                "scipy.signal.csd",
+            )
+        )
     return found
 
 
@@ -72,7 +107,13 @@ def estimators() -> list[Claim]:
         response = measure([recording], FrfSettings(excitation="random", block=1.0, estimator=name))
         found.append(
             within(
-                f"mean gain by {name}", np.mean(response.matrix.real) / 1e-6, expected, 0.01, "1", "closed form", "bias of the estimator"
+                f"mean gain by {name}",
+                np.mean(response.matrix.real) / 1e-6,
+                expected,
+                0.01,
+                "1",
+                "closed form",
+                "bias of the estimator",
             )
         )
     return found
@@ -108,10 +149,23 @@ def measured() -> list[Claim]:
     response = measure([last_hit()], FrfSettings("impact", block=3.2, estimator="H1", band=(200.0, 220.0)))
     line = int(np.argmax(np.abs(response.matrix[:, 0, 0])))
     kind, height = "measured public data", 100 * np.abs(response.matrix[line, 0, 0]) / analyser[theirs]
-    why = "the recording begins within the pulse of the hammer, whose rise the analyser had and its file has not: the force is too small"
+    why = (
+        "the recording begins within the pulse of the hammer, whose rise the analyser had and its file "
+        "has not: the force is too small"
+    )
     return [
-        within("highest line of the FRF, one hit", response.frequency[line], theirs * LINE, LINE / 2, "Hz", kind, f"{PACKAGE}, case1"),
-        within("its height, one hit", height, 100.0, 5.0, "% of the analyser's", kind, f"{PACKAGE}, case1", why),
+        within(
+            "highest line of the FRF, one hit",
+            response.frequency[line],
+            theirs * LINE,
+            LINE / 2,
+            "Hz",
+            kind,
+            f"{PACKAGE}, case1",
+        ),
+        within(
+            "its height, one hit", height, 100.0, 5.0, "% of the analyser's", kind, f"{PACKAGE}, case1", why
+        ),
     ]
 
 

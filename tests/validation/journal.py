@@ -1,4 +1,6 @@
-"""Journal bearings: printed tables of grooved bearings, closed forms of short ones, an independent film, another program."""
+"""Journal bearings: printed tables of grooved bearings, closed forms of short ones, an independent film,
+another program.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,10 @@ def at_rest() -> list[Claim]:
 
 
 def coefficients() -> list[Claim]:
-    """The eight coefficients over sixteen lines, each in parts of the largest K or C of its line; and the sign change of K_yx."""
+    """The eight coefficients over sixteen lines, each in parts of the largest K or C of its line.
+
+    And the sign change of K_yx.
+    """
     film = curve().coefficients(LUND_THOMSEN[:, 0])
     ours = np.concatenate([film.stiffness.reshape(-1, 4), film.damping.reshape(-1, 4)], axis=1)
     found = []
@@ -90,40 +95,80 @@ def coefficients() -> list[Claim]:
     printed = LUND_THOMSEN[:, 3:]
     clear = np.abs(printed) > 0.3
     rms = 100 * float(np.sqrt(np.mean((ours[clear] / printed[clear] - 1) ** 2)))
-    found.append(within("rms of all above 0.3, each in itself", rms, 0.0, 2.5, "%", "printed calculation", LUND))
+    found.append(
+        within("rms of all above 0.3, each in itself", rms, 0.0, 2.5, "%", "printed calculation", LUND)
+    )
     lines = 100 * np.sqrt(np.sum((ours - printed) ** 2, axis=1) / np.sum(printed**2, axis=1))
-    found.append(within("largest rms of a line's eight", lines.max(), 0.0, 2.5, "%", "printed calculation", LUND))
+    found.append(
+        within("largest rms of a line's eight", lines.max(), 0.0, 2.5, "%", "printed calculation", LUND)
+    )
     numbers = np.linspace(0.15, 0.25, 201)
     k_yx = curve().coefficients(numbers).stiffness[:, 1, 0]
     # Between the printed lines -.13 at .244, .01 at .194 a straight line has its zero at .1976.
     zero = numbers[np.argmin(np.abs(k_yx))]
-    return [*found, within("S where K_yx changes its sign", zero, 0.1976, 0.005, "1", "printed calculation", LUND)]
+    return [
+        *found,
+        within("S where K_yx changes its sign", zero, 0.1976, 0.005, "1", "printed calculation", LUND),
+    ]
 
 
 RAIMONDI = "Raimondi, Boyd 1958"
 # L / D: eccentricity ratio, S, attitude [deg] of a full film.
 RAIMONDI_BOYD = {
-    1.0: ((0.1, 1.33, 79.5), (0.2, 0.631, 74.02), (0.4, 0.264, 63.10), (0.6, 0.121, 50.58), (0.8, 0.0446, 36.24), (0.9, 0.0188, 26.45)),
-    0.5: ((0.1, 4.31, 81.62), (0.2, 2.03, 74.94), (0.4, 0.779, 61.45), (0.6, 0.319, 48.14), (0.8, 0.0923, 33.31), (0.9, 0.0313, 23.66)),
-    0.25: ((0.1, 16.2, 82.31), (0.2, 7.57, 75.18), (0.4, 2.83, 60.86), (0.6, 1.07, 46.72), (0.8, 0.261, 31.04), (0.9, 0.0736, 21.85)),
+    1.0: (
+        (0.1, 1.33, 79.5),
+        (0.2, 0.631, 74.02),
+        (0.4, 0.264, 63.10),
+        (0.6, 0.121, 50.58),
+        (0.8, 0.0446, 36.24),
+        (0.9, 0.0188, 26.45),
+    ),
+    0.5: (
+        (0.1, 4.31, 81.62),
+        (0.2, 2.03, 74.94),
+        (0.4, 0.779, 61.45),
+        (0.6, 0.319, 48.14),
+        (0.8, 0.0923, 33.31),
+        (0.9, 0.0313, 23.66),
+    ),
+    0.25: (
+        (0.1, 16.2, 82.31),
+        (0.2, 7.57, 75.18),
+        (0.4, 2.83, 60.86),
+        (0.6, 1.07, 46.72),
+        (0.8, 0.261, 31.04),
+        (0.9, 0.0736, 21.85),
+    ),
 }
 
 
 def full_film() -> list[Claim]:
-    """Eccentricity within .005 and attitude within a degree at the printed Sommerfeld numbers, the worst of six each."""
+    """Eccentricity within .005 and attitude within a degree at the printed Sommerfeld numbers, the worst of
+    six each.
+    """
     found, diameter, clearance, viscosity, turns = [], 0.1, 1e-4, 0.01, 50.0
-    why = "the source's film begins at the widest gap (a separate one that does so: 79.4 and 81.8 deg), labpipe's where pressure arises"
+    why = (
+        "the source's film begins at the widest gap (a separate one that does so: 79.4 and 81.8 deg), "
+        "labpipe's where pressure arises"
+    )
     for ratio, lines in RAIMONDI_BOYD.items():
         eccentricity, attitude = [], []
         for e, number, angle in lines:
             length = ratio * diameter
             load = viscosity * turns * length * diameter / number * (diameter / 2 / clearance) ** 2
-            bearing = JournalBearing(diameter=diameter, length=length, clearance=clearance, viscosity=viscosity)
+            bearing = JournalBearing(
+                diameter=diameter, length=length, clearance=clearance, viscosity=viscosity
+            )
             film = journal_equilibrium(bearing, (0.0, -load), 2 * np.pi * turns, FilmMesh(240, 30))
             kind = "printed calculation"
             eccentricity.append(within(f"at {e}", film.eccentricity_ratio, e, 0.005, "1", kind, RAIMONDI))
-            attitude.append(within(f"at {e}", np.degrees(film.attitude), angle, 1.0, "deg", kind, RAIMONDI, why))
-        found += [worst(eccentricity, f"eccentricity ratio, L/D {ratio}"), worst(attitude, f"attitude, L/D {ratio}")]
+            attitude.append(
+                within(f"at {e}", np.degrees(film.attitude), angle, 1.0, "deg", kind, RAIMONDI, why)
+            )
+        found += [
+            worst(eccentricity, f"eccentricity ratio, L/D {ratio}"),
+            worst(attitude, f"attitude, L/D {ratio}"),
+        ]
     return found
 
 
@@ -133,20 +178,41 @@ NARROW = JournalBearing(diameter=30e-3, length=0.75e-3, clearance=90e-6, viscosi
 
 
 def short_film() -> list[Claim]:
-    """The finite film of a very short bearing against Ocvirk's closed forms: eccentricity .3 %, coefficients .5 % of the largest."""
+    """The finite film of a very short bearing against Ocvirk's closed forms: eccentricity .3 %, coefficients
+    .5 % of the largest.
+    """
     found = []
     for e in (0.2, 0.5, 0.8):
         load = short_bearing_load(NARROW, e, SPEED)
         film = journal_equilibrium(NARROW, (0.0, -load), SPEED, FilmMesh(960, 30))
         exact = short_bearing_coefficients(NARROW, load, SPEED)
         found.append(
-            within(f"eccentricity of a film at {e}", film.eccentricity_ratio, e, 3e-3, "1", "closed form", "Ocvirk", relative=True)
+            within(
+                f"eccentricity of a film at {e}",
+                film.eccentricity_ratio,
+                e,
+                3e-3,
+                "1",
+                "closed form",
+                "Ocvirk",
+                relative=True,
+            )
         )
         for name, ours, closed in (("K", film.stiffness, exact[0]), ("C", film.damping, exact[1])):
             scale = 100 / np.abs(closed).max()
             each = [
-                within(f"{name}_{axes}", value * scale, reference * scale, 0.5, "% of the largest", "closed form", "Ocvirk")
-                for axes, value, reference in zip(("yy", "yz", "zy", "zz"), ours.ravel(), closed.ravel().tolist(), strict=True)
+                within(
+                    f"{name}_{axes}",
+                    value * scale,
+                    reference * scale,
+                    0.5,
+                    "% of the largest",
+                    "closed form",
+                    "Ocvirk",
+                )
+                for axes, value, reference in zip(
+                    ("yy", "yz", "zy", "zz"), ours.ravel(), closed.ravel().tolist(), strict=True
+                )
             ]
             found.append(worst(each, f"{name} of a film at {e}"))
     return found
@@ -156,49 +222,122 @@ def of_ross() -> list[Claim]:
     """Friswell's example 5.5.1, by ROSS's closed forms; x is horizontal there as y is here."""
     theirs, inputs = recorded("ross")["short bearing"], given.SHORT
     bearing = JournalBearing(
-        diameter=inputs["diameter"], length=inputs["length"], clearance=inputs["clearance"], viscosity=inputs["viscosity"]
+        diameter=inputs["diameter"],
+        length=inputs["length"],
+        clearance=inputs["clearance"],
+        viscosity=inputs["viscosity"],
     )
     speed = inputs["rpm"] * np.pi / 30
     k, c = short_bearing_coefficients(bearing, inputs["load"], speed)
     e, _ = short_bearing_equilibrium(bearing, inputs["load"], speed)
     kind, source, note = "peer program", recorded("ross")["program"], words("ross")
-    found = [within("eccentricity, short bearing", e, theirs["eccentricity"], 1e-6, "1", kind, source, recorded=note)]
+    found = [
+        within(
+            "eccentricity, short bearing", e, theirs["eccentricity"], 1e-6, "1", kind, source, recorded=note
+        )
+    ]
     for name, ours, unit in (("k", k, "MN/m"), ("c", c, "MN.s/m")):
         each = [
-            within(f"{name}_{axes}", value / 1e6, theirs[f"{name}{peer}"] / 1e6, 1e-6, unit, kind, source, relative=True, recorded=note)
-            for axes, peer, value in zip(("yy", "yz", "zy", "zz"), ("xx", "xy", "yx", "yy"), ours.ravel(), strict=True)
+            within(
+                f"{name}_{axes}",
+                value / 1e6,
+                theirs[f"{name}{peer}"] / 1e6,
+                1e-6,
+                unit,
+                kind,
+                source,
+                relative=True,
+                recorded=note,
+            )
+            for axes, peer, value in zip(
+                ("yy", "yz", "zy", "zz"), ("xx", "xy", "yx", "yy"), ours.ravel(), strict=True
+            )
         ]
         found.append(worst(each, f"{name} of the short bearing"))
     return found
 
 
 WEAR_SPEED = 2 * np.pi * 50
-# load N, depth um, angle deg, eccentricity ratio, attitude deg, K c / W, C c Omega / W in the order yy yz zy zz
+# load N, depth um, angle deg, eccentricity ratio, attitude deg, K c / W, C c Omega / W in the order yy yz zy
+# zz
 WORN = {
-    "bearing 1": (35.38, 0.0, 0.0, 0.1326, 80.95, (2.361, 7.259, -7.946, 1.265), (14.87, -2.367, -2.367, 15.65)),
-    "healthy": (58.82, 0.0, 0.0, 0.2096, 75.71, (2.331, 4.329, -5.412, 1.379), (9.204, -2.345, -2.345, 10.445)),
-    "wear 1": (58.82, 22.27, 11.0, 0.2908, 44.51, (3.176, 3.187, -5.956, 1.600), (8.406, -1.831, -1.831, 9.969)),
-    "wear 3": (58.82, 40.19, 8.0, 0.4423, 26.61, (5.187, 2.270, -5.269, 1.056), (7.863, -3.333, -3.333, 7.297)),
+    "bearing 1": (
+        35.38,
+        0.0,
+        0.0,
+        0.1326,
+        80.95,
+        (2.361, 7.259, -7.946, 1.265),
+        (14.87, -2.367, -2.367, 15.65),
+    ),
+    "healthy": (
+        58.82,
+        0.0,
+        0.0,
+        0.2096,
+        75.71,
+        (2.331, 4.329, -5.412, 1.379),
+        (9.204, -2.345, -2.345, 10.445),
+    ),
+    "wear 1": (
+        58.82,
+        22.27,
+        11.0,
+        0.2908,
+        44.51,
+        (3.176, 3.187, -5.956, 1.600),
+        (8.406, -1.831, -1.831, 9.969),
+    ),
+    "wear 3": (
+        58.82,
+        40.19,
+        8.0,
+        0.4423,
+        26.61,
+        (5.187, 2.270, -5.269, 1.056),
+        (7.863, -3.333, -3.333, 7.297),
+    ),
 }
 
 
 def worn_bearing(load: float, depth: float, angle: float, mesh: FilmMesh) -> JournalEquilibrium:
     bearing = JournalBearing(
-        diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044, wear_depth=depth * 1e-6, wear_angle=float(np.deg2rad(angle))
+        diameter=31e-3,
+        length=18e-3,
+        clearance=90e-6,
+        viscosity=0.1044,
+        wear_depth=depth * 1e-6,
+        wear_angle=float(np.deg2rad(angle)),
     )
     return journal_equilibrium(bearing, (0.0, -load), WEAR_SPEED, mesh)
 
 
 def worn_film() -> list[Claim]:
-    """Films of 480 x 60 cells against 1440 x 72 with exact complementarity: .1 %, .02 deg, .5 % of the largest coefficient."""
+    """Films of 480 x 60 cells against 1440 x 72 with exact complementarity: .1 %, .02 deg, .5 % of the
+    largest coefficient.
+    """
     found, source = [], "film of 1440 x 72"
     for name, (load, depth, angle, e, phi, k, c) in WORN.items():
         film = worn_bearing(load, depth, angle, FilmMesh(480, 60))
         kind = "independent calculation"
-        found.append(within(f"eccentricity ratio, {name}", film.eccentricity_ratio, e, 1e-3, "1", kind, source, relative=True))
+        found.append(
+            within(
+                f"eccentricity ratio, {name}",
+                film.eccentricity_ratio,
+                e,
+                1e-3,
+                "1",
+                kind,
+                source,
+                relative=True,
+            )
+        )
         found.append(within(f"attitude, {name}", np.degrees(film.attitude), phi, 0.02, "deg", kind, source))
         scale = 90e-6 / load
-        for title, ours, theirs in (("K", film.stiffness * scale, k), ("C", film.damping * scale * WEAR_SPEED, c)):
+        for title, ours, theirs in (
+            ("K", film.stiffness * scale, k),
+            ("C", film.damping * scale * WEAR_SPEED, c),
+        ):
             tolerance = 5e-3 * max(map(abs, theirs))
             each = [
                 within(f"{title}_{axes}", value, reference, tolerance, "W/c", kind, source)

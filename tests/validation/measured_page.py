@@ -1,4 +1,6 @@
-"""Pipelines and rig files that the page on measurements by others shows: run from there, so that what is shown is what was run."""
+"""Pipelines and rig files that the page on measurements by others shows: run from there, so that what is
+shown is what was run.
+"""
 
 from __future__ import annotations
 

@@ -32,21 +32,70 @@ def frequencies(fit: Fit) -> list[float]:
 
 
 def beam() -> list[Claim]:
-    """The averaged FRF of case1: accepted is the range of what package and LSCF say (5th to 95th percentile over its orders)."""
+    """The averaged FRF of case1: accepted is the range of what package and LSCF say (5th to 95th percentile
+    over its orders).
+    """
     others, ratios, note = LSCF["frequency"], [1e3 * ratio for ratio in LSCF["ratio"]], words("lscf")
-    (sdof,) = labpipe.fit(analysed(), labpipe.FitSettings("sdof", estimator="ls", band=(204.0, 220.0), name="mode"))
+    (sdof,) = labpipe.fit(
+        analysed(), labpipe.FitSettings("sdof", estimator="ls", band=(204.0, 220.0), name="mode")
+    )
     alone = modal(204.0, 220.0)
     mode, damping = alone.parameter("f_n_1"), alone.parameter("zeta_1")
     assert mode.ci95 is not None
     half = (mode.ci95[1] - mode.ci95[0]) / 2
-    leakage = "the interval holds the record's noise, not the analyser's window: the warning *leakage* stands beside it"
-    wide = "0.02 Hz or 8 % of a line away; *model-mismatch* says that one dof does not explain the peak, and gives no interval"
+    leakage = (
+        "the interval holds the record's noise, not the analyser's window: the warning *leakage* "
+        "stands beside it"
+    )
+    wide = (
+        "0.02 Hz or 8 % of a line away; *model-mismatch* says that one dof does not explain the peak, "
+        "and gives no interval"
+    )
     return [
-        among("f_n of a beam, sdof", sdof.parameter("f_n").value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, wide, note),
-        among("f_n of a beam, modal", mode.value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, recorded=note),
-        among("zeta of a beam, modal", 1e3 * damping.value, ratios[1], ratios, "10^-3", MEASURED, SOURCE, recorded=note),
-        within("its distance in half widths of its interval", (mode.value - PRINTED_MODE) / half, 0.0, 1.0, "1", MEASURED, SOURCE, leakage),
-        within("f_n, modal against LSCF", mode.value, others[1], LINE / 10, "Hz", "peer program", "sdypy-EMA", recorded=note),
+        among(
+            "f_n of a beam, sdof",
+            sdof.parameter("f_n").value,
+            PRINTED_MODE,
+            others,
+            "Hz",
+            MEASURED,
+            SOURCE,
+            wide,
+            note,
+        ),
+        among(
+            "f_n of a beam, modal", mode.value, PRINTED_MODE, others, "Hz", MEASURED, SOURCE, recorded=note
+        ),
+        among(
+            "zeta of a beam, modal",
+            1e3 * damping.value,
+            ratios[1],
+            ratios,
+            "10^-3",
+            MEASURED,
+            SOURCE,
+            recorded=note,
+        ),
+        within(
+            "its distance in half widths of its interval",
+            (mode.value - PRINTED_MODE) / half,
+            0.0,
+            1.0,
+            "1",
+            MEASURED,
+            SOURCE,
+            leakage,
+        ),
+        within(
+            "f_n, modal against LSCF",
+            mode.value,
+            others[1],
+            LINE / 10,
+            "Hz",
+            "peer program",
+            "sdypy-EMA",
+            recorded=note,
+        ),
     ]
 
 
@@ -54,8 +103,14 @@ def number_of_modes() -> list[Claim]:
     """One mode stands between 190 and 235 Hz."""
     found = []
     for low, high in ((190.0, 235.0), (200.0, 224.0), (204.0, 220.0)):
-        second = [f"{value:.2f} Hz" for value in frequencies(modal(low, high)) if abs(value - PRINTED_MODE) > 0.1]
-        why = f"a second mode at {', '.join(second)} that is none, with an interval; *leakage* warns of it" if second else ""
+        second = [
+            f"{value:.2f} Hz" for value in frequencies(modal(low, high)) if abs(value - PRINTED_MODE) > 0.1
+        ]
+        why = (
+            f"a second mode at {', '.join(second)} that is none, with an interval; *leakage* warns of it"
+            if second
+            else ""
+        )
         name = f"number of modes, {low:.0f} to {high:.0f} Hz"
         found.append(within(name, len(frequencies(modal(low, high))), 1.0, 0.5, "1", MEASURED, SOURCE, why))
     return found
@@ -69,14 +124,35 @@ def decayed(band: tuple[float, float]) -> Fit:
 
 
 def free_decay() -> list[Claim]:
-    """One hit's decay against the averaged FRF: 50 ppm and 10 %. The second harmonic of the mains of 60 Hz is no mode."""
+    """One hit's decay against the averaged FRF: 50 ppm and 10 %.
+
+    The second harmonic of the mains of 60 Hz is no mode.
+    """
     ring, hum = decayed((204.0, 220.0)), decayed((100.0, 130.0))
     interval = hum.parameter("zeta_1").ci95
     assert interval is not None
     inside, averaged = float(interval[0] < 0 < interval[1]), 1e3 * LSCF["ratio"][1]
     return [
-        within("f_n from one decay", ring.parameter("f_n_1").value, PRINTED_MODE, 5e-5, "Hz", MEASURED, SOURCE, relative=True),
-        within("zeta from one decay", 1e3 * ring.parameter("zeta_1").value, averaged, 0.1, "10^-3", MEASURED, SOURCE, relative=True),
+        within(
+            "f_n from one decay",
+            ring.parameter("f_n_1").value,
+            PRINTED_MODE,
+            5e-5,
+            "Hz",
+            MEASURED,
+            SOURCE,
+            relative=True,
+        ),
+        within(
+            "zeta from one decay",
+            1e3 * ring.parameter("zeta_1").value,
+            averaged,
+            0.1,
+            "10^-3",
+            MEASURED,
+            SOURCE,
+            relative=True,
+        ),
         within("frequency of the hum", hum.parameter("f_n_1").value, 120.0, 0.03, "Hz", MEASURED, SOURCE),
         within("its interval of damping holds zero (1: yes)", inside, 1.0, 0.5, "1", MEASURED, SOURCE),
     ]
@@ -85,5 +161,10 @@ def free_decay() -> list[Claim]:
 METHOD = Method(
     "modal",
     "Modes and decays",
-    {"beam": beam, "number of modes": number_of_modes, "free decay": free_decay, "not tested": partial(gaps, "modal")},
+    {
+        "beam": beam,
+        "number of modes": number_of_modes,
+        "free decay": free_decay,
+        "not tested": partial(gaps, "modal"),
+    },
 )

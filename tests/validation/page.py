@@ -1,4 +1,6 @@
-"""The manual's pages: prose of `words/`, tables of claims, and the comparison of two texts whose numbers may differ in the last digit."""
+"""The manual's pages: prose of `words/`, tables of claims, and the comparison of two texts whose numbers may
+differ in the last digit.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def method_page(method: Method, claims: dict[str, list[Claim]]) -> str:
-    """The words with the table of every section at its mark; a check without a mark is an error of the page."""
+    """The words with the table of every section at its mark.
+
+    A check without a mark is an error of the page.
+    """
     words = (WORDS / f"{method.name}.md").read_text(encoding="utf-8")
     marks = MARK.findall(words)
     assert marks == list(method.checks), (method.name, marks, list(method.checks))
@@ -89,8 +94,12 @@ def gap(claim: Claim) -> tuple[str, ...]:
     return (claim.quantity, against(claim), claim.why)
 
 
-def rows(claims: Sequence[tuple[Method, Claim]], head: Sequence[str], of: Callable[[Claim], tuple[str, ...]]) -> str:
-    return table(("method", *head), ((f"[{method.title}]({method.name}.md)", *of(claim)) for method, claim in claims))
+def rows(
+    claims: Sequence[tuple[Method, Claim]], head: Sequence[str], of: Callable[[Claim], tuple[str, ...]]
+) -> str:
+    return table(
+        ("method", *head), ((f"[{method.title}]({method.name}.md)", *of(claim)) for method, claim in claims)
+    )
 
 
 def counts(claims: Sequence[Claim]) -> str:
@@ -104,12 +113,17 @@ def counts(claims: Sequence[Claim]) -> str:
     lines = []
     for name, kinds in groups.items():
         states = [claim.state for claim in claims if claim.kind in kinds]
-        lines.append((name, *(str(states.count(state)) for state in STATES), str(len(states)), KINDS.get(name, "")))  # type: ignore[call-overload]
+        lines.append(
+            (name, *(str(states.count(state)) for state in STATES), str(len(states)), KINDS.get(name, ""))
+        )  # type: ignore[call-overload]
     return table(("kind", *STATES, "rows", "what it is"), lines)
 
 
 def same_text(made: str, committed: str) -> str:
-    """Empty where both texts say the same, numbers to one unit of their last digit; else the first line that differs."""
+    """Empty where both texts say the same, numbers to one unit of their last digit.
+
+    Else the first line that differs.
+    """
     ours, theirs = made.splitlines(), committed.splitlines()
     for number, (left, right) in enumerate(zip(ours, theirs, strict=False), start=1):
         if left != right and not same_line(left, right):
@@ -121,7 +135,9 @@ def same_line(left: str, right: str) -> bool:
     """The same words, and every number within 1.01 units of its last printed digit."""
     if NUMBER.sub("#", left) != NUMBER.sub("#", right):
         return False
-    return all(close(one, other) for one, other in zip(NUMBER.findall(left), NUMBER.findall(right), strict=True))
+    return all(
+        close(one, other) for one, other in zip(NUMBER.findall(left), NUMBER.findall(right), strict=True)
+    )
 
 
 def close(one: str, other: str) -> bool:

@@ -1,8 +1,11 @@
-"""Inputs that labpipe and programs recorded elsewhere are both given: plain numbers, so that neither needs the other installed."""
+"""Inputs that labpipe and programs recorded elsewhere are both given: plain numbers, so that neither needs
+the other installed.
+"""
 
 from __future__ import annotations
 
-# The two-disc rotor of ROSS's tutorial, after Friswell et al. (2010): six elements, discs on the third and fifth node, two bearings.
+# The two-disc rotor of ROSS's tutorial, after Friswell et al. (2010): six elements, discs on the third and
+# fifth node, two bearings.
 SHAFT = {"element": 0.25, "diameter": 0.05, "number": 6}
 MATERIAL = {"density": 7810.0, "elastic": 211e9, "shear": 81.2e9}
 # Node from 1, inner and outer diameter, length [m].

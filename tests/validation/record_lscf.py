@@ -1,6 +1,7 @@
 """Records what sdypy-EMA makes of the shipped measured beam: `python -m tests.validation.record_lscf`.
 
-Its poles of high orders depend on the processor's linear algebra, so that rows computed anew would differ from machine to machine.
+Its poles of high orders depend on the processor's linear algebra, so that rows computed anew would differ
+from machine to machine.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ def poles() -> tuple[np.ndarray, np.ndarray]:
     of = variables("case1.mat")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         frequency = of["Freq_domain"].ravel().astype(float)
-        model = peer.Model(of["Hf_chan_2"].T, frequency, lower=204, upper=220, pol_order_high=20, frf_form="receptance")
+        model = peer.Model(
+            of["Hf_chan_2"].T, frequency, lower=204, upper=220, pol_order_high=20, frf_form="receptance"
+        )
         model.get_poles(method="lscf", show_progress=False)
     found = []
     for frequencies, ratios in zip(model.pole_freq[5:], model.pole_xi[5:], strict=True):

@@ -1,9 +1,11 @@
-"""Records what labpipe and two other programs make of raw files that others published: nothing is fetched, nothing of them is shipped.
+"""Records what labpipe and two other programs make of raw files that others published: nothing is fetched,
+nothing of them is shipped.
 
     python -m tests.validation.record_measured --data FOLDER
 
-FOLDER holds a clone of each repository below, named owner+name (a bare one may lie one folder deeper). The pipelines and rig files are
-those of `words/measured.md`; commit and SHA-256 digest of every raw file go into the record.
+FOLDER holds a clone of each repository below, named owner+name (a bare one may lie one folder deeper). The
+pipelines and rig files are those of `words/measured.md`; commit and SHA-256 digest of every raw file go into
+the record.
 """
 
 from __future__ import annotations
@@ -56,7 +58,9 @@ SETS = {
         {f"experimental_modal_analysis_journal_{axis}.csv": f"{BEARING}_{axis}.csv" for axis in "rz"},
     ),
     "beams": RawSet(
-        "deepfe/dexpilab1", "5bb911f6ec8af99920d05e18aa987275fedbb0d6", {"VDeXpiLab1_Exp.mat": "20220317_VD1/VDeXpiLab1_Exp.mat"}
+        "deepfe/dexpilab1",
+        "5bb911f6ec8af99920d05e18aa987275fedbb0d6",
+        {"VDeXpiLab1_Exp.mat": "20220317_VD1/VDeXpiLab1_Exp.mat"},
     ),
     "tool": RawSet(
         "leekunhwee/Vibration-Signal-Processing",
@@ -67,7 +71,9 @@ SETS = {
         },
     ),
     "ruler": RawSet(
-        "torebutlin/pydvma", "df9328623808ad189fdad09930e4db4a274e67e4", {"ruler_grid_acc_3.mat": "data/examples/ruler_grid_acc_3.mat"}
+        "torebutlin/pydvma",
+        "df9328623808ad189fdad09930e4db4a274e67e4",
+        {"ruler_grid_acc_3.mat": "data/examples/ruler_grid_acc_3.mat"},
     ),
     "free beam": RawSet(
         "alxhslm/ModeLAB",
@@ -77,7 +83,10 @@ SETS = {
     "kit": RawSet(
         "gergelytakacs/AutomationShield",
         "bc0778f97a156d4ea5158725e09068d438e59a39",
-        {"Data_time.mat": "simulink/examples/MagnetoShield/MagnetoShield_AlternativeModel_Examples/Models_comparison/Data_time.mat"},
+        {
+            "Data_time.mat": "simulink/examples/MagnetoShield/"
+            "MagnetoShield_AlternativeModel_Examples/Models_comparison/Data_time.mat"
+        },
     ),
 }
 
@@ -100,7 +109,9 @@ RUNS = {
     "steel": Run("beams", "Steel beam"),
     "aluminium": Run("beams", "Steel beam", {"rig": "aluminium.yaml"}),
     "tool, automatic": Run("tool", "Tool in a spindle"),
-    "tool, poles": Run("tool", "Tool in a spindle", {"identify.modes.modal": {"poles": ["1074 Hz", "1961 Hz", "2617 Hz"]}}),
+    "tool, poles": Run(
+        "tool", "Tool in a spindle", {"identify.modes.modal": {"poles": ["1074 Hz", "1961 Hz", "2617 Hz"]}}
+    ),
     "tool, one hit": Run("tool", "One hit"),
     "ruler": Run("ruler", "Ruler, ten points"),
     "free beam": Run("free beam", "Free beam, nine points"),
@@ -152,19 +163,29 @@ def pipeline_of(run: Run) -> dict[str, Any]:
 def said(fit: Fit) -> dict[str, Any]:
     """Values, half widths of 95 % intervals where there are any, and warnings."""
     values = {
-        parameter.name: {"value": parameter.value, "interval": list(parameter.ci95) if parameter.ci95 is not None else None}
+        parameter.name: {
+            "value": parameter.value,
+            "interval": list(parameter.ci95) if parameter.ci95 is not None else None,
+        }
         for parameter in fit.parameters
     }
-    return {"values": values, "warnings": sorted({finding.code for finding in fit.findings if finding.level == "warning"})}
+    return {
+        "values": values,
+        "warnings": sorted({finding.code for finding in fit.findings if finding.level == "warning"}),
+    }
 
 
-def oscillator(t: np.ndarray, size: float, phase: float, frequency: float, ratio: float, offset: float) -> np.ndarray:
+def oscillator(
+    t: np.ndarray, size: float, phase: float, frequency: float, ratio: float, offset: float
+) -> np.ndarray:
     w = 2 * np.pi * frequency
     return offset + size * np.exp(-ratio * w * t) * np.cos(w * np.sqrt(1 - ratio**2) * t + phase)
 
 
 def fitted_decays(folder: Path, run: Run, band: tuple[float, float]) -> dict[str, list[float]]:
-    """Each decay as labpipe cuts it out, by scipy's curve_fit of one oscillator with offset and free frequency, the record as it is."""
+    """Each decay as labpipe cuts it out, by scipy's curve_fit of one oscillator with offset and free
+    frequency, the record as it is.
+    """
     pipeline = pipeline_of(run)
     recording = labpipe.read(folder / pipeline["recordings"], rig=folder / pipeline["rig"])
     settings = pipeline["frf"]
@@ -250,7 +271,11 @@ def recorded(data: Path) -> Iterator[tuple[str, Any]]:
     for name, of in SETS.items():
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
-            entry: dict[str, Any] = {"repository": of.repository, "commit": of.commit, "sha256": unpacked(data, of, folder)}
+            entry: dict[str, Any] = {
+                "repository": of.repository,
+                "commit": of.commit,
+                "sha256": unpacked(data, of, folder),
+            }
             entry["labpipe"], entry["curve_fit"], entry["lscf"] = {}, {}, {}
             for title, run in RUNS.items():
                 if run.raw != name:
@@ -269,14 +294,18 @@ def recorded(data: Path) -> Iterator[tuple[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.validation.record_measured", description=__doc__)
-    parser.add_argument("--data", type=Path, required=True, help="folder with one clone for each repository, named owner+name")
+    parser.add_argument(
+        "--data", type=Path, required=True, help="folder with one clone for each repository, named owner+name"
+    )
     asked = parser.parse_args()
     record = {
         "date": f"{date.today():%Y-%m-%d}",
         "program": f"labpipe {labpipe.__version__}, sdypy-EMA, scipy",
         "command": "python -m tests.validation.record_measured --data FOLDER",
     }
-    FILE.write_text(json.dumps({**record, "sets": dict(recorded(asked.data))}, indent=1) + "\n", encoding="utf-8")
+    FILE.write_text(
+        json.dumps({**record, "sets": dict(recorded(asked.data))}, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

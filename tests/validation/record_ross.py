@@ -1,4 +1,5 @@
-"""Records what ROSS makes of `peer_inputs`: `python -m tests.validation.record_ross`, in an environment with ross-rotordynamics.
+"""Records what ROSS makes of `peer_inputs`: `python -m tests.validation.record_ross`, in an environment with
+ross-rotordynamics.
 
 labpipe is not needed there, and nothing of it is imported. The rows compute labpipe's side anew each time.
 """
@@ -22,7 +23,9 @@ RPM = np.pi / 30
 
 
 def ross() -> ModuleType:
-    """ROSS imports a compressor library for its labyrinth seals, which nothing here uses and which needs a licence of its own."""
+    """ROSS imports a compressor library for its labyrinth seals, which nothing here uses and which needs a
+    licence of its own.
+    """
     sys.modules.setdefault("ccp", MagicMock())
     import ross
 
@@ -30,7 +33,9 @@ def ross() -> ModuleType:
 
 
 def rotor(rs: ModuleType, stiffness: tuple[float, float, float]) -> Any:
-    material = rs.Material("given", rho=given.MATERIAL["density"], E=given.MATERIAL["elastic"], G_s=given.MATERIAL["shear"])
+    material = rs.Material(
+        "given", rho=given.MATERIAL["density"], E=given.MATERIAL["elastic"], G_s=given.MATERIAL["shear"]
+    )
     shaft = [
         rs.ShaftElement(L=given.SHAFT["element"], idl=0, odl=given.SHAFT["diameter"], material=material)
         for _ in range(int(given.SHAFT["number"]))
@@ -40,17 +45,30 @@ def rotor(rs: ModuleType, stiffness: tuple[float, float, float]) -> Any:
         for node, inner, outer, length in given.DISCS
     ]
     k_x, k_y, c = stiffness
-    bearings = [rs.BearingElement(n=n, kxx=k_x, kyy=k_y, cxx=c, cyy=c) for n in (0, int(given.SHAFT["number"]))]
+    bearings = [
+        rs.BearingElement(n=n, kxx=k_x, kyy=k_y, cxx=c, cyy=c) for n in (0, int(given.SHAFT["number"]))
+    ]
     return rs.Rotor(shaft, discs, bearings)
 
 
 def lateral(modes: Any, n: int) -> tuple[list[float], list[float]]:
-    """Damped frequencies [Hz] and logarithmic decrements of the first lateral modes; axial and torsional ones move no y."""
+    """Damped frequencies [Hz] and logarithmic decrements of the first lateral modes.
+
+    Axial and torsional ones move no y.
+    """
     dofs = modes.number_dof
-    shapes = np.abs(modes.modal if hasattr(modes, "modal") else modes.evectors)[: dofs * (int(given.SHAFT["number"]) + 1)]
+    shapes = np.abs(modes.modal if hasattr(modes, "modal") else modes.evectors)[
+        : dofs * (int(given.SHAFT["number"]) + 1)
+    ]
     across = np.isin(np.arange(shapes.shape[0]) % dofs, (0, 1, 3, 4) if dofs == 6 else range(4))
-    keep = [i for i in range(len(modes.wd)) if i < shapes.shape[1] and shapes[across, i].max() > 1e-6 * shapes[:, i].max()]
-    return (np.asarray(modes.wd)[keep][:n] / (2 * np.pi)).tolist(), np.asarray(modes.log_dec)[keep][:n].tolist()
+    keep = [
+        i
+        for i in range(len(modes.wd))
+        if i < shapes.shape[1] and shapes[across, i].max() > 1e-6 * shapes[:, i].max()
+    ]
+    return (np.asarray(modes.wd)[keep][:n] / (2 * np.pi)).tolist(), np.asarray(modes.log_dec)[keep][
+        :n
+    ].tolist()
 
 
 def unbalance(whole: Any) -> list[list[float]]:
@@ -78,7 +96,10 @@ def short_bearing(rs: ModuleType) -> dict[str, float]:
 
 def main() -> None:
     rs = ross()
-    recorded: dict[str, Any] = {"program": f"ROSS {version('ross-rotordynamics')}", "command": "python -m tests.validation.record_ross"}
+    recorded: dict[str, Any] = {
+        "program": f"ROSS {version('ross-rotordynamics')}",
+        "command": "python -m tests.validation.record_ross",
+    }
     recorded["modes"] = {}
     for name, stiffness in given.SUPPORTS.items():
         whole = rotor(rs, stiffness)

@@ -1,4 +1,6 @@
-"""Rolling bearings: printed stiffness matrices, load distribution, Hertzian contacts, the rigid shaft and the bending shaft."""
+"""Rolling bearings: printed stiffness matrices, load distribution, Hertzian contacts, the rigid shaft and the
+bending shaft.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +35,94 @@ ENTRIES = {
 }
 # Appendix F: N/m, N and N m; clearance 0, free tilt, 24 N of the shaft's weight along -y.
 PRINTED = {
-    ("6208", 427): (0.2125e9, 0.2125e9, 0.4339e6, -0.1087e7, 0.1087e7, 0.1654e8, 0.4656e4, 0.7517e4, 0.7516e4),
-    ("6208", 701): (0.2388e9, 0.2388e9, 0.3740e6, -0.1381e7, 0.1381e7, 0.2386e8, 0.4601e4, 0.1084e5, 0.1084e5),
-    ("6208", 1422): (0.2811e9, 0.2811e9, 0.2985e6, -0.1936e7, 0.1936e7, 0.4014e8, 0.4497e4, 0.1824e5, 0.1824e5),
-    ("6208", 1721): (0.2935e9, 0.2935e9, 0.2799e6, -0.2118e7, 0.2118e7, 0.4616e8, 0.4462e4, 0.2098e5, 0.2098e5),
-    ("7208", 445): (0.6729e8, 0.6940e8, -0.1764e6, -0.1714e7, 0.1762e7, 0.9993e8, 0.1272e6, 0.4602e5, 0.4464e5),
-    ("7208", 852): (0.8386e8, 0.8438e8, -0.1444e6, -0.2149e7, 0.2161e7, 0.1259e9, 0.8519e5, 0.5727e5, 0.5693e5),
-    ("7208", 1262): (0.9512e8, 0.9533e8, -0.1283e6, -0.2449e7, 0.2453e7, 0.1451e9, 0.6613e5, 0.6587e5, 0.6573e5),
-    ("7208", 1706): (0.1046e9, 0.1047e9, -0.1180e6, -0.2702e7, 0.2704e7, 0.1620e9, 0.5438e5, 0.7353e5, 0.7346e5),
+    ("6208", 427): (
+        0.2125e9,
+        0.2125e9,
+        0.4339e6,
+        -0.1087e7,
+        0.1087e7,
+        0.1654e8,
+        0.4656e4,
+        0.7517e4,
+        0.7516e4,
+    ),
+    ("6208", 701): (
+        0.2388e9,
+        0.2388e9,
+        0.3740e6,
+        -0.1381e7,
+        0.1381e7,
+        0.2386e8,
+        0.4601e4,
+        0.1084e5,
+        0.1084e5,
+    ),
+    ("6208", 1422): (
+        0.2811e9,
+        0.2811e9,
+        0.2985e6,
+        -0.1936e7,
+        0.1936e7,
+        0.4014e8,
+        0.4497e4,
+        0.1824e5,
+        0.1824e5,
+    ),
+    ("6208", 1721): (
+        0.2935e9,
+        0.2935e9,
+        0.2799e6,
+        -0.2118e7,
+        0.2118e7,
+        0.4616e8,
+        0.4462e4,
+        0.2098e5,
+        0.2098e5,
+    ),
+    ("7208", 445): (
+        0.6729e8,
+        0.6940e8,
+        -0.1764e6,
+        -0.1714e7,
+        0.1762e7,
+        0.9993e8,
+        0.1272e6,
+        0.4602e5,
+        0.4464e5,
+    ),
+    ("7208", 852): (
+        0.8386e8,
+        0.8438e8,
+        -0.1444e6,
+        -0.2149e7,
+        0.2161e7,
+        0.1259e9,
+        0.8519e5,
+        0.5727e5,
+        0.5693e5,
+    ),
+    ("7208", 1262): (
+        0.9512e8,
+        0.9533e8,
+        -0.1283e6,
+        -0.2449e7,
+        0.2453e7,
+        0.1451e9,
+        0.6613e5,
+        0.6587e5,
+        0.6573e5,
+    ),
+    ("7208", 1706): (
+        0.1046e9,
+        0.1047e9,
+        -0.1180e6,
+        -0.2702e7,
+        0.2704e7,
+        0.1620e9,
+        0.5438e5,
+        0.7353e5,
+        0.7346e5,
+    ),
 }
 SHAFT = RigidShaft(2.45, 1.24e-2, 1.24e-2)
 
@@ -52,7 +134,10 @@ def preloaded(name: str, force: float) -> Equilibrium:
 
 
 def printed_matrices() -> list[Claim]:
-    """A row for each printed matrix, its worst entry in per cent of what is printed; four digits are printed."""
+    """A row for each printed matrix, its worst entry in per cent of what is printed.
+
+    Four digits are printed.
+    """
     found = []
     for (name, force), printed in PRINTED.items():
         k = preloaded(name, force).stiffness[0]
@@ -64,8 +149,8 @@ def printed_matrices() -> list[Claim]:
     return found
 
 
-# Eigenvalues of the same model by another calculation, before the matrices are rounded to print: the two lowest modes are differences of
-# nearly equal terms, which four digits no longer show.
+# Eigenvalues of the same model by another calculation, before the matrices are rounded to print: the two
+# lowest modes are differences of nearly equal terms, which four digits no longer show.
 FREQUENCIES = {
     ("6208", 427, 2e-4): (63.09, 63.11, 413.50, 1486.0, 1486.1),
     ("6208", 1721, 2e-4): (107.29, 107.29, 690.84, 1750.97, 1750.98),
@@ -79,7 +164,16 @@ def rigid_shaft() -> list[Claim]:
     for (name, force, relative), expected in FREQUENCIES.items():
         ours = modes(SHAFT, preloaded(name, force).stiffness[0]).frequency
         each = [
-            within(f"mode {number}", value, reference, relative, "Hz", "independent calculation", "eigenvalues", relative=True)
+            within(
+                f"mode {number}",
+                value,
+                reference,
+                relative,
+                "Hz",
+                "independent calculation",
+                "eigenvalues",
+                relative=True,
+            )
             for number, (value, reference) in enumerate(zip(ours, expected, strict=True), start=1)
         ]
         found.append(worst(each, f"natural frequency on the {name} at {force} N"))
@@ -87,7 +181,9 @@ def rigid_shaft() -> list[Claim]:
 
 
 def sdof_of_the_theory() -> list[Claim]:
-    """A one-dof fit of the theory's own curve against K_ii: 26 to 27 % at the tilt peaks of the 6208, 101 to 129 % at radial peaks."""
+    """A one-dof fit of the theory's own curve against K_ii: 26 to 27 % at the tilt peaks of the 6208, 101 to
+    129 % at radial peaks.
+    """
     tilt, radial = [], []
     for name, force in PRINTED:
         k = preloaded(name, force).stiffness[0]
@@ -96,9 +192,25 @@ def sdof_of_the_theory() -> list[Claim]:
         tilt.extend(ratio[3:].tolist() if name == "6208" else [])
     made = "fits over a band"
     return [
-        within("smallest tilt ratio of a one-dof fit, 6208", min(tilt), 26, 0.5, "%", "independent calculation", made),
+        within(
+            "smallest tilt ratio of a one-dof fit, 6208",
+            min(tilt),
+            26,
+            0.5,
+            "%",
+            "independent calculation",
+            made,
+        ),
         within("largest tilt ratio, 6208", max(tilt), 27, 0.5, "%", "independent calculation", made),
-        within("smallest radial ratio, both bearings", min(radial), 101, 0.5, "%", "independent calculation", made),
+        within(
+            "smallest radial ratio, both bearings",
+            min(radial),
+            101,
+            0.5,
+            "%",
+            "independent calculation",
+            made,
+        ),
         within(
             "largest radial ratio, both bearings",
             max(radial),
@@ -114,7 +226,8 @@ def sdof_of_the_theory() -> list[Claim]:
 
 # The printed constants are integrals: many elements.
 ANGLE, ELEMENTS = math.radians(25), 360
-# A groove distance that is very large against the deflection keeps the contact angle, as the printed constants assume.
+# A groove distance that is very large against the deflection keeps the contact angle, as the printed
+# constants assume.
 BALLS = RollingBearing(ELEMENTS, 1e10, 0.1, ANGLE, groove_distance=0.05)
 ROLLERS = RollingBearing(ELEMENTS, 1e9, 0.1, ANGLE)
 
@@ -133,15 +246,32 @@ def load_distribution() -> list[Claim]:
         radial, axial = state.load[0, 0], state.load[0, 2]
         q_max = state.contacts.load.max() / (radial / (ELEMENTS * math.cos(ANGLE)))
         ratio = axial / (radial * math.tan(ANGLE))
-        why = "" if name == "balls" else "1.260 is the integral for an exponent of 1.1; with labpipe's 10/9 it is 1.2573"
-        found.append(within(f"Z Q_max cos a / F_r, {name}", q_max, greatest, 0.005, "1", "printed calculation", NSK))
-        found.append(within(f"F_a / (F_r tan a), {name}", ratio, thrust, 5e-4, "1", "printed calculation", NSK, why))
+        why = (
+            ""
+            if name == "balls"
+            else ("1.260 is the integral for an exponent of 1.1; with labpipe's 10/9 it is 1.2573")
+        )
+        found.append(
+            within(f"Z Q_max cos a / F_r, {name}", q_max, greatest, 0.005, "1", "printed calculation", NSK)
+        )
+        found.append(
+            within(f"F_a / (F_r tan a), {name}", ratio, thrust, 5e-4, "1", "printed calculation", NSK, why)
+        )
     for epsilon in (0.2, 0.7, 1.5):
-        found.append(worst([sjovall(bearing, epsilon, name) for bearing, name in ((BALLS, "balls"), (ROLLERS, "rollers"))], "J_r"))
+        found.append(
+            worst(
+                [
+                    sjovall(bearing, epsilon, name)
+                    for bearing, name in ((BALLS, "balls"), (ROLLERS, "rollers"))
+                ],
+                "J_r",
+            )
+        )
     return found
 
 
-# Harris prints J_r and J_a for point and line contact; epsilon above 1 loads all elements, whose contact angles no longer stay alike.
+# Harris prints J_r and J_a for point and line contact; epsilon above 1 loads all elements, whose contact
+# angles no longer stay alike.
 EPSILON = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 INTEGRALS = {
     ("balls", "J_r"): (0.1156, 0.1590, 0.1892, 0.2117, 0.2288, 0.2416, 0.2505, 0.2559, 0.2576),
@@ -156,12 +286,27 @@ def printed_integrals() -> list[Claim]:
     found = []
     why = "the printed integrals are those of an exponent of 1.1; labpipe's is 10/9"
     for (name, integral), printed in INTEGRALS.items():
-        bearing, axis, part = (BALLS if name == "balls" else ROLLERS), *((0, math.cos) if integral == "J_r" else (2, math.sin))
+        bearing, axis, part = (
+            (BALLS if name == "balls" else ROLLERS),
+            *((0, math.cos) if integral == "J_r" else (2, math.sin)),
+        )
         each = []
         for epsilon, reference in zip(EPSILON, printed, strict=True):
             state = by_zone(bearing, epsilon)
             value = state.load[0, axis] / (ELEMENTS * state.contacts.load.max() * part(ANGLE))
-            each.append(within(f"epsilon {epsilon}", value, reference, 1e-3, "1", "printed calculation", "Harris", why, relative=True))
+            each.append(
+                within(
+                    f"epsilon {epsilon}",
+                    value,
+                    reference,
+                    1e-3,
+                    "1",
+                    "printed calculation",
+                    "Harris",
+                    why,
+                    relative=True,
+                )
+            )
         found.append(worst(each, f"{integral}, {name}"))
     return found
 
@@ -174,7 +319,10 @@ def by_zone(bearing: RollingBearing, epsilon: float) -> Equilibrium:
 
 
 def sjovall(bearing: RollingBearing, epsilon: float, name: str) -> Claim:
-    """J_r = (1/2 pi) int (1 - (1 - cos psi) / (2 eps))^n cos psi dpsi by quadrature; the sum over the elements within 0.3 %."""
+    """J_r = (1/2 pi) int (1 - (1 - cos psi) / (2 eps))^n cos psi dpsi by quadrature.
+
+    The sum over the elements within 0.3 %.
+    """
     state = by_zone(bearing, epsilon)
     edge = math.acos(1 - 2 * epsilon) if epsilon < 1 else math.pi
 
@@ -183,7 +331,16 @@ def sjovall(bearing: RollingBearing, epsilon: float, name: str) -> Claim:
 
     expected = integrate.quad(share, 0, edge, limit=200)[0] / math.pi
     value = state.load[0, 0] / (ELEMENTS * state.contacts.load.max() * math.cos(ANGLE))
-    return within(f"{name} at epsilon {epsilon}", value, expected, 3e-3, "1", "closed form", "Sjovall's integral", relative=True)
+    return within(
+        f"{name} at epsilon {epsilon}",
+        value,
+        expected,
+        3e-3,
+        "1",
+        "closed form",
+        "Sjovall's integral",
+        relative=True,
+    )
 
 
 def hertz() -> list[Claim]:
@@ -192,18 +349,39 @@ def hertz() -> list[Claim]:
     sphere = 4 / 3 * modulus * math.sqrt(5e-3)
     geometry = BallGeometry(11.90625e-3, 60e-3, 0.5125, 0.5375)
     return [
-        within("K of a sphere of 5 mm on a plane", point_contact(200, 200) / 1e9, sphere / 1e9, 1e-4, "GN/m^1.5", "closed form", "Hertz"),
+        within(
+            "K of a sphere of 5 mm on a plane",
+            point_contact(200, 200) / 1e9,
+            sphere / 1e9,
+            1e-4,
+            "GN/m^1.5",
+            "closed form",
+            "Hertz",
+        ),
         *(hertz_ellipse(k) for k in (0.3, 0.03)),
-        within("K_n of the 6208", geometry.stiffness_constant() / 1e10, 1.10, 0.005, "10^10 N/m^1.5", "printed calculation", KNAAPEN),
+        within(
+            "K_n of the 6208",
+            geometry.stiffness_constant() / 1e10,
+            1.10,
+            0.005,
+            "10^10 N/m^1.5",
+            "printed calculation",
+            KNAAPEN,
+        ),
     ]
 
 
 def hertz_ellipse(k: float) -> Claim:
-    """Pressure on an ellipse b = k a: the potential's integrals (Johnson 3.57-3.59) by quadrature; a = 1, E* = 1, p0 = 1."""
+    """Pressure on an ellipse b = k a: the potential's integrals (Johnson 3.57-3.59) by quadrature.
+
+    A = 1, E* = 1, p0 = 1.
+    """
 
     def integral(power_a: int, power_b: int) -> float:
         def inner(t: float) -> float:
-            return 2 / math.sqrt((1 + t**2) * (k**2 + t**2)) / (1 + t**2) ** power_a / (k**2 + t**2) ** power_b
+            return (
+                2 / math.sqrt((1 + t**2) * (k**2 + t**2)) / (1 + t**2) ** power_a / (k**2 + t**2) ** power_b
+            )
 
         return integrate.quad(inner, 0, np.inf, epsabs=0, epsrel=1e-11)[0]
 
@@ -212,16 +390,27 @@ def hertz_ellipse(k: float) -> Claim:
     expected = 2 / 3 * math.pi * k / approach**1.5
     value = point_contact(along, across, unit, unit)
     source = "Johnson 1985, by quadrature"
-    return within(f"K of an ellipse of axes 1 : {k}", value, expected, 1e-6, "1", "closed form", source, relative=True)
+    return within(
+        f"K of an ellipse of axes 1 : {k}", value, expected, 1e-6, "1", "closed form", source, relative=True
+    )
 
 
 def bending() -> list[Claim]:
-    """Chapter 3; the diameter of 37 mm is not printed and follows from the static stiffness, which is therefore no row."""
+    """Chapter 3.
+
+    The diameter of 37 mm is not printed and follows from the static stiffness, which is therefore no row.
+    """
     beam = BendingShaft(2.1e11, 37e-3, 0.20)
     kind = "printed calculation"
     return [
         within(
-            "by energy, over the static one", beam.energy_stiffness() / beam.static_stiffness(), 1.176 / 1.159, 9e-4, "1", kind, KNAAPEN
+            "by energy, over the static one",
+            beam.energy_stiffness() / beam.static_stiffness(),
+            1.176 / 1.159,
+            9e-4,
+            "1",
+            kind,
+            KNAAPEN,
         ),
         within(
             "equivalent mass of the first mode",
@@ -231,7 +420,8 @@ def bending() -> list[Claim]:
             "kg",
             kind,
             KNAAPEN,
-            "the printed mass does not follow from the printed formula and any diameter that the printed stiffness allows",
+            "the printed mass does not follow from the printed formula and any diameter that the printed "
+            "stiffness allows",
         ),
     ]
 

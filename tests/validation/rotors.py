@@ -1,4 +1,6 @@
-"""Rotors: beams and discs in closed form, another program, the rig of Mendes, onset of instability, the measured rotor of Falah."""
+"""Rotors: beams and discs in closed form, another program, the rig of Mendes, onset of instability, the
+measured rotor of Falah.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,25 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import brentq
 
-from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium, short_bearing_coefficients
+from labpipe.methods.journal_bearing.bearing import (
+    JournalBearing,
+    journal_equilibrium,
+    short_bearing_coefficients,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import Modes, modes, onset_speed, unbalance_response
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.rotor.shaft import STEEL, Disc, Material, Rotor, ShaftElement, Support, bearing_loads, free_rotor, supported_rotor
+from labpipe.methods.rotor.shaft import (
+    STEEL,
+    Disc,
+    Material,
+    Rotor,
+    ShaftElement,
+    Support,
+    bearing_loads,
+    free_rotor,
+    supported_rotor,
+)
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from tests.validation import peer_inputs as given
 from tests.validation.claims import Claim, Method, within, worst
@@ -30,14 +46,20 @@ def beam(length: float, diameter: float, n: int) -> Rotor:
 
 
 def simply_supported(length: float, diameter: float, mode: int, spin: float) -> list[float]:
-    """Backward and forward frequency [Hz] of a spinning pinned shaft from w = sin(m pi x / l) in the Timoshenko equations.
+    """Backward and forward frequency [Hz] of a spinning pinned shaft from w = sin(m pi x / l) in the
+    Timoshenko equations.
 
-    With k = m pi / l: [kGA k^2 - rho A w^2, -kGA k; -kGA k, E I k^2 + kGA - rho I w^2 + 2 rho I Omega w] singular, w signed.
+    With k = m pi / l: [kGA k^2 - rho A w^2, -kGA k; -kGA k, E I k^2 + kGA - rho I w^2 + 2 rho I Omega w]
+    singular, w signed.
     """
     e = ShaftElement(length, diameter)
     shear = e.shear_coefficient * STEEL.shear_modulus * e.area
     k = mode * np.pi / length
-    bending, mass, inertia = STEEL.elastic_modulus * e.second_moment * k**2, STEEL.density * e.area, STEEL.density * e.second_moment
+    bending, mass, inertia = (
+        STEEL.elastic_modulus * e.second_moment * k**2,
+        STEEL.density * e.area,
+        STEEL.density * e.second_moment,
+    )
     first = np.polynomial.Polynomial([shear * k**2, 0, -mass])
     second = np.polynomial.Polynomial([bending + shear, 2 * inertia * spin, -inertia])
     roots = (first * second - (shear * k) ** 2).roots().real / (2 * np.pi)
@@ -53,7 +75,10 @@ def beams() -> list[Claim]:
             each = [
                 within(whirl, value, exact, 3e-4, "Hz", "closed form", "Timoshenko", relative=True)
                 for whirl, value, exact in zip(
-                    ("backward", "forward"), ours[2 * mode - 2 : 2 * mode], simply_supported(1.0, 0.1, mode, spin), strict=True
+                    ("backward", "forward"),
+                    ours[2 * mode - 2 : 2 * mode],
+                    simply_supported(1.0, 0.1, mode, spin),
+                    strict=True,
                 )
             ]
             found.append(worst(each, f"pinned thick shaft at {spin:.0f} rad/s, mode {mode}"))
@@ -68,9 +93,22 @@ def free_beam() -> list[Claim]:
     elastic = ours[ours > 0.3]
     found = []
     for mode, root in ((1, 4.730041), (2, 7.853205)):
-        expected = root**2 / (2 * np.pi * 4) * np.sqrt(STEEL.elastic_modulus * e.second_moment / (STEEL.density * e.area))
+        expected = (
+            root**2
+            / (2 * np.pi * 4)
+            * np.sqrt(STEEL.elastic_modulus * e.second_moment / (STEEL.density * e.area))
+        )
         found.append(
-            within(f"free beam, mode {mode}", elastic[2 * mode - 2], expected, 5e-4, "Hz", "closed form", "Blevins", relative=True)
+            within(
+                f"free beam, mode {mode}",
+                elastic[2 * mode - 2],
+                expected,
+                5e-4,
+                "Hz",
+                "closed form",
+                "Blevins",
+                relative=True,
+            )
         )
     return found
 
@@ -80,12 +118,25 @@ def cantilever() -> Claim:
     e = ShaftElement(0.1, 0.06)
     matrices = supported_rotor(Rotor((e,)), [])
     ours = np.linalg.solve(matrices.stiffness[4:, 4:], [1.0, 0, 0, 0])[0]
-    exact = 0.1**3 / (3 * STEEL.elastic_modulus * e.second_moment) + 0.1 / (e.shear_coefficient * STEEL.shear_modulus * e.area)
-    return within("deflection of a short cantilever", 1e9 * ours, 1e9 * exact, 1e-6, "nm/N", "closed form", "with shear", relative=True)
+    exact = 0.1**3 / (3 * STEEL.elastic_modulus * e.second_moment) + 0.1 / (
+        e.shear_coefficient * STEEL.shear_modulus * e.area
+    )
+    return within(
+        "deflection of a short cantilever",
+        1e9 * ours,
+        1e9 * exact,
+        1e-6,
+        "nm/N",
+        "closed form",
+        "with shear",
+        relative=True,
+    )
 
 
 def overhung_disc() -> list[Claim]:
-    """Clamped massless shaft with a disc at its end: roots of the 2 x 2 determinant (Den Hartog), both whirl directions."""
+    """Clamped massless shaft with a disc at its end: roots of the 2 x 2 determinant (Den Hartog), both whirl
+    directions.
+    """
     length, spin, mass, transverse, polar = 0.3, 600.0, 3.0, 0.01, 0.02
     e = ShaftElement(length, 0.015)
     phi = e.shear_parameter
@@ -103,13 +154,24 @@ def overhung_disc() -> list[Claim]:
     grid = np.linspace(-300, 300, 6001)
     signs = np.sign([determinant(w) for w in grid])
     roots = sorted(abs(brentq(determinant, grid[i], grid[i + 1])) for i in np.flatnonzero(np.diff(signs)))
-    light = ShaftElement(length, 0.015, material=type(STEEL)(1e-3, STEEL.elastic_modulus, STEEL.shear_modulus))
+    light = ShaftElement(
+        length, 0.015, material=type(STEEL)(1e-3, STEEL.elastic_modulus, STEEL.shear_modulus)
+    )
     clamped = [Support(1, RIGID, NO_DAMPING), Support(2, RIGID, NO_DAMPING)]
-    rotor = Rotor((ShaftElement(0.02, 0.5, material=light.material), light), (Disc(3, mass, transverse, polar),))
+    rotor = Rotor(
+        (ShaftElement(0.02, 0.5, material=light.material), light), (Disc(3, mass, transverse, polar),)
+    )
     ours = modes(rotor, clamped, spin).damped_frequency
     return [
         within(
-            f"overhung disc at {spin:.0f} rad/s, {name}", value, root / (2 * np.pi), 2e-3, "Hz", "closed form", "Den Hartog", relative=True
+            f"overhung disc at {spin:.0f} rad/s, {name}",
+            value,
+            root / (2 * np.pi),
+            2e-3,
+            "Hz",
+            "closed form",
+            "Den Hartog",
+            relative=True,
         )
         for name, value, root in zip(("backward", "forward"), ours, roots, strict=False)
     ]
@@ -124,7 +186,9 @@ def two_discs() -> Rotor:
         given.MATERIAL["elastic"] / 2 / given.MATERIAL["shear"] - 1,
     )
     piece = ShaftElement(given.SHAFT["element"], given.SHAFT["diameter"], material)
-    discs = tuple(Disc.of_dimensions(node, inner, outer, length, material) for node, inner, outer, length in given.DISCS)
+    discs = tuple(
+        Disc.of_dimensions(node, inner, outer, length, material) for node, inner, outer, length in given.DISCS
+    )
     return Rotor((piece,) * int(given.SHAFT["number"]), discs)
 
 
@@ -134,7 +198,9 @@ def held(name: str) -> list[Support]:
 
 
 def of_ross() -> list[Claim]:
-    """Eight lateral modes each, the worst of them: the same elements and the same shear coefficient, so that 1e-6 is accepted."""
+    """Eight lateral modes each, the worst of them: the same elements and the same shear coefficient, so that
+    1e-6 is accepted.
+    """
     kind, source, note = "peer program", recorded("ross")["program"], words("ross")
     found = []
     for name in given.SUPPORTS:
@@ -143,7 +209,9 @@ def of_ross() -> list[Claim]:
             ours = modes(two_discs(), held(name), rpm * RPM)
             each = [
                 within(f"mode {number}", value, peer, 1e-6, "Hz", kind, source, relative=True, recorded=note)
-                for number, (value, peer) in enumerate(zip(ours.damped_frequency, theirs["frequency"], strict=False), start=1)
+                for number, (value, peer) in enumerate(
+                    zip(ours.damped_frequency, theirs["frequency"], strict=False), start=1
+                )
             ]
             found.append(worst(each, f"frequency, {name} bearings, {rpm:.0f} rpm"))
             if name == "orthotropic":
@@ -155,18 +223,37 @@ def decrements(ours: Modes, theirs: list[float], where: str) -> Claim:
     ratio = ours.damping_ratio
     values = 2 * np.pi * ratio / np.sqrt(1 - ratio**2)
     each = [
-        within(f"mode {number}", value, peer, 1e-5, "1", "peer program", recorded("ross")["program"], relative=True, recorded=words("ross"))
+        within(
+            f"mode {number}",
+            value,
+            peer,
+            1e-5,
+            "1",
+            "peer program",
+            recorded("ross")["program"],
+            relative=True,
+            recorded=words("ross"),
+        )
         for number, (value, peer) in enumerate(zip(values, theirs, strict=False), start=1)
     ]
     return worst(each, f"log decrement, {where}")
 
 
 def unbalance_of_ross() -> list[Claim]:
-    """1e-3 kg m on the first disc, amplitudes at it in both directions; ROSS takes its modes for it, so 1e-4 is accepted."""
+    """1e-3 kg m on the first disc, amplitudes at it in both directions.
+
+    ROSS takes its modes for it, so 1e-4 is accepted.
+    """
     asked = given.UNBALANCE
     speed = np.array(asked["rpm"]) * RPM
     ours = np.abs(
-        unbalance_response(two_discs(), held("orthotropic"), speed, {asked["node"]: asked["size"]}, two_discs().dofs(asked["output"]))
+        unbalance_response(
+            two_discs(),
+            held("orthotropic"),
+            speed,
+            {asked["node"]: asked["size"]},
+            two_discs().dofs(asked["output"]),
+        )
     )
     kind, source, note = "peer program", recorded("ross")["program"], words("ross")
     found = []
@@ -201,7 +288,9 @@ def finite(speed: float) -> tuple[np.ndarray, np.ndarray]:
 def lund_margin(coefficients: Coefficients, speed: float, mass: float) -> float:
     """m w^2 / k_e - 1 of a rigid rotor's half mass m on one journal: positive means unstable."""
     k, c = coefficients(speed)
-    k_e = (k[0, 0] * c[1, 1] + k[1, 1] * c[0, 0] - k[0, 1] * c[1, 0] - k[1, 0] * c[0, 1]) / (c[0, 0] + c[1, 1])
+    k_e = (k[0, 0] * c[1, 1] + k[1, 1] * c[0, 0] - k[0, 1] * c[1, 0] - k[1, 0] * c[0, 1]) / (
+        c[0, 0] + c[1, 1]
+    )
     whirl = ((k[0, 0] - k_e) * (k[1, 1] - k_e) - k[0, 1] * k[1, 0]) / (c[0, 0] * c[1, 1] - c[0, 1] * c[1, 0])
     return float(mass * whirl / k_e - 1)
 
@@ -213,9 +302,24 @@ def onset() -> list[Claim]:
     found = []
     for name, coefficients in (("short film", short), ("finite film", finite)):
         expected = brentq(lambda speed, of=coefficients: lund_margin(of, speed, mass), 100, 2000)
-        ours = onset_speed(HEAVY, lambda speed, of=coefficients: [Support(node, *of(speed)) for node in (1, 3)], np.linspace(100, 2000, 12))
+        ours = onset_speed(
+            HEAVY,
+            lambda speed, of=coefficients: [Support(node, *of(speed)) for node in (1, 3)],
+            np.linspace(100, 2000, 12),
+        )
         assert ours is not None
-        found.append(within(f"onset speed, {name}", ours, expected, 5e-4, "rad/s", "closed form", "Lund 1974", relative=True))
+        found.append(
+            within(
+                f"onset speed, {name}",
+                ours,
+                expected,
+                5e-4,
+                "rad/s",
+                "closed form",
+                "Lund 1974",
+                relative=True,
+            )
+        )
     return found
 
 
@@ -226,23 +330,65 @@ def mendes() -> list[Claim]:
     frequency, ratio = found.damped_frequency, found.damping_ratio
     swinging = (frequency > 10) & (frequency < 100) & (ratio < 0.5)
     source, separate = "Mendes 2017", "separate calculation"
-    why = "the loads of the source's text are not those of its tables, which give 35.42 and 58.86 N in a separate calculation too"
+    why = (
+        "the loads of the source's text are not those of its tables, which give 35.42 and 58.86 N in a "
+        "separate calculation too"
+    )
     claims = [
         within(f"load of {name}", -loads[name][1], value, 0.005, "N", "printed calculation", source, why)
         for name, value in (("bearing 1", 35.38), ("bearing 2", 58.82))
     ]
     for value, reference in zip(frequency[swinging], (25.20, 25.48, 82.57, 82.71), strict=True):
-        claims.append(within("damped frequency", value, reference, 0.05, "Hz", "independent calculation", separate))
+        claims.append(
+            within("damped frequency", value, reference, 0.05, "Hz", "independent calculation", separate)
+        )
     for value, reference in zip(ratio[swinging], (0.226, 0.346, 0.0455, 0.0496), strict=True):
-        claims.append(within("damping ratio", value, reference, 0.02, "1", "independent calculation", separate, relative=True))
-    claims.append(within("first bending, peak of the FRF", frequency[swinging][2:].mean(), 82.0, 1.0, "Hz", "printed measurement", source))
-    claims.append(within("oil whirl, peak of the FRF", frequency[swinging][:2].mean(), 25.0, 1.0, "Hz", "printed measurement", source))
+        claims.append(
+            within(
+                "damping ratio",
+                value,
+                reference,
+                0.02,
+                "1",
+                "independent calculation",
+                separate,
+                relative=True,
+            )
+        )
+    claims.append(
+        within(
+            "first bending, peak of the FRF",
+            frequency[swinging][2:].mean(),
+            82.0,
+            1.0,
+            "Hz",
+            "printed measurement",
+            source,
+        )
+    )
+    claims.append(
+        within(
+            "oil whirl, peak of the FRF",
+            frequency[swinging][:2].mean(),
+            25.0,
+            1.0,
+            "Hz",
+            "printed measurement",
+            source,
+        )
+    )
     return claims
 
 
 POUND = 4.4482216
 # Static load [lb]; measured critical speed and instability threshold [rpm]: tables 2 and 3.
-FALAH = ((0.823, 1317, 2838.37), (1.321, 1371, 2877.71), (1.817, 1312, 2805.32), (2.316, 1355, 2919.58), (3.808, 1420, 3164.02))
+FALAH = (
+    (0.823, 1317, 2838.37),
+    (1.321, 1371, 2877.71),
+    (1.817, 1312, 2805.32),
+    (2.316, 1355, 2919.58),
+    (3.808, 1420, 3164.02),
+)
 
 
 def falah() -> list[Claim]:
@@ -255,8 +401,24 @@ def falah() -> list[Claim]:
         assert onset_at is not None
         why = "nothing is fitted; discs and mounting are not printed and the rotor file's own"
         kind, share = "printed measurement", 0.05
-        found.append(within(f"critical speed at {load} lb", ours, critical, share, "rpm", kind, source, why, relative=True))
-        found.append(within(f"threshold at {load} lb", onset_at / RPM, threshold, share, "rpm", kind, source, why, relative=True))
+        found.append(
+            within(
+                f"critical speed at {load} lb", ours, critical, share, "rpm", kind, source, why, relative=True
+            )
+        )
+        found.append(
+            within(
+                f"threshold at {load} lb",
+                onset_at / RPM,
+                threshold,
+                share,
+                "rpm",
+                kind,
+                source,
+                why,
+                relative=True,
+            )
+        )
     return found
 
 

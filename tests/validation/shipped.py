@@ -1,4 +1,7 @@
-"""Measured files inside the package vibrationtesting (J. C. Slater, MIT licence), which the tests have installed."""
+"""Measured files inside the package vibrationtesting (J. C.
+
+Slater, MIT licence), which the tests have installed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
 
 PACKAGE = "vibrationtesting"
-# The mode that the package's documentation prints for the averaged FRF of case1, and its distance between lines [Hz].
+# The mode that the package's documentation prints for the averaged FRF of case1, and its distance between
+# lines [Hz].
 PRINTED_MODE, LINE = 212.0925, 0.3125
 
 
@@ -39,4 +43,9 @@ def last_hit() -> Recording:
     """Force and acceleration of the last hit, 3.2 s at 1280 Hz."""
     of = variables("case1.mat")
     samples = np.column_stack([of["Time_chan_1"], of["Time_chan_2"]]).astype(float)
-    return Recording((Channel("f", "force", "input", "y", 0.0), Channel("a", "acceleration", "output", "y", 0.0)), samples, 1280.0, "case1")
+    return Recording(
+        (Channel("f", "force", "input", "y", 0.0), Channel("a", "acceleration", "output", "y", 0.0)),
+        samples,
+        1280.0,
+        "case1",
+    )

@@ -1,4 +1,6 @@
-"""The validation manual: every row is computed again and is the one on the committed page, numbers to one unit of their last digit."""
+"""The validation manual: every row is computed again and is the one on the committed page, numbers to one
+unit of their last digit.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,27 @@ import pytest
 
 from tests.validation.claims import KINDS, MEASURED, OF_OTHERS, Check, Method
 from tests.validation.methods import METHODS
-from tests.validation.page import GAP, HEAD, MARK, MISS, PAGES, STATES, WORDS, same_line, same_text, section_table
+from tests.validation.page import (
+    GAP,
+    HEAD,
+    MARK,
+    MISS,
+    PAGES,
+    STATES,
+    WORDS,
+    same_line,
+    same_text,
+    section_table,
+)
 
 CHECKS = [
-    pytest.param(method, section, check, id=f"{method.name}: {section}", marks=[pytest.mark.long] if section in method.long else [])
+    pytest.param(
+        method,
+        section,
+        check,
+        id=f"{method.name}: {section}",
+        marks=[pytest.mark.long] if section in method.long else [],
+    )
     for method in METHODS
     for section, check in method.checks.items()
 ]
@@ -37,7 +56,9 @@ def test_rows_are_those_of_the_committed_page(method: Method, section: str, chec
     claims = check()
     assert all(claim.why for claim in claims if claim.state != "holds")
     difference = same_text(section_table(claims), committed_tables(method)[section])
-    assert not difference, f"{method.name}.md, {section}, {difference}\nmake the pages again: python -m tests.validation"
+    assert not difference, (
+        f"{method.name}.md, {section}, {difference}\nmake the pages again: python -m tests.validation"
+    )
 
 
 def rows_of(table: str, head: tuple[str, ...]) -> list[dict[str, str]]:
@@ -78,7 +99,9 @@ def test_the_first_page_holds_all_rows_of_all_pages_and_the_misses_first() -> No
     misses = rows_of(section("Misses first"), ("method", *MISS))
     assert all(row["why"] for row in misses)
     shared = ("method", *(name for name in MISS if name in HEAD))
-    assert [[row[name] for name in shared] for row in misses] == [[row[name] for name in shared] for row in rows if row["state"] != "holds"]
+    assert [[row[name] for name in shared] for row in misses] == [
+        [row[name] for name in shared] for row in rows if row["state"] != "holds"
+    ]
 
 
 def test_the_counts_are_those_of_the_rows() -> None:

@@ -1,4 +1,6 @@
-"""The page on measurements by others: its pipelines are read whole, and run again where `LABPIPE_MEASURED` names the raw files."""
+"""The page on measurements by others: its pipelines are read whole, and run again where `LABPIPE_MEASURED`
+names the raw files.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def test_the_record_names_commit_and_digest_of_every_raw_file() -> None:
     assert list(record) == list(SETS)
     for name, of in SETS.items():
         assert (record[name]["repository"], record[name]["commit"]) == (of.repository, of.commit)
-        assert set(record[name]["sha256"]) == set(of.files) and all(len(digest) == 64 for digest in record[name]["sha256"].values())
+        assert set(record[name]["sha256"]) == set(of.files) and all(
+            len(digest) == 64 for digest in record[name]["sha256"].values()
+        )
         assert set(record[name]["labpipe"]) == {title for title, run in RUNS.items() if run.raw == name}
 
 

@@ -1,4 +1,6 @@
-"""What the page on modes says in words of the measured beam: its pipeline run from the raw file, with and without the analyser's window."""
+"""What the page on modes says in words of the measured beam: its pipeline run from the raw file, with and
+without the analyser's window.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,10 @@ def test_as_it_stands(tmp_path: Path) -> None:
     found = fits(tmp_path)
     assert codes(found["modal"]) == {"leakage"} and found["modal"].parameter("f_n_1").ci95 is not None
     mode = found["mode"].parameter("f_n")
-    assert codes(found["mode"]) == {"model-mismatch", "no-covariance"} and mode.reason == "second mode at 212.2 Hz"
+    assert (
+        codes(found["mode"]) == {"model-mismatch", "no-covariance"}
+        and mode.reason == "second mode at 212.2 Hz"
+    )
 
 
 def test_the_second_mode_that_is_none_comes_with_a_warning(tmp_path: Path) -> None:
@@ -55,9 +60,15 @@ def test_the_second_mode_that_is_none_comes_with_a_warning(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("band", "number"), [("204-220 Hz", 1), ("190-235 Hz", 1), ("206-218 Hz", 2)])
-def test_the_window_widens_the_interval_and_leaves_one_mode_but_once(tmp_path: Path, band: str, number: int) -> None:
+def test_the_window_widens_the_interval_and_leaves_one_mode_but_once(
+    tmp_path: Path, band: str, number: int
+) -> None:
     told = fits(tmp_path, band=band, window="hann")["modal"]
     assert len(frequencies(told)) == number
     if number == 1:
         f_n = told.parameter("f_n_1")
-        assert codes(told) == {"model-mismatch"} and f_n.ci95[0] < 212.0925 < f_n.ci95[1] and f_n.interval.discrepancy > f_n.interval.noise
+        assert (
+            codes(told) == {"model-mismatch"}
+            and f_n.ci95[0] < 212.0925 < f_n.ci95[1]
+            and f_n.interval.discrepancy > f_n.interval.noise
+        )

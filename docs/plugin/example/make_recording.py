@@ -9,7 +9,10 @@ import pandas as pd
 columns = pd.read_csv("sample_data/hmb/pedestal.csv", comment="#")
 force, probe = columns["force [N]"].to_numpy(), columns["y [V]"].to_numpy()
 scales = [float(np.max(np.abs(values))) / 32000 for values in (force, probe)]
-channels = [{"name": name, "unit": unit, "scale": scale} for name, unit, scale in zip(("force", "y"), ("N", "V"), scales, strict=True)]
+channels = [
+    {"name": name, "unit": unit, "scale": scale}
+    for name, unit, scale in zip(("force", "y"), ("N", "V"), scales, strict=True)
+]
 head = {"rate_hz": 1000, "channels": channels}
 samples = np.round(np.column_stack([force / scales[0], probe / scales[1]])).astype("<i2")
 with open(sys.argv[1], "wb") as stream:

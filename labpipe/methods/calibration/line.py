@@ -19,7 +19,8 @@ CURVATURE_P = 0.01
 
 @dataclass(frozen=True)
 class Line:
-    """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the origin), residual (n_point,).
+    """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the
+    origin), residual (n_point,).
 
     Units: slope [y unit / x unit], intercept and residual [y unit].
     """
@@ -39,13 +40,16 @@ class Line:
 def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
     """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
 
-    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1, or when x does not vary.
-    Equation (spec-line).
+    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters +
+    1, or when x does not vary. Equation (spec-line).
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]
     if x.size <= n_parameter:
-        raise FitError(f"{x.size} points cannot determine a line with its uncertainty", hint=f"at least {n_parameter + 1} are needed")
+        raise FitError(
+            f"{x.size} points cannot determine a line with its uncertainty",
+            hint=f"at least {n_parameter + 1} are needed",
+        )
     if not np.ptp(x) > 0:
         raise FitError("all points have the same x")
     values, inverse = solve_scaled(columns, y)
@@ -54,11 +58,14 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
     total = float(np.sum(y**2) if through_origin else np.sum((y - y.mean()) ** 2))
     r2 = 1 - float(residual @ residual) / total if total > 0 else 0.0
     scaled = columns / np.linalg.norm(columns, axis=0)
-    return Line(values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled))
+    return Line(
+        values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled)
+    )
 
 
 def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
-    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few points.
+    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few
+    points.
 
     Equation (spec-curvature).
     """
@@ -75,7 +82,8 @@ def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
 
 
 def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) -> float:
-    """Largest |position| [unit of positions] up to which every slope is within *tolerance* [1] of that at the smallest |position|.
+    """Largest |position| [unit of positions] up to which every slope is within *tolerance* [1] of that at the
+    smallest |position|.
 
     positions, slopes (n_position,).
     """
@@ -86,7 +94,8 @@ def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) ->
 
 
 def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
-    """Largest range of x [its unit], from the smallest up, with a slope within *tolerance* [1] of the line through the first third.
+    """Largest range of x [its unit], from the smallest up, with a slope within *tolerance* [1] of the line
+    through the first third.
 
     x, y (n_point,).
     """
@@ -112,7 +121,9 @@ def line_fit(
     y: FloatArray,
     extra: tuple[Parameter, ...] = (),
 ) -> Fit:
-    """A line through x, y (n_point,) as a Fit: parameters slope and intercept [*units*], a warning for curved points."""
+    """A line through x, y (n_point,) as a Fit: parameters slope and intercept [*units*], a warning for curved
+    points.
+    """
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
     parameters = tuple(
@@ -142,5 +153,8 @@ def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tup
     if p_value is None or p_value >= CURVATURE_P:
         return ()
     share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
-    message = f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is {share:.2g} % of the range"
+    message = (
+        f"the points bend (p = {p_value:.2g} for a straight line); the largest deviation is "
+        f"{share:.2g} % of the range"
+    )
     return (Finding("model-mismatch", message),)

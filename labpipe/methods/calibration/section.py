@@ -1,4 +1,6 @@
-"""The section calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in which they hold."""
+"""The section calibrate: tables of set and measured values -> straight lines with their uncertainty, and the
+range in which they hold.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +35,19 @@ class CalibrationSettings(Settings):
     x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")
     y_unit: str = setting("text", "unit of y; default: in brackets behind the column's name", default="")
     group: str = setting("text", "column by which the table falls into several lines", default="")
-    x_power: int = setting("integer", "x enters as this power: 2 for a string's force over its frequency", default=1)
+    x_power: int = setting(
+        "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
+    )
     through_origin: bool = setting("flag", "force the line through the origin", default=False)
-    tolerance: float | None = setting("value", "slope change allowed in the linear range", unit="1", default=None)
+    tolerance: float | None = setting(
+        "value", "slope change allowed in the linear range", unit="1", default=None
+    )
     name: str = ""
     path: Path = Path()
 
 
-# calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in which
-# they hold.
+# calibrate: tables of set and measured values -> straight lines with their uncertainty, and the range in
+# which they hold.
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,9 @@ def _grouped(settings: CalibrationSettings, x: _Column, y: _Column, group: _Colu
         fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[in_group], y.values[in_group]))
     if settings.tolerance is not None:
         slopes = np.array([fit.parameter("slope").value for fit in fits])
-        reach = Parameter("linear_range", linear_range(positions, slopes, settings.tolerance), group.unit, derived=True)
+        reach = Parameter(
+            "linear_range", linear_range(positions, slopes, settings.tolerance), group.unit, derived=True
+        )
         fits = [replace(fit, parameters=(*fit.parameters, reach)) for fit in fits]
     return fits
 
@@ -110,7 +118,10 @@ def _shown(position: float, unit: str) -> str:
 
 
 def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
-    """A column in SI: its unit as stated in the settings, or by the table itself; a pure number where neither says any."""
+    """A column in SI: its unit as stated in the settings, or by the table itself.
+
+    A pure number where neither says any.
+    """
     text = stated or table.units.get(name, "1")
     try:
         unit = parse_unit(text)
@@ -141,7 +152,9 @@ def si_name(unit: Unit) -> str:
     for name in _SI_NAMES:
         if parse_unit(name).dimension == unit.dimension:
             return name
-    raise ConfigError("a calibration column has an unusual unit", hint=f"known dimensions: {', '.join(_SI_NAMES)}")
+    raise ConfigError(
+        "a calibration column has an unusual unit", hint=f"known dimensions: {', '.join(_SI_NAMES)}"
+    )
 
 
 CALIBRATE = PipelineSection(

@@ -1,4 +1,6 @@
-"""The uncertainty budget of a floating-bearing fit: what noise and every given number leave of its parameters."""
+"""The uncertainty budget of a floating-bearing fit: what noise and every given number leave of its
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,13 @@ from labpipe.records.uncertain import Budget, Uncertainty
 UNSEEN = 1e-3
 
 
-def budgeted(valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int) -> tuple[tuple[Parameter, ...], Budget | None]:
+def budgeted(
+    valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
+) -> tuple[tuple[Parameter, ...], Budget | None]:
     """The parameters with their systematic part, and the budget; none without uncertainties that count.
 
-    A source of several independent errors, the noise of a baseline, is listed as so many, since they are common to all fits on it.
+    A source of several independent errors, the noise of a baseline, is listed as so many, since they are
+    common to all fits on it.
     """
     parameters = tuple(quantity.parameter for quantity in valued)
     slopes = np.stack([quantity.slopes for quantity in valued])
@@ -29,7 +34,11 @@ def budgeted(valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty]
         for number, row in enumerate(uncertainty.changes, start=1):
             change = slopes @ row
             if np.nanmax(change**2 / whole**2) > UNSEEN:
-                name = uncertainty.source if len(uncertainty.changes) == 1 else f"{uncertainty.source} ({number})"
+                name = (
+                    uncertainty.source
+                    if len(uncertainty.changes) == 1
+                    else (f"{uncertainty.source} ({number})")
+                )
                 sources.append(Uncertainty(name, uncertainty.std_error, uncertainty.unit))
                 changes.append(change)
     if not sources:
@@ -38,4 +47,6 @@ def budgeted(valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty]
     random = np.sqrt(np.maximum(whole**2 - systematic**2, 0.0))
     budget = Budget(tuple(p.name for p in parameters), random, float(dof), tuple(sources), np.array(changes))
     stated = zip(parameters, systematic, strict=True)
-    return tuple(p if p.full_error is None or not size else replace(p, systematic=float(size)) for p, size in stated), budget
+    return tuple(
+        p if p.full_error is None or not size else replace(p, systematic=float(size)) for p, size in stated
+    ), budget

@@ -22,7 +22,11 @@ N_DRAWN = 60
 
 
 def shown_course(
-    balance: Balance, found: FittedStiffness, uncertainties: tuple[GivenUncertainty, ...], given: Given, sense: float
+    balance: Balance,
+    found: FittedStiffness,
+    uncertainties: tuple[GivenUncertainty, ...],
+    given: Given,
+    sense: float,
 ) -> DynamicStiffness:
     """The record of a fit for figures and for later fits that take it as their baseline."""
     lines, variance = shown_stiffness(balance, found.model.stiffness(found.values, balance.omega))
@@ -56,27 +60,36 @@ def shown_course(
 
 # Ends of the names of coefficients: force in the first direction per motion in the second.
 AXES = ("xx", "xy", "yx", "yy")
-# Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from which it matters.
+# Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from
+# which it matters.
 SEEN, MOVES = 3.0, 0.002
 # Standard deviations of chi-square below its mean beyond which the residual is too small.
 SURE = 5.0
 # Share of the standard error of noise below which an error has cancelled against that of the baseline.
-CANCELS, CANCELLED = 1e-6, "nothing, since the baseline was measured with the same number and takes its error back"
+CANCELS, CANCELLED = (
+    1e-6,
+    ("nothing, since the baseline was measured with the same number and takes its error back"),
+)
 # Degrees of freedom of the covariance below which the estimates lose more than a tenth to it.
 FEW_DOF = 13
 
 
 def remedy(group: Sequence[str]) -> str:
-    """What separates the parameters of a collinear group: forces of another pattern, where both directions of the motion are in it."""
+    """What separates the parameters of a collinear group: forces of another pattern, where both directions of
+    the motion are in it.
+    """
     ends = [name.partition("_")[2][:2] for name in group]
     motions = {end[1] for end in ends if end in AXES}
     if len(motions) > 1:
         return (
-            "let the forces act in two ways, since x and y move in proportion here: a recording with the force in x and one in y, two "
-            "with both of one sign and of opposite signs, or one with every other line in x and in y (zipper); or set fewer coefficients "
-            "free, `symmetry: seal`"
+            "let the forces act in two ways, since x and y move in proportion here: a recording with the "
+            "force in x and one in y, two with both of one sign and of opposite signs, or one with every "
+            "other line in x and in y (zipper); or set fewer coefficients free, `symmetry: seal`"
         )
-    return "widen the band, so that K and -w^2 M differ in their course over it, or fit a form with fewer coefficients, `form: kc`"
+    return (
+        "widen the band, so that K and -w^2 M differ in their course over it, or fit a form with fewer "
+        "coefficients, `form: kc`"
+    )
 
 
 def mismatch_factor(found: Estimate) -> float:
@@ -90,36 +103,44 @@ def mismatch_findings(found: Estimate) -> tuple[Finding, ...]:
     if factor == 1.0:
         return ()
     message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {found.reduced:.3g}, "
-        f"p = {found.p_value:.2g}): form {found.model.form.name} is not the course over frequency, the bearing is not linear at this "
-        f"amplitude, or a channel is wrong. Standard errors are {factor:.3g} times those of noise alone, since the excess counts as noise. "
+        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
+        f"freedom {found.reduced:.3g}, p = {found.p_value:.2g}): form {found.model.form.name} is not the "
+        "course over frequency, the bearing is not linear at this amplitude, or a channel is wrong. "
+        f"Standard errors are {factor:.3g} times those of noise alone, since the excess counts as noise. "
         "Hold forms against each other with `compare: true`, or narrow the band"
     )
     return (Finding("model-mismatch", message),)
 
 
 def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
-    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few periods."""
+    """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
+    periods.
+    """
     findings = []
     if found.reduced < 1 - SURE * noise.spread(found.dof):
         message = (
-            f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would leave: something that differs "
-            "from period to period and averages out, such as runout of a turning shaft under a probe, counts as noise, and the intervals "
-            "are too wide. Take it out with `frf: {remove: {speed: ..., harmonics: 2}}`"
+            f"the residual is only {np.sqrt(found.reduced):.2g} times what the scatter of the channels would "
+            "leave: something that differs from period to period and averages out, such as runout of a "
+            "turning shaft under a probe, counts as noise, and the intervals are too wide. Take it out with "
+            "`frf: {remove: {speed: ..., harmonics: 2}}`"
         )
         findings.append(note("scatter-not-noise", message))
     if noise.dof >= FEW_DOF:
         return tuple(findings)
     loss = np.sqrt(noise.dof / (noise.dof - 2 - 1 / (noise.dof - 2)))
     message = (
-        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are {loss:.3g} times those with a "
+        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are "
+        f"{loss:.3g} times those with a "
         "known one. Average more periods, or let neighbouring lines share their noise"
     )
     return (*findings, note("few-averages", message))
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
-    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s. over all lines, and how many standard errors it is [1]."""
+    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s.
+
+    over all lines, and how many standard errors it is [1].
+    """
     if not stator.accelerated or not np.any(stator.to_axes[2:4]):
         return None
     absolute = stator.omega[:, None, None] ** 2
@@ -137,16 +158,26 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
-    """How far the shaft moves: a note where the accelerations take care of it, a warning where nothing does."""
+    """How far the shaft moves: a note where the accelerations take care of it, a warning where nothing
+    does.
+    """
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()
-    share = f"{100 * moved[0]:.2g} % of the motion of the stator against it (accelerations against displacements)"
+    share = (
+        f"{100 * moved[0]:.2g} % of the motion of the stator against it (accelerations against displacements)"
+    )
     if given.accelerated or effective_forces(stator):
-        return (note("shaft-moves", f"the shaft moves by {share}; the balance is of the stator, so that no coefficient is wrong by it"),)
+        return (
+            note(
+                "shaft-moves",
+                f"the shaft moves by {share}; the balance is of the stator, so that no "
+                "coefficient is wrong by it",
+            ),
+        )
     message = (
-        f"the shaft moves by {share}, and the inertia of the stator is not taken out of the forces: mass and stiffness are wrong. Give "
-        "`stator_mass`, or forces less mass times acceleration as derived channels"
+        f"the shaft moves by {share}, and the inertia of the stator is not taken out of the forces: mass and "
+        "stiffness are wrong. Give `stator_mass`, or forces less mass times acceleration as derived channels"
     )
     return (Finding("shaft-moves", message),)
 
@@ -159,20 +190,43 @@ def effective_forces(stator: Stator) -> bool:
     return any(term.channel in accelerations for number in forces for term in channels[number].terms)
 
 
-def given_notes(given: Given, uncertainties: tuple[GivenUncertainty, ...], found: FittedStiffness) -> tuple[str, ...]:
+def given_notes(
+    given: Given, uncertainties: tuple[GivenUncertainty, ...], found: FittedStiffness
+) -> tuple[str, ...]:
     """Which given numbers the intervals hold, and how much of the variance is theirs."""
     if not uncertainties:
-        numbers = [name for name, there in (("the mass of the stator", given.mass), ("the baseline", given.baseline)) if there is not None]
-        stated = f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact" if numbers else ""
-        return (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",) if stated else ()
+        numbers = [
+            name
+            for name, there in (("the mass of the stator", given.mass), ("the baseline", given.baseline))
+            if there is not None
+        ]
+        stated = (
+            f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact"
+            if numbers
+            else ""
+        )
+        return (
+            (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",)
+            if stated
+            else ()
+        )
     names = found.model.names
     lines = []
     for uncertainty in uncertainties:
-        share = np.sqrt(np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny))
+        share = np.sqrt(
+            np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(found.noise), np.finfo(float).tiny)
+        )
         most = int(np.argmax(share))
-        size = f"{share[most]:.2g} times the standard error of noise in {names[most]}" if share[most] > CANCELS else CANCELLED
+        size = (
+            f"{share[most]:.2g} times the standard error of noise in {names[most]}"
+            if share[most] > CANCELS
+            else CANCELLED
+        )
         lines.append(f"{uncertainty.source}: {size}")
-    return (f"dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines and runs. {'; '.join(lines)}.",)
+    return (
+        "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines "
+        f"and runs. {'; '.join(lines)}.",
+    )
 
 
 def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding, ...]:
@@ -184,10 +238,14 @@ def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding,
     if square > 0 and low > 0:
         return ()
     if square > 0:
-        statement = f"the whirl frequency ratio cannot be told from zero: its square is {square:.3g}, 95 % {low:.3g} to {high:.3g}"
+        statement = (
+            f"the whirl frequency ratio cannot be told from zero: its square is {square:.3g}, 95 % "
+            f"{low:.3g} to {high:.3g}"
+        )
         return (note("no-whirl", statement),)
     message = (
-        f"there is no whirl: the square of the whirl frequency ratio is {square:.3g} (95 % {low:.3g} to {high:.3g}). The cross-coupled "
+        f"there is no whirl: the square of the whirl frequency ratio is {square:.3g} (95 % {low:.3g} to "
+        f"{high:.3g}). The cross-coupled "
         "stiffness does not drive a forward or backward whirl at any frequency"
     )
     return (note("no-whirl", message),)
@@ -195,9 +253,16 @@ def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding,
 
 def physical_findings(parameters: tuple[Parameter, ...]) -> tuple[Finding, ...]:
     """A warning for direct damping or added mass that is significantly negative."""
-    wrong = [p.name for p in parameters if p.name in ("c_xx", "c_yy", "m_xx", "m_yy") and p.value < 0 and p.significant and not p.derived]
+    wrong = [
+        p.name
+        for p in parameters
+        if p.name in ("c_xx", "c_yy", "m_xx", "m_yy") and p.value < 0 and p.significant and not p.derived
+    ]
     if not wrong:
         return ()
     verb = "is" if len(wrong) == 1 else "are"
-    message = f"{', '.join(wrong)} {verb} negative; check the signs of the channels, the stator's mass, the baseline and the band"
+    message = (
+        f"{', '.join(wrong)} {verb} negative; check the signs of the channels, the stator's mass, the "
+        "baseline and the band"
+    )
     return (Finding("unphysical", message),)

@@ -1,14 +1,19 @@
-"""Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of noise and of given numbers.
+"""Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
+noise and of given numbers.
 
-ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line from two runs.
+ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line from
+two runs.
 
-All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be and its intervals, from the
-residual, are those of noise that is the same at all lines. For comparison with published results; `ml` is the better estimate.
+All lines weigh alike and the noise of the motion is not regarded, so that its errors are larger than need be
+and its intervals, from the residual, are those of noise that is the same at all lines. For comparison with
+published results; `ml` is the better estimate.
 
-Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test beside it.
+Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test beside
+it.
 
-BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios are not chi-square then, and
-AIC takes the larger form in a third of the cases. A form that BIC chooses may still fail its chi-square: then none is right.
+BIC, for the parameters of a form within which a smaller one lies are not determined there: likelihood ratios
+are not chi-square then, and AIC takes the larger form in a third of the cases. A form that BIC chooses may
+still fail its chi-square: then none is right.
 """
 
 from __future__ import annotations
@@ -22,11 +27,11 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation import statistics
-from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.derived import reported_fit, without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import condition_number, correlation, determination, inflation_factors
+from labpipe.estimation.statistics import determination, inflation_factors
 from labpipe.methods.floating_bearing.budget import budgeted
 from labpipe.methods.floating_bearing.findings import (
     effective_forces,
@@ -51,10 +56,31 @@ from labpipe.methods.floating_bearing.given import (
     response_of,
     smoothed_channels,
 )
-from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, GivenErrors, Noise, estimate
+from labpipe.methods.floating_bearing.likelihood import (
+    Balance,
+    ErrorsInVariables,
+    Estimate,
+    GivenErrors,
+    Noise,
+    estimate,
+)
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
-from labpipe.methods.floating_bearing.stator import LineStiffness, Stator, line_stiffness, motion_note, other_excitations, stator_of
-from labpipe.methods.floating_bearing.values import Bearing, FittedStiffness, Shaft, coefficients, derived_values, dimensionless
+from labpipe.methods.floating_bearing.stator import (
+    LineStiffness,
+    Stator,
+    line_stiffness,
+    motion_note,
+    other_excitations,
+    stator_of,
+)
+from labpipe.methods.floating_bearing.values import (
+    Bearing,
+    FittedStiffness,
+    Shaft,
+    coefficients,
+    derived_values,
+    dimensionless,
+)
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty, OtherExcitation, systematic
@@ -70,7 +96,10 @@ NONE = Uncertain(0.0)
 
 
 def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names; ConfigError if there is none."""
+    """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names.
+
+    ConfigError if there is none.
+    """
     stiffness_settings: DynamicStiffnessSettings = settings.model_settings
     if not stiffness_settings.baseline:
         return settings
@@ -94,7 +123,8 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 
 def baseline_of(fit: Fit) -> Baseline:
-    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties of this one.
+    """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties
+    of this one.
 
     A residual beyond the noise counts as noise here as in the intervals of that fit.
     """
@@ -104,7 +134,13 @@ def baseline_of(fit: Fit) -> Baseline:
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
     values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
     changes = _excess(fit.gof) * (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
-    return Baseline(fitted_model(shown), shown.values, (GivenUncertainty(label, changes), *shown.uncertainties), fit.name, fit.test)
+    return Baseline(
+        fitted_model(shown),
+        shown.values,
+        (GivenUncertainty(label, changes), *shown.uncertainties),
+        fit.name,
+        fit.test,
+    )
 
 
 def _excess(gof: Goodness) -> float:
@@ -140,7 +176,12 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
         for place, (name, number, unit) in enumerate(pairs)
         if number.std_error > 0
     )
-    return Baseline(StiffnessModel(FORMS["kc"], "isotropic"), np.array([stiffness.value, damping.value]), uncertainties, "given numbers")
+    return Baseline(
+        StiffnessModel(FORMS["kc"], "isotropic"),
+        np.array([stiffness.value, damping.value]),
+        uncertainties,
+        "given numbers",
+    )
 
 
 # ls: as the literature does it, Re H on (1, -w^2) and Im H on w element by element, with H of every line
@@ -150,18 +191,25 @@ def given_baseline(own: DynamicStiffnessSettings) -> Baseline | None:
 REAL_PARTS = {"kc": 1, "kcm": 2}
 
 
-def least_squares(balance: Balance, model: StiffnessModel) -> tuple[Estimate, Callable[[ComplexArray], FloatArray]]:
-    """The estimate, and how it responds to changes of e (n, n_line, n_run, 2) [N]: (n, n_parameter) [parameter units].
+def least_squares(
+    balance: Balance, model: StiffnessModel
+) -> tuple[Estimate, Callable[[ComplexArray], FloatArray]]:
+    """The estimate, and how it responds to changes of e (n, n_line, n_run, 2) [N]: (n, n_parameter)
+    [parameter units].
 
     ConfigError for other forms than kc and kcm, FitError where runs do not give H. Equation (ds-ls).
     """
     if model.form.name not in REAL_PARTS or model.symmetry == "seal":
-        raise ConfigError("least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator")
+        raise ConfigError(
+            "least squares is for form kc or kcm without symmetry", hint="estimator: ml", field="estimator"
+        )
     lines = line_stiffness(balance)
     designs = _designs(model, lines.omega)
     for design in designs:
         if design.shape[0] <= design.shape[1]:
-            raise FitError(f"{design.shape[0]} lines cannot determine the coefficients", hint="widen the band")
+            raise FitError(
+                f"{design.shape[0]} lines cannot determine the coefficients", hint="widen the band"
+            )
     values, variance = _solved(model, lines.stiffness, designs)
     covariance = np.zeros((values.size, values.size))
     n_element = model.elements.shape[0]
@@ -194,21 +242,31 @@ def _elements(model: StiffnessModel, stiffness: ComplexArray) -> ComplexArray:
     return np.einsum("...ij,cij->...c", stiffness, model.elements)
 
 
-def _solved(model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary part."""
+def _solved(
+    model: StiffnessModel, stiffness: ComplexArray, designs: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Values (n_parameter,) and the variance of the residual (2, n_element) [(N/m)^2] of real and imaginary
+    part.
+    """
     measured = _elements(model, stiffness)
     solution = np.empty((len(model.form.matrices), measured.shape[-1]))
     variance = np.empty((2, measured.shape[-1]))
     for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):
         coefficients = np.linalg.pinv(design) @ side
         solution[_rows_of(model, part)] = coefficients
-        variance[part] = np.sum((side - design @ coefficients) ** 2, axis=0) / (design.shape[0] - design.shape[1])
+        variance[part] = np.sum((side - design @ coefficients) ** 2, axis=0) / (
+            design.shape[0] - design.shape[1]
+        )
     return solution.reshape(-1), variance
 
 
-def _response(model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]) -> Callable[[ComplexArray], FloatArray]:
+def _response(
+    model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatArray, FloatArray]
+) -> Callable[[ComplexArray], FloatArray]:
     def respond(errors: ComplexArray) -> FloatArray:
-        return np.stack([_solved(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors])
+        return np.stack(
+            [_solved(model, error.swapaxes(-1, -2) @ lines.inverse, designs)[0] for error in errors]
+        )
 
     return respond
 
@@ -216,7 +274,8 @@ def _response(model: StiffnessModel, lines: LineStiffness, designs: tuple[FloatA
 # Which form the data ask for: every candidate by BIC = chi-square + n ln N with its own chi-square test
 # beside it.
 
-# Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc. 90:773).
+# Difference in BIC beyond which the evidence is very strong (Kass and Raftery 1995, J. Am. Stat. Assoc.
+# 90:773).
 STRONG = 10.0
 
 
@@ -228,17 +287,24 @@ def compared(
     known: Estimate | None = None,
     uncertain: GivenErrors | None = None,
 ) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
-    """Candidates in ascending BIC, and the estimates by form; forms that the lines cannot determine are left out. Equation (ds-bic)."""
+    """Candidates in ascending BIC, and the estimates by form.
+
+    Forms that the lines cannot determine are left out. Equation (ds-bic).
+    """
     estimates: dict[str, Estimate] = {}
     for form in dict.fromkeys((*forms, *([known.model.form.name] if known else []))):
         try:
             fits = known is not None and form == known.model.form.name
             estimates[form] = (
-                known if fits and known is not None else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
+                known
+                if fits and known is not None
+                else estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
             )
         except FitError:
             continue
-    ranked = sorted((_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic)
+    ranked = sorted(
+        (_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()), key=_bic
+    )
     return tuple(ranked), estimates
 
 
@@ -262,35 +328,39 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
         least = min(candidates, key=lambda candidate: candidate.chi2 / candidate.dof)
         names = ", ".join(candidate.name for candidate in candidates)
         message = (
-            f"none of the compared forms ({names}) explains the data: the best, {least.name}, leaves {least.chi2 / least.dof:.3g} times "
-            f"the squares that noise would (p = {least.chi2_p:.2g}). The bearing is not linear at this amplitude, a "
-            "channel or the baseline is wrong, or its course over frequency is another one; look at the figure over frequency"
+            f"none of the compared forms ({names}) explains the data: the best, {least.name}, leaves "
+            f"{least.chi2 / least.dof:.3g} times the squares that noise would (p = {least.chi2_p:.2g}). The "
+            "bearing is not linear at this amplitude, a channel or the baseline is wrong, or its course "
+            "over frequency is another one; look at the figure over frequency"
         )
         findings.append(Finding("no-model", message))
     best = candidates[0]
     this = next((candidate for candidate in candidates if candidate.name == form), None)
     if given and this is not None and _bic(this) - _bic(best) > STRONG:
         message = (
-            f"another form is better supported by the data: '{best.name}' with {best.parameters} parameters has BIC {_bic(best):.4g}, "
-            f"'{form}' with {this.parameters} parameters {_bic(this):.4g}"
+            f"another form is better supported by the data: '{best.name}' with {best.parameters} parameters "
+            f"has BIC {_bic(best):.4g}, '{form}' with {this.parameters} parameters {_bic(this):.4g}"
         )
         findings.append(Finding("other-model", message))
     return tuple(findings)
 
 
-# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of noise
-# and of given numbers.
+# Model dynamic-stiffness: coefficients of a bearing or seal in a floating stator, with the uncertainty of
+# noise and of given numbers.
 
 BANDS_BY_DEFAULT = 10
 LS_NOTE = (
-    "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with equal weights. The noise of the "
-    "motion is not regarded and that of the lines taken as equal: errors are up to several times those of ml, and intervals may be short."
+    "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with "
+    "equal weights. The noise of the motion is not regarded and that of the lines taken as equal: errors are "
+    "up to several times those of ml, and intervals may be short."
 )
 
 
 @dataclass(frozen=True)
 class Solved:
-    """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors, and compared forms."""
+    """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors,
+    and compared forms.
+    """
 
     best: Estimate
     uncertainties: tuple[GivenUncertainty, ...]
@@ -302,7 +372,8 @@ class Solved:
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band; none of the test that the baseline itself was fitted on.
 
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the coefficients.
+    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
+    coefficients.
     """
     _check(settings)
     section: DynamicStiffnessSettings = settings.model_settings
@@ -314,7 +385,9 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
 def _check(settings: FitSettings) -> None:
     """ConfigError for more than one mass."""
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
-        raise ConfigError("the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass")
+        raise ConfigError(
+            "the stator has one mass", hint="for example stator_mass: 60 kg +- 0.6 kg", field="mass"
+        )
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
@@ -327,7 +400,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     likely = settings.estimates.likelihood
     best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
     of_given = systematic(solved.uncertainties, best.values.size)
-    fitted = FittedStiffness(best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof)
+    fitted = FittedStiffness(
+        best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof
+    )
     shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
@@ -335,7 +410,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     # A baseline is no bearing of a shaft.
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    parameters, budget = budgeted((*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof)
+    parameters, budget = budgeted(
+        (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
+    )
     fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
@@ -346,58 +423,92 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
     )
-    notes = (*given_notes(given, solved.uncertainties, fitted), motion_note(stator), *(() if likely else (LS_NOTE,)))
+    notes = (
+        *given_notes(given, solved.uncertainties, fitted),
+        motion_note(stator),
+        *(() if likely else (LS_NOTE,)),
+    )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
     shown = replace(shown, excitations=solved.excitations)
-    return replace(fit, findings=(*findings, *spectra.findings), notes=notes, details=(shown,), budget=budget if fit.converged else None)
+    return replace(
+        fit,
+        findings=(*findings, *spectra.findings),
+        notes=notes,
+        details=(shown,),
+        budget=budget if fit.converged else None,
+    )
 
 
 def _given(settings: FitSettings, stator: Stator) -> Given:
-    """Mass and baseline of the settings; ConfigError where accelerations are missing, or the inertia is out already."""
+    """Mass and baseline of the settings.
+
+    ConfigError where accelerations are missing, or the inertia is out already.
+    """
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
     if mass is not None and mass.value == 0:
         mass = None
     given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):
-        raise ConfigError("the forces are without the stator's inertia already", hint="stator_mass: 0 kg", field="stator_mass")
+        raise ConfigError(
+            "the forces are without the stator's inertia already",
+            hint="stator_mass: 0 kg",
+            field="stator_mass",
+        )
     if given.accelerated and not stator.accelerated and not given.absolute:
         what = "mass of the stator" if mass is not None else "baseline"
         raise ConfigError(
-            f"the {what} acts with the stator's absolute motion, and there are no accelerations: displacements against the shaft, which "
-            "moves too, are not that",
+            f"the {what} acts with the stator's absolute motion, and there are no accelerations: "
+            "displacements against the shaft, which moves too, are not that",
             hint="measure accelerations in x and y; motion: absolute where the displacements are absolute",
         )
     return given
 
 
 def _stated(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:
-    """A number of the settings, else the test's condition of that name; ConfigError for one that cannot be read."""
+    """A number of the settings, else the test's condition of that name.
+
+    ConfigError for one that cannot be read.
+    """
     if given is not None or condition not in spectra.conditions:
         return given
     try:
         return parse_value(split_uncertainty(str(spectra.conditions[condition]))[0], unit)
     except UnitError as error:
-        raise ConfigError(f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}") from None
+        raise ConfigError(
+            f"conditions.{condition}: {error.what}", hint=error.hint or f"a value in {unit}"
+        ) from None
 
 
-def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise) -> Solved:
+def _solved_fit(
+    stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise
+) -> Solved:
     """The estimate by the settings' estimator."""
     section: DynamicStiffnessSettings = settings.model_settings
     if not settings.estimates.likelihood:
-        best, respond = least_squares(balance, StiffnessModel(_form(section, balance.omega), section.symmetry))
+        best, respond = least_squares(
+            balance, StiffnessModel(_form(section, balance.omega), section.symmetry)
+        )
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
         return Solved(best, given_uncertainties(errors, respond), None)
-    best, candidates = _most_likely(balance, settings, noise, functools.partial(errors_by_given, stator, given))
+    best, candidates = _most_likely(
+        balance, settings, noise, functools.partial(errors_by_given, stator, given)
+    )
     problem = ErrorsInVariables(balance, best.model)
-    stiffness, state, columns = best.model.stiffness(best.values, stator.omega), problem.at(best.values), problem.columns(best.values)
+    stiffness, state, columns = (
+        best.model.stiffness(best.values, stator.omega),
+        problem.at(best.values),
+        problem.columns(best.values),
+    )
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     uncertainties = given_uncertainties(errors, response_of(state, columns))
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
     return Solved(best, uncertainties, amplification, other_excitations(stator, best, columns), candidates)
 
 
-def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors) -> tuple[Estimate, tuple[Candidate, ...]]:
+def _most_likely(
+    balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors
+) -> tuple[Estimate, tuple[Candidate, ...]]:
     """The estimate of the form that is given, or with `compare` and without one that of the best form."""
     section: DynamicStiffnessSettings = settings.model_settings
     model = StiffnessModel(_form(section, balance.omega), section.symmetry)
@@ -406,7 +517,9 @@ def _most_likely(balance: Balance, settings: FitSettings, noise: Noise, uncertai
     of_form = None if section.form is None else estimate(balance, model, noise, uncertain)
     candidates, estimates = compared(balance, section.symmetry, noise, section.forms, of_form, uncertain)
     if not candidates:
-        raise ConfigError("no compared form can be determined by these lines", hint="widen the band", field="forms")
+        raise ConfigError(
+            "no compared form can be determined by these lines", hint="widen the band", field="forms"
+        )
     return (of_form or estimates[candidates[0].name]), candidates
 
 
@@ -414,11 +527,19 @@ def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
     if section.form != BANDS:
         return FORMS[section.form or "kcm"]
     low, high = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
-    count = BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
+    count = (
+        BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
+    )
     return banded(np.linspace(low, high, count + 1))
 
 
-def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tuple[float, float], parameters: tuple[Parameter, ...]) -> Fit:
+def _reported(
+    settings: FitSettings,
+    balance: Balance,
+    solved: Solved,
+    band: tuple[float, float],
+    parameters: tuple[Parameter, ...],
+) -> Fit:
     """The fit with its goodness, and warnings on the estimate."""
     best = solved.best
     names = best.model.names
@@ -437,26 +558,20 @@ def _reported(settings: FitSettings, balance: Balance, solved: Solved, band: tup
         iterations=best.steps,
         amplification=solved.amplification,
     )
-    warnings: list[Finding] = estimate_findings(as_estimate, names, balance.omega.size, best.model.units, remedy)
+    warnings: list[Finding] = estimate_findings(
+        as_estimate, names, balance.omega.size, best.model.units, remedy
+    )
     if best.model.n_shape:
-        # What is common to two terms of such a form is told by their correlation and intervals, which hold; the lines are no fault.
+        # What is common to two terms of such a form is told by their correlation and intervals, which hold;
+        # the lines are no fault.
         warnings = [finding for finding in warnings if finding.code != "collinear"]
     if not best.converged:
-        parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
-    return Fit(
-        name=settings.name,
-        model=settings.model,
-        estimator=settings.estimator,
-        band_hz=band,
-        lines=balance.omega.size,
-        equations=best.dof + len(names),
-        dof=best.dof,
-        gof=gof,
-        parameters=parameters,
-        condition_number=condition_number(best.design),
-        correlation=correlation(best.covariance),
-        converged=best.converged,
-        iterations=best.steps,
+        parameters = tuple(
+            replace(parameter, std_error_inflated=None, systematic=None)
+            for parameter in without_intervals(parameters)
+        )
+    return replace(
+        reported_fit(settings, as_estimate, parameters, band, balance.omega.size),
         findings=(*warnings, *goodness_findings(gof)),
         candidates=solved.candidates,
     )

@@ -1,7 +1,8 @@
-"""Forms of a dynamic stiffness over frequency: H(w) = sum_k g_k(w; theta) M_k with real matrices M_k and few shape parameters theta.
+"""Forms of a dynamic stiffness over frequency: H(w) = sum_k g_k(w; theta) M_k with real matrices M_k and few
+shape parameters theta.
 
-FORMS by name. All are linear in the matrices; theta is what the functions g_k know beside the frequency: a relaxation time, the
-natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
+FORMS by name. All are linear in the matrices; theta is what the functions g_k know beside the frequency: a
+relaxation time, the natural frequency of a pad. Positive shape parameters are fitted as their logarithms.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ Course = Callable[[FloatArray, FloatArray], ComplexArray]
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """A parameter of the course over frequency; *logarithmic*: fitted as ln(factor * value), value in *unit*."""
+    """A parameter of the course over frequency; *logarithmic*: fitted as ln(factor * value), value in
+    *unit*.
+    """
 
     name: str
     unit: str
@@ -48,10 +51,12 @@ class ShapeParameter:
 
 @dataclass(frozen=True)
 class Form:
-    """One form: *matrices* (letter, unit) of the M_k, *shape* parameters theta, and what is needed of the g_k.
+    """One form: *matrices* (letter, unit) of the M_k, *shape* parameters theta, and what is needed of the
+    g_k.
 
-    basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta, omega): (n_shape, n_matrix, n_line);
-    starts(omega): theta to begin with, (n_start, n_shape). *bands*: edges [Hz] of a form that has coefficients of its own in each.
+    basis(theta, omega): (n_matrix, n_line) of theta (n_shape,), omega (n_line,) [rad/s]; slopes(theta,
+    omega): (n_shape, n_matrix, n_line); starts(omega): theta to begin with, (n_start, n_shape). *bands*:
+    edges [Hz] of a form that has coefficients of its own in each.
     """
 
     name: str
@@ -83,7 +88,10 @@ def _relaxation_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
 
 
 def _oscillator(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), and its derivatives over ln w_0 and ln zeta; theta = (ln w_0, ln zeta)."""
+    """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), and its derivatives over ln w_0 and ln zeta.
+
+    Theta = (ln w_0, ln zeta).
+    """
     s, damping = 1j * omega / np.exp(theta[0]), 2 * np.exp(theta[1])
     reduced = 1 / (1 + damping * s + s**2)
     return reduced, reduced**2 * (damping * s + 2 * s**2), -(reduced**2) * damping * s
@@ -123,7 +131,10 @@ def _times(omega: FloatArray) -> FloatArray:
 
 
 def _oscillators(omega: FloatArray) -> FloatArray:
-    frequencies, dampings = np.log(np.geomspace(omega[0] / 1.5, 3 * omega[-1], 9)), np.log([0.05, 0.2, 0.5, 1.0, 2.5])
+    frequencies, dampings = (
+        np.log(np.geomspace(omega[0] / 1.5, 3 * omega[-1], 9)),
+        np.log([0.05, 0.2, 0.5, 1.0, 2.5]),
+    )
     return np.stack(np.meshgrid(frequencies, dampings), axis=-1).reshape(-1, 2)
 
 
@@ -136,9 +147,13 @@ OSCILLATOR = (ShapeParameter("f_p", "Hz", 2 * np.pi), ShapeParameter("zeta_p", "
 FORMS = {
     "kc": Form("kc", KC, _kc),
     "kcm": Form("kcm", KCM, _kcm),
-    "relaxation": Form("relaxation", (*KC, ("k_r", STIFFNESS)), _relaxation, (TIME,), _relaxation_slopes, _times),
+    "relaxation": Form(
+        "relaxation", (*KC, ("k_r", STIFFNESS)), _relaxation, (TIME,), _relaxation_slopes, _times
+    ),
     "pad": Form("pad", (*KC, *PAD), _pad, OSCILLATOR, _pad_slopes, _oscillators),
-    "rational": Form("rational", (*KC, *PAD, ("m", MASS)), _rational, OSCILLATOR, _rational_slopes, _oscillators),
+    "rational": Form(
+        "rational", (*KC, *PAD, ("m", MASS)), _rational, OSCILLATOR, _rational_slopes, _oscillators
+    ),
     "fractional": Form(
         "fractional",
         (("k", STIFFNESS), ("k_f", STIFFNESS)),
@@ -156,7 +171,11 @@ def banded(edges: FloatArray) -> Form:
     """K and C with values of their own in every band between neighbouring *edges* (n_band + 1,) [Hz]."""
     numbers = range(1, edges.size)
     if len(numbers) > MOST_BANDS:
-        raise ConfigError(f"{len(numbers)} bands are too many", hint=f"{MOST_BANDS} at most: widen `band_width`", field="band_width")
+        raise ConfigError(
+            f"{len(numbers)} bands are too many",
+            hint=f"{MOST_BANDS} at most: widen `band_width`",
+            field="band_width",
+        )
 
     def basis(_theta: FloatArray, omega: FloatArray) -> ComplexArray:
         place = np.clip(np.searchsorted(2 * np.pi * edges, omega, side="right") - 1, 0, edges.size - 2)
@@ -168,7 +187,8 @@ def banded(edges: FloatArray) -> Form:
 
 
 _UNIT = np.eye(4).reshape(4, 2, 2)
-# How the elements of every matrix depend on each other: (suffix, what one unit of it puts into the matrix), x to y with the rotation.
+# How the elements of every matrix depend on each other: (suffix, what one unit of it puts into the matrix), x
+# to y with the rotation.
 SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
     "none": (("xx", _UNIT[0]), ("xy", _UNIT[1]), ("yx", _UNIT[2]), ("yy", _UNIT[3])),
     "seal": (("xx", _UNIT[0] + _UNIT[3]), ("xy", _UNIT[1] - _UNIT[2])),
@@ -179,7 +199,9 @@ SYMMETRIES: dict[str, tuple[tuple[str, FloatArray], ...]] = {
 
 @dataclass(frozen=True)
 class StiffnessModel:
-    """A form with a symmetry. Parameters: the elements of every matrix, matrix by matrix, then the shape parameters as they are fitted."""
+    """A form with a symmetry. Parameters: the elements of every matrix, matrix by matrix, then the shape
+    parameters as they are fitted.
+    """
 
     form: Form
     symmetry: str
@@ -198,7 +220,10 @@ class StiffnessModel:
     @property
     def units(self) -> tuple[str, ...]:
         n = len(SYMMETRIES[self.symmetry])
-        return (*(unit for _, unit in self.form.matrices for _ in range(n)), *(parameter.unit for parameter in self.form.shape))
+        return (
+            *(unit for _, unit in self.form.matrices for _ in range(n)),
+            *(parameter.unit for parameter in self.form.shape),
+        )
 
     @property
     def n_shape(self) -> int:
@@ -214,7 +239,10 @@ class StiffnessModel:
         return np.tensordot(linear, self.elements, 1)
 
     def stiffness(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s]. Equation (ds-form)."""
+        """H(w) [N/m], (n_line, 2, 2), of values (n_parameter,) at omega (n_line,) [rad/s].
+
+        Equation (ds-form).
+        """
         basis = self.form.basis(values[self.n_linear :], omega)
         return np.tensordot(basis.T, self.matrices(values), 1)
 
@@ -222,7 +250,9 @@ class StiffnessModel:
         """dH/dp [N/m per parameter unit], (n_parameter, n_line, 2, 2)."""
         theta, elements = values[self.n_linear :], self.elements
         basis = self.form.basis(theta, omega)
-        linear = (basis[:, None, :, None, None] * elements[None, :, None]).reshape(self.n_linear, omega.size, 2, 2)
+        linear = (basis[:, None, :, None, None] * elements[None, :, None]).reshape(
+            self.n_linear, omega.size, 2, 2
+        )
         if not self.n_shape:
             return linear
         slopes = self.form.slopes(theta, omega)

@@ -1,7 +1,8 @@
-"""What is given, not estimated: the stator's mass and the baseline (hoses, stingers), each with its uncertainty and where that comes from.
+"""What is given, not estimated: the stator's mass and the baseline (hoses, stingers), each with its
+uncertainty and where that comes from.
 
-F - M_s A - Z_b X_s = H D with the absolute motion X_s = -A / w^2 of the stator. To subtract Z_b from H instead is wrong by Z_b X_r D^-1
-as soon as the shaft moves.
+F - M_s A - Z_b X_s = H D with the absolute motion X_s = -A / w^2 of the stator. To subtract Z_b from H
+instead is wrong by Z_b X_r D^-1 as soon as the shaft moves.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ Respond = Callable[[ComplexArray], FloatArray]
 
 @dataclass(frozen=True)
 class Baseline:
-    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a *model*, with *uncertainties*."""
+    """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
+    *model*, with *uncertainties*.
+    """
 
     model: StiffnessModel
     values: FloatArray
@@ -40,7 +43,9 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Given:
-    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a baseline does."""
+    """The given part of the balance. *absolute*: the model moves with the stator's absolute motion, as a
+    baseline does.
+    """
 
     mass: Uncertain | None = None
     baseline: Baseline | None = None
@@ -52,10 +57,17 @@ class Given:
         return self.mass is not None or self.baseline is not None
 
     def side(self, omega: FloatArray) -> ComplexArray:
-        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg]. Equation (ds-balance)."""
+        """What stands before A in the force side: -M_s I + Z_b / w^2 (n_line, 2, 2) [kg].
+
+        Equation (ds-balance).
+        """
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
-        return side if self.baseline is None else side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
+        return (
+            side
+            if self.baseline is None
+            else side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
+        )
 
 
 def projection(stator: Stator, given: Given) -> ComplexArray:
@@ -92,7 +104,8 @@ def balance_of(stator: Stator, given: Given) -> Balance:
 
 
 def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, state: Whitened) -> ComplexArray:
-    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z B^H S^-1 e.
+    """All channels (n_line, n_run, n_channel) [SI units] without the noise that the residual tells: z - C_z
+    B^H S^-1 e.
 
     Equation (ds-smoothed).
     """
@@ -102,22 +115,34 @@ def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, sta
     return stator.channels - (stator.covariance @ pulled[..., None])[..., 0]
 
 
-def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray) -> list[tuple[Uncertainty, ComplexArray]]:
-    """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for n independent ones.
+def given_errors(
+    stator: Stator, given: Given, stiffness: ComplexArray, clean: ComplexArray
+) -> list[tuple[Uncertainty, ComplexArray]]:
+    """By source, the change of e [N] by one standard deviation of the given number, (n, n_line, n_run, 2) for
+    n independent ones.
 
-    stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels with as little noise as may be.
+    stiffness (n_line, 2, 2) [N/m] of the model, *clean* (n_line, n_run, n_channel) [SI units] the channels
+    with as little noise as may be.
     """
     axes = clean @ stator.to_axes.T
     omega = stator.omega[:, None, None]
     acceleration = axes[..., 4:] if stator.accelerated else -(omega**2) * axes[..., 2:4]
     errors: list[tuple[Uncertainty, ComplexArray]] = []
     if given.mass is not None and given.mass.std_error > 0:
-        errors.append((uncertainty_of(given.mass, mass_source(given.mass), "kg"), -given.mass.std_error * acceleration[None]))
+        errors.append(
+            (
+                uncertainty_of(given.mass, mass_source(given.mass), "kg"),
+                -given.mass.std_error * acceleration[None],
+            )
+        )
     if given.baseline is not None:
         slopes = given.baseline.model.jacobian(given.baseline.values, stator.omega) / omega**2
         by_value = times(slopes[:, :, None], acceleration)
         errors.extend(
-            (Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit), np.tensordot(uncertainty.changes, by_value, 1))
+            (
+                Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit),
+                np.tensordot(uncertainty.changes, by_value, 1),
+            )
             for uncertainty in given.baseline.uncertainties
         )
     to_balance = projection(stator, given) @ stator.to_axes
@@ -125,7 +150,9 @@ def given_errors(stator: Stator, given: Given, stiffness: ComplexArray, clean: C
     for factor in stator.spectra.factors:
         error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None]))
+            errors.append(
+                (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
+            )
     return _joined(errors)
 
 
@@ -134,27 +161,42 @@ def _joined(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Un
     sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
     for uncertainty, error in errors:
         source = sources.get(uncertainty.source)
-        sources[uncertainty.source] = (uncertainty, error) if source is None else (source[0], source[1] + error)
+        sources[uncertainty.source] = (
+            (uncertainty, error) if source is None else (source[0], source[1] + error)
+        )
     return list(sources.values())
 
 
-def errors_by_given(stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened) -> ComplexArray:
-    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values (n_parameter,) of a model."""
+def errors_by_given(
+    stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
+) -> ComplexArray:
+    """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
+    (n_parameter,) of a model.
+    """
     stiffness = model.stiffness(values, stator.omega)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
-    return np.concatenate([np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)])
+    return np.concatenate(
+        [np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)]
+    )
 
 
-def given_uncertainties(errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond) -> tuple[GivenUncertainty, ...]:
-    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n, n_line, n_run, 2) [N]."""
+def given_uncertainties(
+    errors: Sequence[tuple[Uncertainty, ComplexArray]], respond: Respond
+) -> tuple[GivenUncertainty, ...]:
+    """What given numbers do to the estimates, by source; *respond*: (n, n_parameter) by changes of e (n,
+    n_line, n_run, 2) [N].
+    """
     return tuple(
-        GivenUncertainty(uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit)
+        GivenUncertainty(
+            uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
+        )
         for uncertainty, error in errors
     )
 
 
 def response_of(state: Whitened, columns: FloatArray) -> Respond:
-    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter) [1/parameter unit].
+    """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *columns* J (n_equation, n_parameter)
+    [1/parameter unit].
 
     Equation (ds-given).
     """

@@ -1,15 +1,19 @@
-"""Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
+"""Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
+m.
 
 Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion m.
 
-With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0 is, but for constants,
-V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System Identification, sec. 9.10). No run is inverted, so that one
-run with one vector per line is as good as two. 2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
+With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0
+is, but for constants, V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System
+Identification, sec. 9.10). No run is inverted, so that one run with one vector per line is as good as two. 2
+V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters.
 
-ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance estimated from few periods.
+ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
+estimated from few periods.
 
-A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu / (nu - p), and the covariance
-of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1) (Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu /
+(nu - p), and the covariance of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1)
+(Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
 """
 
 from __future__ import annotations
@@ -36,8 +40,8 @@ from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
 class Balance:
     """Force side G [N] and motion m [m] of the balance G = H m, with their covariance.
 
-    omega (n_line,) [rad/s]; right, motion (n_line, n_run, 2); right_covariance E[g g^H] [N^2], cross E[m g^H] [N.m], motion_covariance
-    E[m m^H] [m^2], each (n_line, n_run, 2, 2).
+    omega (n_line,) [rad/s]; right, motion (n_line, n_run, 2); right_covariance E[g g^H] [N^2], cross E[m g^H]
+    [N.m], motion_covariance E[m m^H] [m^2], each (n_line, n_run, 2, 2).
     """
 
     omega: FloatArray
@@ -55,7 +59,8 @@ class Balance:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The residual of one H: L L^H = S, the covariance of e; *white* = L^-1 e; *smoothed* motion m^, its noise as far as e tells it.
+    """The residual of one H: L L^H = S, the covariance of e; *white* = L^-1 e; *smoothed* motion m^, its
+    noise as far as e tells it.
 
     white, smoothed (n_line, n_run, 2) [1, m]; l_xx, l_yx, l_yy (n_line, n_run) [N]: the elements of L.
     """
@@ -79,14 +84,23 @@ class Whitened:
 
 def times(matrix: NDArray[Any], vectors: ComplexArray) -> ComplexArray:
     """Matrices (..., 2, 2) on vectors (..., 2) [any unit], the axes before them broadcast."""
-    return np.stack([matrix[..., n, 0] * vectors[..., 0] + matrix[..., n, 1] * vectors[..., 1] for n in (0, 1)], axis=-1)
+    return np.stack(
+        [matrix[..., n, 0] * vectors[..., 0] + matrix[..., n, 1] * vectors[..., 1] for n in (0, 1)], axis=-1
+    )
 
 
 def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
-    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m]. Equation (ds-residual)."""
+    """Residual e = G - H m, its covariance and the smoothed motion for H (n_line, 2, 2) [N/m].
+
+    Equation (ds-residual).
+    """
     h = stiffness[:, None]
     of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
-    s = balance.right_covariance - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2) - h @ of_motion
+    s = (
+        balance.right_covariance
+        - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2)
+        - h @ of_motion
+    )
     l_xx = np.sqrt(s[..., 0, 0].real)
     l_yx = s[..., 1, 0] / l_xx
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
@@ -97,7 +111,10 @@ def whitened(balance: Balance, stiffness: ComplexArray) -> Whitened:
 
 
 class ErrorsInVariables:
-    """V of a model as a sum of squares; its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly, 2 Re sum (dB u^)^H S^-1 e."""
+    """V of a model as a sum of squares.
+
+    Its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly, 2 Re sum (dB u^)^H S^-1 e.
+    """
 
     def __init__(self, balance: Balance, model: StiffnessModel) -> None:
         self.balance, self.model = balance, model
@@ -116,7 +133,9 @@ class ErrorsInVariables:
         """Norm of the force side [N] over that of its noise, line by line: what rounding is relative to."""
         variance = np.trace(self.balance.right_covariance, axis1=-2, axis2=-1).real
         power = np.sum(np.abs(self.balance.right) ** 2, axis=-1)
-        return float(np.sqrt(np.sum(np.divide(power, variance, out=np.zeros_like(power), where=variance > 0))))
+        return float(
+            np.sqrt(np.sum(np.divide(power, variance, out=np.zeros_like(power), where=variance > 0)))
+        )
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """L^-1 e as real numbers (n_equation,) [1]."""
@@ -127,7 +146,8 @@ class ErrorsInVariables:
         return self.columns(parameters)
 
     def columns(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element of the matrices.
+        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
+        of the matrices.
 
         Equation (ds-jacobian).
         """
@@ -166,7 +186,10 @@ RIDGE = 1e-10
 
 
 def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
-    """Values (n_parameter,) [parameter units] to begin with, the most promising first; one for a model without shape parameters."""
+    """Values (n_parameter,) [parameter units] to begin with, the most promising first.
+
+    One for a model without shape parameters.
+    """
     weights = _weights(balance, model.symmetry)
     grid = model.form.starts(balance.omega)
     linear, misfit = solved(balance, model, grid, weights)
@@ -175,7 +198,9 @@ def starts(balance: Balance, model: StiffnessModel) -> list[FloatArray]:
 
 
 def _weights(balance: Balance, symmetry: str) -> Whitened:
-    """Weights by the noise of the balance: first all lines alike, then twice with the K, C and M that come out."""
+    """Weights by the noise of the balance: first all lines alike, then twice with the K, C and M that come
+    out.
+    """
     model = StiffnessModel(FORMS["kcm"], symmetry)
     weights = _alike(balance)
     for _ in range(REWEIGHTED):
@@ -190,11 +215,14 @@ def _alike(balance: Balance) -> Whitened:
     return Whitened(balance.right, balance.motion, ones, np.zeros_like(ones, np.complex128), ones)
 
 
-def solved(balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened) -> tuple[FloatArray, FloatArray]:
-    """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what they leave (n_start,) [1].
+def solved(
+    balance: Balance, model: StiffnessModel, grid: FloatArray, weights: Whitened
+) -> tuple[FloatArray, FloatArray]:
+    """The matrices' elements (n_start, n_linear) [their units] of least squares with fixed weights, and what
+    they leave (n_start,) [1].
 
-    grid (n_start, n_shape) of shape parameters. The normal equations of all starts come from the same sums over runs and components,
-    line by line, since the functions g_k are the same for all elements of a matrix.
+    grid (n_start, n_shape) of shape parameters. The normal equations of all starts come from the same sums
+    over runs and components, line by line, since the functions g_k are the same for all elements of a matrix.
     """
     moved = weights.whiten(times(model.elements[:, None, None], balance.motion))
     side = weights.whiten(balance.right)
@@ -218,25 +246,30 @@ def solved(balance: Balance, model: StiffnessModel, grid: FloatArray, weights: W
 # ml: the most likely parameters of a balance, their covariance and chi-square, corrected for a covariance
 # estimated from few periods.
 
-# Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a model.
+# Changes (n, n_line, n_run, 2) [N] of e by one standard deviation of n given numbers, at the values of a
+# model.
 GivenErrors = Callable[[StiffnessModel, FloatArray, Whitened], ComplexArray]
 # Equations of a line and run.
 N_EQUATION = 2
-# Distance to the minimum in standard errors at which a descent ends: that which counts, and those from several starts before it.
+# Distance to the minimum in standard errors at which a descent ends: that which counts, and those from
+# several starts before it.
 NEAR, ROUGH = 1e-4, 0.1
 MOST_STEPS, FEW_STEPS = 60, 12
 # Relative noise below which a covariance is rounding.
 NOISE_FREE = 1e-20
-# Ratio of the residual's variance to that of chi-square at least, where the covariance was estimated: runs and lines may have a common one.
+# Ratio of the residual's variance to that of chi-square at least, where the covariance was estimated: runs
+# and lines may have a common one.
 LEAST_SPREAD = 1.25
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter, n_parameter) [their units].
+    """The minimum of V: values (n_parameter,) as they are fitted, covariance of noise (n_parameter,
+    n_parameter) [their units].
 
-    squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if the model is right; p_value
-    of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1.
+    squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if
+    the model is right; p_value of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with
+    columns of length 1.
     """
 
     model: StiffnessModel
@@ -259,7 +292,8 @@ class Estimate:
 class Noise:
     """How far the covariance of the noise is known.
 
-    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p of a line and run.
+    dof: complex degrees of freedom behind it; shared, shared_power: of lines with common noise; *equations* p
+    of a line and run.
     """
 
     dof: float = float("inf")
@@ -286,7 +320,9 @@ class Noise:
 
     @property
     def _excess_variance(self) -> float:
-        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu - p + 1) degrees of freedom."""
+        """Variance of the residual's squares over chi-square's: a line's e^H S^-1 e is F with 2 p and 2 (nu -
+        p + 1) degrees of freedom.
+        """
         return max(self.dof / (self.dof - self.least_dof), LEAST_SPREAD) if np.isfinite(self.dof) else 1.0
 
     def spread(self, dof: int) -> float:
@@ -294,7 +330,8 @@ class Noise:
         return float(np.sqrt(2 * self.shared_power * self._excess_variance / dof))
 
     def p_value(self, squares: float, dof: int) -> float:
-        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the covariance was estimated.
+        """Chance of so large a chi-square (mean *dof*); by the F distribution with its variance where the
+        covariance was estimated.
 
         Equation (ds-p-value).
         """
@@ -308,11 +345,18 @@ class Noise:
 
 def checked(balance: Balance, noise: Noise) -> None:
     """FitError for a balance without noise, or whose covariance comes from too few periods."""
-    power, variance = np.sum(np.abs(balance.motion) ** 2), np.sum(np.trace(balance.motion_covariance, axis1=-2, axis2=-1).real)
-    forced, scatter = np.sum(np.abs(balance.right) ** 2), np.sum(np.trace(balance.right_covariance, axis1=-2, axis2=-1).real)
+    power, variance = (
+        np.sum(np.abs(balance.motion) ** 2),
+        np.sum(np.trace(balance.motion_covariance, axis1=-2, axis2=-1).real),
+    )
+    forced, scatter = (
+        np.sum(np.abs(balance.right) ** 2),
+        np.sum(np.trace(balance.right_covariance, axis1=-2, axis2=-1).real),
+    )
     if variance <= NOISE_FREE * power and scatter <= NOISE_FREE * forced:
         raise FitError(
-            "the noise of the channels is not known, so ml cannot weigh them", hint="measure several periods or blocks, or `estimator: ls`"
+            "the noise of the channels is not known, so ml cannot weigh them",
+            hint="measure several periods or blocks, or `estimator: ls`",
         )
     if noise.dof <= noise.least_dof:
         raise FitError(
@@ -321,16 +365,21 @@ def checked(balance: Balance, noise: Noise) -> None:
         )
 
 
-def estimate(balance: Balance, model: StiffnessModel, noise: Noise, uncertain: GivenErrors | None = None) -> Estimate:
+def estimate(
+    balance: Balance, model: StiffnessModel, noise: Noise, uncertain: GivenErrors | None = None
+) -> Estimate:
     """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
 
-    *uncertain* gives the changes of e by given numbers: chi-square then is that with these numbers moved within their uncertainty.
-    Equation (ds-explained).
+    *uncertain* gives the changes of e by given numbers: chi-square then is that with these numbers moved
+    within their uncertainty. Equation (ds-explained).
     """
     n = len(model.names)
     dof = balance.n_equation - n
     if dof <= 0:
-        raise FitError(f"{balance.n_equation} real equations cannot determine {n} parameters", hint="widen the band, or a smaller `form`")
+        raise FitError(
+            f"{balance.n_equation} real equations cannot determine {n} parameters",
+            hint="widen the band, or a smaller `form`",
+        )
     checked(balance, noise)
     problem = ErrorsInVariables(balance, model)
     best = _lowest(problem)
@@ -345,10 +394,18 @@ def estimate(balance: Balance, model: StiffnessModel, noise: Noise, uncertain: G
     return Estimate(model, best.values, covariance, squares, dof, p_value, best.converged, best.steps, design)
 
 
-def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, excess: float) -> float:
-    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one.
+def _explained(
+    problem: ErrorsInVariables,
+    values: FloatArray,
+    jacobian: FloatArray,
+    uncertain: GivenErrors,
+    excess: float,
+) -> float:
+    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
+    counting as one.
 
-    min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can follow.
+    min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can
+    follow.
     """
     state = problem.at(values)
     errors = uncertain(problem.model, values, state)
@@ -364,10 +421,15 @@ def _explained(problem: ErrorsInVariables, values: FloatArray, jacobian: FloatAr
 
 
 def _lowest(problem: ErrorsInVariables) -> Minimum:
-    """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its end."""
+    """The lowest of the descents from all starts: each until it is clear where it ends, the best one to its
+    end.
+    """
     begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
     if not begun:
-        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise, or `estimator: ls`")
+        raise FitError(
+            "the covariance of the channels is singular on a line",
+            hint="leave out lines without noise, or `estimator: ls`",
+        )
     if len(begun) > 1:
         rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
         begun = [min(rough, key=problem.chi2)]
@@ -375,7 +437,8 @@ def _lowest(problem: ErrorsInVariables) -> Minimum:
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise; pseudo-inverse of a singular one.
+    """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
+    pseudo-inverse of a singular one.
 
     Equation (ds-covariance).
     """

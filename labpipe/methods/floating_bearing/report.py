@@ -1,4 +1,6 @@
-"""The figures of a floating-bearing fit: H over frequency with the model and the baseline, and what a forward orbit feels."""
+"""The figures of a floating-bearing fit: H over frequency with the model and the baseline, and what a forward
+orbit feels.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,16 @@ def dynamic_stiffness_blocks(fit: Fit, shown: DynamicStiffness) -> list[Block]:
 
 
 def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
-    """What another excitation of the same time and peak force would have made of the standard errors by noise."""
+    """What another excitation of the same time and peak force would have made of the standard errors by
+    noise.
+    """
     letters = shown.excitations[0].matrices
     header = ("excitation", *(f"{letter.upper()} times" for letter in letters))
     rows = tuple((other.name, *(f"{ratio:.2f}" for ratio in other.ratios)) for other in shown.excitations)
-    caption = f"Standard errors by noise of {fit_title(fit)} with other excitations of the same time and r.m.s. force, this test being 1"
+    caption = (
+        f"Standard errors by noise of {fit_title(fit)} with other excitations of the same time and "
+        "r.m.s. force, this test being 1"
+    )
     return Table(header, rows, caption, tuple(range(1, len(header))))
 
 
@@ -41,17 +48,25 @@ def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
     lines = (
         "of every line from its runs"
         if not shown.paired
-        else "of two neighbouring lines each (the model in their middle and what both leave), since a line has one vector"
+        else "of two neighbouring lines each (the model in their middle and what both leave), since a line "
+        "has one vector"
     )
     if not shown.frequency.size:
         lines = "not drawn, since the lines do not give it without a model"
-    baseline = " Dashed: the baseline, which the measured values are without." if shown.baseline is not None else ""
+    baseline = (
+        " Dashed: the baseline, which the measured values are without." if shown.baseline is not None else ""
+    )
     caption = (
-        f"{fit_title(fit)}: dynamic stiffness, force in the first direction per displacement in the second. Dots: measured, {lines}, with "
-        f"95 % intervals by noise; line: the model.{baseline} The fit itself uses the channels, not these values."
+        f"{fit_title(fit)}: dynamic stiffness, force in the first direction per displacement in the second. "
+        f"Dots: measured, {lines}, with 95 % intervals by noise; line: the model.{baseline} The fit itself "
+        "uses the channels, not these values."
     )
     chart = Chart(panels, 4, 2, (WIDTH, 7.2), "x", "above")
-    return Figure(chart, caption, f"Real and imaginary parts of the dynamic stiffness of fit {fit_title(fit)} over frequency")
+    return Figure(
+        chart,
+        caption,
+        f"Real and imaginary parts of the dynamic stiffness of fit {fit_title(fit)} over frequency",
+    )
 
 
 def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
@@ -64,7 +79,17 @@ def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
     if shown.frequency.size:
         measured = values(shown.measured)
         reach = MEGA * TWO_SIGMA * np.sqrt(shown.variance[:, i, j] / 2)
-        series.append(dots("measured", shown.frequency, measured, 0, marker="o", size=2.0, bars=(measured - reach, measured + reach)))
+        series.append(
+            dots(
+                "measured",
+                shown.frequency,
+                measured,
+                0,
+                marker="o",
+                size=2.0,
+                bars=(measured - reach, measured + reach),
+            )
+        )
     series.append(curve("model", shown.drawn_frequency, values(shown.fitted), 1, width=1.5))
     if shown.baseline is not None:
         series.append(curve("baseline", shown.drawn_frequency, values(shown.baseline), GREY, "--"))
@@ -72,16 +97,23 @@ def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
 
 
 def effective_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
-    """Stiffness and damping that a forward circular orbit feels, with the zero of damping where it drives whirl below."""
+    """Stiffness and damping that a forward circular orbit feels, with the zero of damping where it drives
+    whirl below.
+    """
     panels = (
         _effective("effective stiffness", "MN/m", shown.drawn_frequency, MEGA * shown.effective_stiffness),
         _effective("effective damping", "kN s/m", shown.drawn_frequency, 1e-3 * shown.effective_damping),
     )
     caption = (
-        f"{fit_title(fit)}: what a forward circular orbit feels, with 95 % intervals. Where effective damping is negative, the bearing "
+        f"{fit_title(fit)}: what a forward circular orbit feels, with 95 % intervals. Where effective "
+        "damping is negative, the bearing "
         "drives whirl; the frequency at which it is zero is the crossover frequency."
     )
-    return Figure(Chart(panels, 1, 2, (WIDTH, 2.8)), caption, f"Effective stiffness and damping of fit {fit_title(fit)} over frequency")
+    return Figure(
+        Chart(panels, 1, 2, (WIDTH, 2.8)),
+        caption,
+        f"Effective stiffness and damping of fit {fit_title(fit)} over frequency",
+    )
 
 
 def _effective(name: str, unit: str, frequency: FloatArray, values: FloatArray) -> Panel:

@@ -28,27 +28,62 @@ COMPARED = ("kc", "kcm", "relaxation", "pad")
 class DynamicStiffnessSettings(Settings):
     """What is identified and what is given; *known*: the baseline of `baseline`, once its fit is made."""
 
-    form: str | None = setting("choice", "course over frequency; default: kcm, or with `compare` the best", choices=NAMES, default=None)
+    form: str | None = setting(
+        "choice",
+        "course over frequency; default: kcm, or with `compare` the best",
+        choices=NAMES,
+        default=None,
+    )
     _: KW_ONLY
-    symmetry: str = setting("choice", "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms", choices=SYMMETRIES, default="none")
-    motion: str = setting("choice", "that it acts on: against the shaft, or absolute (baseline)", choices=MOTIONS, default="relative")
+    symmetry: str = setting(
+        "choice",
+        "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms",
+        choices=SYMMETRIES,
+        default="none",
+    )
+    motion: str = setting(
+        "choice",
+        "that it acts on: against the shaft, or absolute (baseline)",
+        choices=MOTIONS,
+        default="relative",
+    )
     stator_mass: Uncertain | None = setting(
         "uncertain", "mass of the stator with its uncertainty; default: `mass`", unit="kg", default=None
     )
     baseline: str = setting("text", "an earlier fit of what holds the stator, or its test", default="")
-    baseline_stiffness: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N/m", default=None)
-    baseline_damping: Uncertain | None = setting("uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None)
-    band_width: float | None = setting("value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None)
-    forms: tuple[str, ...] = setting("names", "forms that `compare` holds against each other", default=COMPARED)
+    baseline_stiffness: Uncertain | None = setting(
+        "uncertain", "of what holds the stator, in x and y", unit="N/m", default=None
+    )
+    baseline_damping: Uncertain | None = setting(
+        "uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None
+    )
+    band_width: float | None = setting(
+        "value", "form bands: width of one; default: a tenth of the band", unit="Hz", default=None
+    )
+    forms: tuple[str, ...] = setting(
+        "names", "forms that `compare` holds against each other", default=COMPARED
+    )
     speed: float | None = setting(
-        "value", "speed of the shaft, from x to y; default: the test's condition `speed`", unit="Hz", default=None
+        "value",
+        "speed of the shaft, from x to y; default: the test's condition `speed`",
+        unit="Hz",
+        default=None,
     )
     rotor_mass: Uncertain | None = setting(
-        "uncertain", "mass on the bearing, for the onset speed of whirl of a rotor on it", unit="kg", default=None
+        "uncertain",
+        "mass on the bearing, for the onset speed of whirl of a rotor on it",
+        unit="kg",
+        default=None,
     )
-    rotor_stiffness: float | None = setting("value", "stiffness of that rotor; default: rigid", unit="N/m", default=None)
-    load: float | None = setting("value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None)
-    clearance: float | None = setting("value", "radial clearance, for coefficients without dimension", unit="m", default=None)
+    rotor_stiffness: float | None = setting(
+        "value", "stiffness of that rotor; default: rigid", unit="N/m", default=None
+    )
+    load: float | None = setting(
+        "value", "for coefficients without dimension; default: the condition `load`", unit="N", default=None
+    )
+    clearance: float | None = setting(
+        "value", "radial clearance, for coefficients without dimension", unit="m", default=None
+    )
     viscosity: float | None = setting("value", "for the Sommerfeld number", unit="Pa.s", default=None)
     diameter: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
     length: float | None = setting("value", "for the Sommerfeld number", unit="m", default=None)
@@ -67,7 +102,9 @@ class DynamicStiffnessSettings(Settings):
                 raise ConfigError(f"'{name}' must be positive", field=name)
         for form in self.forms:
             if form not in FORMS:
-                raise ConfigError(f"'forms': '{form}' cannot be compared", hint=nearest(form, tuple(FORMS)), field="forms")
+                raise ConfigError(
+                    f"'forms': '{form}' cannot be compared", hint=nearest(form, tuple(FORMS)), field="forms"
+                )
         if self.band_width is not None and self.form != BANDS:
             raise ConfigError("'band_width' goes with form: bands", hint="leave it out", field="band_width")
 

@@ -1,10 +1,12 @@
-"""Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other excitations would give.
+"""Forces on the stator, its motion and acceleration; the dynamic stiffness line by line; what other
+excitations would give.
 
-What another excitation of the same time and peak force would have given, from the information that every line brought.
+What another excitation of the same time and peak force would have given, from the information that every line
+brought.
 
-The information of a line about the coefficients goes with the square of its force, whatever the rest does. A spectrum of the same r.m.s.
-and crest factor shifts it among the lines; both forces at once, with the opposite sign of one of them in the second run, bring twice as
-much of it as one after the other.
+The information of a line about the coefficients goes with the square of its force, whatever the rest does. A
+spectrum of the same r.m.s. and crest factor shifts it among the lines; both forces at once, with the opposite
+sign of one of them in the second run, bring twice as much of it as one after the other.
 """
 
 from __future__ import annotations
@@ -41,9 +43,10 @@ PARALLEL = 1e-3
 class Stator:
     """Spectra of the stator on the lines of a fit.
 
-    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run, n_channel, n_channel): all that was
-    measured [SI units]; to_axes (6, n_channel) [1]: [F_x, F_y, D_x, D_y, A_x, A_y] = to_axes @ channels [N, m, m/s^2], rows of zeros
-    without accelerations. shared, shared_power: factor of the noise that lines share on the variance of a sum over lines, and of powers.
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run,
+    n_channel, n_channel): all that was measured [SI units]; to_axes (6, n_channel) [1]: [F_x, F_y, D_x, D_y,
+    A_x, A_y] = to_axes @ channels [N, m, m/s^2], rows of zeros without accelerations. shared, shared_power:
+    factor of the noise that lines share on the variance of a sum over lines, and of powers.
     """
 
     omega: FloatArray
@@ -70,12 +73,18 @@ class Stator:
         return self.to_axes @ self.covariance @ self.to_axes.T
 
 
-def stator_of(spectra: ChannelSpectra, band: tuple[float, float] | None, inputs: Sequence[str], outputs: Sequence[str]) -> Stator:
-    """The stator's spectra in a band [Hz]; *inputs*: names of the forces, *outputs*: of displacements and accelerations, all without names.
+def stator_of(
+    spectra: ChannelSpectra, band: tuple[float, float] | None, inputs: Sequence[str], outputs: Sequence[str]
+) -> Stator:
+    """The stator's spectra in a band [Hz]; *inputs*: names of the forces, *outputs*: of displacements and
+    accelerations, all without names.
 
     ConfigError for channels that give no motion in x and y, FitError for too few lines.
     """
-    chosen = {quantity: _chosen(spectra, quantity, inputs if quantity == FORCE else outputs) for quantity in QUANTITIES}
+    chosen = {
+        quantity: _chosen(spectra, quantity, inputs if quantity == FORCE else outputs)
+        for quantity in QUANTITIES
+    }
     _check_names(spectra, inputs, [FORCE], "input")
     _check_names(spectra, outputs, [DISPLACEMENT, ACCELERATION], "output")
     to_axes = np.zeros((6, len(spectra.channels)))
@@ -83,22 +92,32 @@ def stator_of(spectra: ChannelSpectra, band: tuple[float, float] | None, inputs:
         columns = chosen[quantity]
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
-    lines: BoolArray = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    lines: BoolArray = (
+        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    )
     if np.count_nonzero(lines) < LEAST_LINES:
-        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
+        raise FitError(
+            f"{np.count_nonzero(lines)} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
+        )
     shared = _shared(spectra, lines)
     omega = 2 * np.pi * spectra.frequency[lines]
     return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
 
 
 def _measured(spectra: ChannelSpectra, quantity: str) -> list[int]:
-    """Columns of a quantity in its role; accelerations that stand in sums only, as references, where no others are there."""
+    """Columns of a quantity in its role.
+
+    Accelerations that stand in sums only, as references, where no others are there.
+    """
     columns = spectra.columns(quantity, ROLES[quantity])
     return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
 
 
 def _chosen(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
-    """Columns of a quantity that are named, or all; a channel that stands in a chosen sum only acts through that, unless it is named."""
+    """Columns of a quantity that are named, or all.
+
+    A channel that stands in a chosen sum only acts through that, unless it is named.
+    """
     columns = _measured(spectra, quantity)
     if names:
         return [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
@@ -120,7 +139,9 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
     """(2, n) [1] from the channels of a quantity to x and y: forces add up, motions are projections of it."""
     channels = [spectra.channels[n] for n in columns]
     if not channels:
-        raise ConfigError(f"there is no {quantity} channel with role {ROLES[quantity]}", hint=_needed(quantity))
+        raise ConfigError(
+            f"there is no {quantity} channel with role {ROLES[quantity]}", hint=_needed(quantity)
+        )
     angles = np.array([direction(channel) for channel in channels])
     _check_once(channels, quantity)
     directions = np.stack([np.cos(angles), np.sin(angles)])
@@ -129,12 +150,17 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
         return directions
     if np.linalg.svd(directions, compute_uv=False)[-1] < PARALLEL or len(channels) < 2:
         listed = ", ".join(f"{channel.name} ({channel.dof})" for channel in channels)
-        raise ConfigError(f"{quantity} channels {listed} do not give the motion in x and in y", hint=_needed(quantity))
+        raise ConfigError(
+            f"{quantity} channels {listed} do not give the motion in x and in y", hint=_needed(quantity)
+        )
     return np.asarray(np.linalg.pinv(directions.T))
 
 
 def _needed(quantity: str) -> str:
-    what = {FORCE: "the forces on the stator", DISPLACEMENT: "displacements of the stator against the shaft in x and y"}
+    what = {
+        FORCE: "the forces on the stator",
+        DISPLACEMENT: "displacements of the stator against the shaft in x and y",
+    }
     return f"the balance of the stator needs {what.get(quantity, 'its accelerations in x and y')}"
 
 
@@ -142,29 +168,41 @@ def direction(channel: Channel) -> float:
     """Angle [rad] from x towards y of a channel; ConfigError where the rig does not tell."""
     angle = channel.angle if channel.angle is not None else AXIS_ANGLES.get(channel.dof)
     if angle is None:
-        raise ConfigError(f"the direction of channel '{channel.name}' is not known", hint="dof: x, y, or an angle from x such as 45 deg")
+        raise ConfigError(
+            f"the direction of channel '{channel.name}' is not known",
+            hint="dof: x, y, or an angle from x such as 45 deg",
+        )
     return angle
 
 
 def _check_once(channels: Sequence[Channel], quantity: str) -> None:
-    """ConfigError for two channels of one direction: a raw force and the same force with the inertia taken out must not be added."""
+    """ConfigError for two channels of one direction: a raw force and the same force with the inertia taken
+    out must not be added.
+    """
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
             key = "input" if quantity == FORCE else "output"
             hint = f"name those of the balance in `{key}`"
-            raise ConfigError(f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}", hint=hint)
+            raise ConfigError(
+                f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}",
+                hint=hint,
+            )
         seen[channel.dof] = channel.name
 
 
 def _shared(spectra: ChannelSpectra, lines: BoolArray) -> tuple[float, float]:
-    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, as far as both are in the band."""
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, as far as
+    both are in the band.
+    """
     correlation = np.array(spectra.line_correlation, np.complex128)
     if not correlation.size:
         return 1.0, 1.0
     n = int(np.count_nonzero(lines))
     pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    return max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0), 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
+    return max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0), 1 + 2 * float(
+        np.sum(pairs * np.abs(correlation) ** 2)
+    )
 
 
 # The dynamic stiffness line by line without a model, for figures and for least squares as in the
@@ -176,7 +214,8 @@ ONE_DIRECTION = 1e3
 
 @dataclass(frozen=True)
 class LineStiffness:
-    """H = G m^-1 (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]; inverse (n_line, n_run, 2) [1/m]: rows of m^-1, by run.
+    """H = G m^-1 (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]; inverse (n_line, n_run, 2) [1/m]: rows of
+    m^-1, by run.
 
     *paired*: the vectors of two neighbouring lines taken together, each line having one only.
     """
@@ -188,28 +227,40 @@ class LineStiffness:
 
 
 def line_stiffness(balance: Balance) -> LineStiffness:
-    """H of every line from two or more runs; FitError where the runs of a line move in one direction. Equation (ds-line)."""
+    """H of every line from two or more runs; FitError where the runs of a line move in one direction.
+
+    Equation (ds-line).
+    """
     n_run = balance.motion.shape[1]
     if n_run < 2:
         raise FitError(
-            "least squares needs two runs with independent forces at every line, there is one", hint="estimator: ml needs one run only"
+            "least squares needs two runs with independent forces at every line, there is one",
+            hint="estimator: ml needs one run only",
         )
     motion = balance.motion.swapaxes(-1, -2)
     if np.any(np.linalg.cond(motion) > ONE_DIRECTION):
-        raise FitError("the runs move the stator in one direction at a line", hint="two independent directions of force, or estimator: ml")
+        raise FitError(
+            "the runs move the stator in one direction at a line",
+            hint="two independent directions of force, or estimator: ml",
+        )
     inverse = np.linalg.pinv(motion)
     return LineStiffness(balance.omega, balance.right.swapaxes(-1, -2) @ inverse, inverse)
 
 
 def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
-    """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run by pairs of lines.
+    """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run
+    by pairs of lines.
 
-    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two lines of a pair: H is the
-    model in their middle and what both lines leave.
+    stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the course between the two
+    lines of a pair: H is the model in their middle and what both lines leave.
     """
     state = whitened(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
-    residual, motion, omega = balance.right - times(stiffness[:, None], balance.motion), balance.motion, balance.omega
+    residual, motion, omega = (
+        balance.right - times(stiffness[:, None], balance.motion),
+        balance.motion,
+        balance.omega,
+    )
     paired = motion.shape[1] < 2
     if paired:
         omega, stiffness = (
@@ -241,7 +292,8 @@ LETTERS = ("k", "c", "m")
 
 
 def other_excitations(stator: Stator, found: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
-    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter) [1/parameter unit] of the Jacobian.
+    """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
+    [1/parameter unit] of the Jacobian.
 
     Equation (ds-excitation).
     """
@@ -272,7 +324,9 @@ def _errors(information: FloatArray) -> FloatArray:
 def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitation:
     """Geometric mean over the elements of K, of C and of M."""
     means = [
-        (letter, float(np.exp(np.mean(np.log(ratios[[one == letter for one in letters]]))))) for letter in LETTERS if letter in letters
+        (letter, float(np.exp(np.mean(np.log(ratios[[one == letter for one in letters]])))))
+        for letter in LETTERS
+        if letter in letters
     ]
     return OtherExcitation(name, tuple(letter for letter, _ in means), tuple(ratio for _, ratio in means))
 
@@ -288,4 +342,7 @@ def motion_note(stator: Stator) -> str:
     """The amplitude that the coefficients hold for."""
     size = np.sqrt(np.mean(np.sum(np.abs(stator.axes[..., 2:4]) ** 2, axis=0) / 2, axis=0))
     x, y = (f"{1e6 * value:.3g} um" for value in size)
-    return f"dynamic-stiffness: the coefficients hold for motions of this size: r.m.s. of the displacements {x} in x, {y} in y."
+    return (
+        "dynamic-stiffness: the coefficients hold for motions of this size: r.m.s. of the displacements "
+        f"{x} in x, {y} in y."
+    )

@@ -1,22 +1,29 @@
-"""What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless coefficients.
+"""What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless
+coefficients.
 
-Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a rotor on the bearing.
+Whirl: the ratio of whirl frequency to shaft speed at the onset of instability, and the onset speed of a rotor
+on the bearing.
 
-A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The imaginary part gives k, the
-equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x. Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C
-with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
+A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The
+imaginary part gives k, the equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x.
+Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx
+C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
 
-Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping changes sign.
+Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping changes
+sign.
 
-On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy - H_yx)) / 2:
-K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2 (M_xy - M_yx)) / (2 w).
+On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy -
+H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2
+(M_xy - M_yx)) / (2 w).
 
-What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed of the shaft.
+What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, coefficients at the speed of
+the shaft.
 
-*std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond the noise); intervals are by
-the latter.
+*std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond
+the noise); intervals are by the latter.
 
-Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and the Sommerfeld number.
+Coefficients without dimension, K c / W, C c w / W, M c w^2 / W of clearance c, load W and speed w, and the
+Sommerfeld number.
 
 S = mu N L D / W (R / c)^2 with N in revolutions per second (Someya 1989, Journal-Bearing Databook).
 """
@@ -50,9 +57,11 @@ FORMS_WITH_WHIRL = ("kc", "kcm")
 
 @dataclass(frozen=True)
 class Whirl:
-    """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95 % interval (Fieller).
+    """x = w^2 [(rad/s)^2] of the whirl frequency w, its slopes (n_parameter,) [per parameter unit] and its 95
+    % interval (Fieller).
 
-    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,). Ends of the interval are infinite where it has none.
+    stiffness k [N/m] at which a rotor whirls, with its slopes (n_parameter,). Ends of the interval are
+    infinite where it has none.
     """
 
     square: float
@@ -63,7 +72,8 @@ class Whirl:
 
 
 def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where there is no real solution.
+    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
+    there is no real solution.
 
     Equation (ds-whirl).
     """
@@ -71,7 +81,10 @@ def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> 
     square = _root(polynomial)
     if square is None:
         return None
-    stepped = [_polynomial(model, values + 1j * STEP * scale * row) for row, scale in zip(np.eye(values.size), _sizes(values), strict=True)]
+    stepped = [
+        _polynomial(model, values + 1j * STEP * scale * row)
+        for row, scale in zip(np.eye(values.size), _sizes(values), strict=True)
+    ]
     slopes = np.stack([part[0].imag for part in stepped]) / (STEP * _sizes(values))[:, None]
     powers = np.array([square**2, square, 1.0])
     along = float(2 * polynomial[0] * square + polynomial[1])
@@ -91,8 +104,13 @@ def _sizes(values: FloatArray) -> FloatArray:
     return np.where(values != 0, np.abs(values), 1.0)
 
 
-def _polynomial(model: StiffnessModel, values: ComplexArray | FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x; complex for complex values."""
+def _polynomial(
+    model: StiffnessModel, values: ComplexArray | FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Coefficients (3,) of the quadratic in x, highest first, and (2,) of k = k_0 + k_1 x.
+
+    Complex for complex values.
+    """
     # Linear in the values, so that complex steps pass.
     matrices: NDArray[Any] = model.matrices(values)  # type: ignore[arg-type]
     k, c = matrices[0], matrices[1]
@@ -119,11 +137,17 @@ def _root(polynomial: FloatArray) -> float | None:
     return -2 * constant / (first + np.copysign(np.sqrt(inside), first))
 
 
-def _fieller(polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float) -> tuple[float, float]:
-    """All x around the root at which the quadratic is not significantly different from zero: phi(x)^2 < 1.96^2 var phi(x)."""
+def _fieller(
+    polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float
+) -> tuple[float, float]:
+    """All x around the root at which the quadratic is not significantly different from zero: phi(x)^2 <
+    1.96^2 var phi(x).
+    """
     slope = 2 * polynomial[0] * square + polynomial[1]
     powers = slopes @ np.array([square**2, square, 1.0])
-    unit = max(abs(square), float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope)), np.finfo(float).tiny)
+    unit = max(
+        abs(square), float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope)), np.finfo(float).tiny
+    )
     scales = np.array([unit**2, unit, 1.0])
     scaled = polynomial * scales
     spread = (slopes * scales).T @ covariance @ (slopes * scales)
@@ -140,14 +164,17 @@ def _fieller(polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray,
 # Effective stiffness and damping of a forward circular orbit, and the frequency at which that damping
 # changes sign.
 
-# Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the highest.
+# Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the
+# highest.
 SHARES = (0.05, 1.5)
 N_FREQUENCY = 4000
 
 
 @dataclass(frozen=True)
 class Course:
-    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same shape and unit."""
+    """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same
+    shape and unit.
+    """
 
     omega: FloatArray
     stiffness: FloatArray
@@ -157,33 +184,49 @@ class Course:
 
 
 def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
-    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it. Equation (ds-forward)."""
+    """H_f (...,) [N/m] of H (..., 2, 2); *sense*: 1 for a shaft that turns from x to y, -1 against it.
+
+    Equation (ds-forward).
+    """
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
     return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
 
 
-def effective(model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0) -> Course:
-    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter, n_parameter) [parameter units].
+def effective(
+    model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
+) -> Course:
+    """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
+    n_parameter) [parameter units].
 
     Equation (ds-effective).
     """
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
-    errors = [np.sqrt(np.maximum(np.sum(part * (covariance @ part), axis=0), 0.0)) for part in (slopes.real, slopes.imag)]
+    errors = [
+        np.sqrt(np.maximum(np.sum(part * (covariance @ part), axis=0), 0.0))
+        for part in (slopes.real, slopes.imag)
+    ]
     return Course(omega, h.real, errors[0], h.imag / omega, errors[1] / omega)
 
 
 @dataclass(frozen=True)
 class Crossover:
-    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and 95 % interval (Fieller)."""
+    """Frequency w [rad/s] above which damping is positive, its slopes (n_parameter,) [per parameter unit] and
+    95 % interval (Fieller).
+    """
 
     omega: float
     slopes: FloatArray
     interval: tuple[float, float]
 
 
-def crossover(model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0) -> Crossover | None:
-    """The highest frequency at which C_eff turns from negative to positive; None where it does not; *band* omega (n_line,) [rad/s]."""
+def crossover(
+    model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0
+) -> Crossover | None:
+    """The highest frequency at which C_eff turns from negative to positive; None where it does not.
+
+    *band* omega (n_line,) [rad/s].
+    """
     omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
     course = effective(model, values, covariance, omega, sense)
     signs = np.sign(course.damping)
@@ -194,7 +237,10 @@ def crossover(model: StiffnessModel, values: FloatArray, covariance: FloatArray,
     frequency = _zero(omega, course.damping, at)
     slopes = forward(model.jacobian(values, np.array([frequency])), sense).imag[:, 0] / frequency
     along = float((course.damping[at + 1] - course.damping[at]) / (omega[at + 1] - omega[at]))
-    upper, lower = course.damping + LIMIT * course.damping_error, course.damping - LIMIT * course.damping_error
+    upper, lower = (
+        course.damping + LIMIT * course.damping_error,
+        course.damping - LIMIT * course.damping_error,
+    )
     below = np.flatnonzero(upper[: at + 1] < 0)
     above = np.flatnonzero(lower[at + 1 :] > 0)
     low = _zero(omega, upper, int(below[-1])) if below.size else -np.inf
@@ -217,7 +263,9 @@ SAME = 1 + 1e-9
 
 @dataclass(frozen=True)
 class FittedStiffness:
-    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter, n_parameter) [their units]."""
+    """Estimated values (n_parameter,) as they are fitted, covariance by noise and in all (n_parameter,
+    n_parameter) [their units].
+    """
 
     model: StiffnessModel
     values: FloatArray
@@ -233,7 +281,10 @@ class FittedStiffness:
 
 @dataclass(frozen=True)
 class Shaft:
-    """The shaft: *speed* [Hz], negative where it turns from y to x; mass [kg] and stiffness [N/m] of a rotor whose onset is asked for."""
+    """The shaft: *speed* [Hz], negative where it turns from y to x.
+
+    Mass [kg] and stiffness [N/m] of a rotor whose onset is asked for.
+    """
 
     speed: float | None = None
     rotor_mass: Uncertain | None = None
@@ -246,18 +297,24 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Valued:
-    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted values."""
+    """A reported parameter and its *slopes* (n_parameter,) [its unit per parameter unit] over the fitted
+    values.
+    """
 
     parameter: Parameter
     slopes: FloatArray
 
 
 def coefficients(found: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...]:
-    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry ties to them."""
+    """The estimated parameters with variance inflation factors (n_parameter,) [1], then those that a symmetry
+    ties to them.
+    """
     model = found.model
     plain = [
         _estimated(found, number, name, unit, float(vif))
-        for number, (name, unit, vif) in enumerate(zip(model.names[: model.n_linear], model.units, vifs, strict=False))
+        for number, (name, unit, vif) in enumerate(
+            zip(model.names[: model.n_linear], model.units, vifs, strict=False)
+        )
     ]
     shaped = [_shape(found, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
     return (*plain, *shaped, *(_tied(valued) for valued in plain if model.symmetry == "seal"))
@@ -279,7 +336,11 @@ def _shape(found: FittedStiffness, number: int, vif: float) -> Valued:
     declared, place = found.model.form.shape[number], found.model.n_linear + number
     inner, slope = float(found.values[place]), declared.slope(float(found.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (found.noise, found.whole))
-    plain = _wide(estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, found.dof, vif), noise, whole)
+    plain = _wide(
+        estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, found.dof, vif),
+        noise,
+        whole,
+    )
     reach = student_limit(found.dof) * whole
     shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
     return Valued(shown, slope * np.eye(found.values.size)[place])
@@ -309,10 +370,19 @@ def _parts(name: str) -> list[str]:
     return ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
 
 
-def derived_values(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> tuple[tuple[Valued, ...], Whirl | None]:
-    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself; omega (n_line,) [rad/s] of the fit."""
+def derived_values(
+    found: FittedStiffness, omega: FloatArray, shaft: Shaft
+) -> tuple[tuple[Valued, ...], Whirl | None]:
+    """Whirl, crossover and coefficients at the speed, as far as they exist, and the whirl itself.
+
+    Omega (n_line,) [rad/s] of the fit.
+    """
     turning = _whirl_of(found)
-    parts = [*_whirl_values(found, turning, shaft), *_crossover(found, omega, shaft), *_synchronous(found, omega, shaft)]
+    parts = [
+        *_whirl_values(found, turning, shaft),
+        *_crossover(found, omega, shaft),
+        *_synchronous(found, omega, shaft),
+    ]
     return tuple(parts), turning
 
 
@@ -335,8 +405,13 @@ def _whirl_values(found: FittedStiffness, turning: Whirl | None, shaft: Shaft) -
     return values
 
 
-def _onset(found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray) -> Valued:
-    """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl; k in series with the shaft's stiffness."""
+def _onset(
+    found: FittedStiffness, turning: Whirl, shaft: Shaft, ratio: float, ratio_slopes: FloatArray
+) -> Valued:
+    """Speed [Hz] W = sqrt(k / m) / WFR at which a rotor on these coefficients begins to whirl.
+
+    K in series with the shaft's stiffness.
+    """
     mass = shaft.rotor_mass
     assert mass is not None
     softer = 1 + turning.stiffness / shaft.rotor_stiffness if shaft.rotor_stiffness else 1.0
@@ -356,10 +431,19 @@ def _inflated(noise: float, whole: float) -> float | None:
 
 
 def _derived(
-    found: FittedStiffness, name: str, unit: str, value: float, slopes: FloatArray, interval: tuple[float, float] | None
+    found: FittedStiffness,
+    name: str,
+    unit: str,
+    value: float,
+    slopes: FloatArray,
+    interval: tuple[float, float] | None,
 ) -> Valued:
     noise, whole = found.error(slopes, whole=False), found.error(slopes, whole=True)
-    shown = replace(derived(name, unit, value, noise, found.dof), ci95=interval, std_error_inflated=_inflated(noise, whole))
+    shown = replace(
+        derived(name, unit, value, noise, found.dof),
+        ci95=interval,
+        std_error_inflated=_inflated(noise, whole),
+    )
     return Valued(shown, slopes)
 
 
@@ -372,11 +456,15 @@ def _crossover(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[
     to_hertz = 1 / (2 * np.pi)
     low, high = (to_hertz * end for end in found_at.interval)
     value = to_hertz * found_at.omega
-    return [_derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))]
+    return [
+        _derived(found, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
+    ]
 
 
 def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
-    """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K and C."""
+    """Re H and Im H / W at the speed W of the shaft, where it lies in the band and the form is more than K
+    and C.
+    """
     if not shaft.speed or found.model.form.name == "kc":
         return []
     speed = 2 * np.pi * abs(shaft.speed)
@@ -395,7 +483,12 @@ def _synchronous(found: FittedStiffness, omega: FloatArray, shaft: Shaft) -> lis
                 reach = student_limit(found.dof) * whole
                 values.append(
                     _derived(
-                        found, f"{letter}_{row}{column}_synchronous", unit, float(value), change, _finite(value - reach, value + reach)
+                        found,
+                        f"{letter}_{row}{column}_synchronous",
+                        unit,
+                        float(value),
+                        change,
+                        _finite(value - reach, value + reach),
                     )
                 )
     return values
@@ -418,7 +511,9 @@ class Bearing:
     length: float | None = None
 
 
-def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float | None) -> tuple[Valued, ...]:
+def dimensionless(
+    coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
+) -> tuple[Valued, ...]:
     """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
 
     Equation (ds-dimensionless).
@@ -429,7 +524,8 @@ def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float
     scaled = [
         _scaled(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
         for valued in coefficients
-        if (letter := valued.parameter.name.split("_")[0]) in LETTERS and len(valued.parameter.name) == len("k_xx")
+        if (letter := valued.parameter.name.split("_")[0]) in LETTERS
+        and len(valued.parameter.name) == len("k_xx")
     ]
     number = _sommerfeld(bearing, abs(speed))
     return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
@@ -438,7 +534,10 @@ def dimensionless(coefficients: Sequence[Valued], bearing: Bearing, speed: float
 def _scaled(valued: Valued, factor: float) -> Valued:
     parameter = valued.parameter
     interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
-    errors = [None if error is None else factor * error for error in (parameter.std_error, parameter.std_error_inflated)]
+    errors = [
+        None if error is None else factor * error
+        for error in (parameter.std_error, parameter.std_error_inflated)
+    ]
     scaled = replace(
         parameter,
         name=f"{parameter.name}_dimensionless",

@@ -1,8 +1,10 @@
-"""A virtual floating-stator rig: shakers push the stator, probes see it move against the shaft, accelerometers see it move.
+"""A virtual floating-stator rig: shakers push the stator, probes see it move against the shaft,
+accelerometers see it move.
 
-Stator: (Z_s + H) X_s - H X_r = F, shaft: -H X_s + (Z_r + H) X_r = F_r, with H the film, Z_s = -w^2 m_s + j w C_b + K_b the stator on its
-hoses and soft supports, Z_r the same of the shaft. Measured are F, D = X_s - X_r less the runout of the shaft's surface, and A = -w^2 X_s,
-so that F - m_s A - (K_b + j w C_b) X_s = H D, whatever the shaft does.
+Stator: (Z_s + H) X_s - H X_r = F, shaft: -H X_s + (Z_r + H) X_r = F_r, with H the film, Z_s = -w^2 m_s + j w
+C_b + K_b the stator on its hoses and soft supports, Z_r the same of the shaft. Measured are F, D = X_s - X_r
+less the runout of the shaft's surface, and A = -w^2 X_s, so that F - m_s A - (K_b + j w C_b) X_s = H D,
+whatever the shaft does.
 """
 
 from __future__ import annotations
@@ -24,13 +26,24 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import Settings, setting
 from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
-from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, require_positive, whole_numbers
+from labpipe.simulate.virtual_rigs import (
+    Truth,
+    coefficients_by_name,
+    kind_of_recordings,
+    require_positive,
+    whole_numbers,
+)
 
 KIND = "virtual-floating-rig"
 Matrix = tuple[tuple[float, ...], ...]
 NONE: Matrix = ((0.0, 0.0), (0.0, 0.0))
 # Way of excitation -> ends of the names of its recordings.
-RUNS_OF = {"alternating": ("x", "y"), "hadamard": ("plus", "minus"), "zipper": ("zipper",), "random": ("random",)}
+RUNS_OF = {
+    "alternating": ("x", "y"),
+    "hadamard": ("plus", "minus"),
+    "zipper": ("zipper",),
+    "random": ("random",),
+}
 FILMS = ("given", "journal")
 
 
@@ -48,7 +61,9 @@ class Relaxation(Settings):
 
 @dataclass(frozen=True)
 class Pad(Settings):
-    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a tilting-pad bearing."""
+    """(R_0 + j w R_1) / (1 + 2 zeta j w / w_0 - (w / w_0)^2) in either direction: a pad with inertia, as of a
+    tilting-pad bearing.
+    """
 
     stiffness: float = setting("value", "R_0", unit="N/m")
     damping: float = setting("value", "R_1", unit="N.s/m")
@@ -62,22 +77,32 @@ class Pad(Settings):
 
 @dataclass(frozen=True)
 class Condition(Settings):
-    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to it."""
+    """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to
+    it.
+    """
 
     speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
     load: float = setting("value", "static load on the bearing, downwards (-y)", unit="N", default=0.0)
-    pressure: float = setting("value", "pressure drop or supply pressure, for the record", unit="Pa", default=0.0)
-    film: str = setting("choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given")
+    pressure: float = setting(
+        "value", "pressure drop or supply pressure, for the record", unit="Pa", default=0.0
+    )
+    film: str = setting(
+        "choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given"
+    )
     stiffness: Matrix = setting("matrix", "K of the film (x, y)", unit="N/m", default=NONE)
     damping: Matrix = setting("matrix", "C of the film", unit="N.s/m", default=NONE)
     mass: Matrix = setting("matrix", "virtual mass M of the film", unit="kg", default=NONE)
-    relaxation: Relaxation | None = setting("section", "relaxation, added in x and in y", section=Relaxation, default=None)
+    relaxation: Relaxation | None = setting(
+        "section", "relaxation, added in x and in y", section=Relaxation, default=None
+    )
     pad: Pad | None = setting("section", "pad with inertia, added in x and in y", section=Pad, default=None)
 
     def __post_init__(self) -> None:
         _check_matrices(self, "stiffness", "damping", "mass")
         if self.speed < 0:
-            raise ConfigError("the shaft speed must not be negative", hint="it turns from x to y", field="speed")
+            raise ConfigError(
+                "the shaft speed must not be negative", hint="it turns from x to y", field="speed"
+            )
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
             raise ConfigError("a journal bearing needs a speed and a load", field="film")
 
@@ -93,60 +118,97 @@ class FloatingNoise(Settings):
 
     def of(self, quantity: str) -> float:
         """Standard deviation of a channel of this quantity [SI]; zero for the tacho."""
-        return {"force": self.force, "displacement": self.displacement, "acceleration": self.acceleration, "voltage": self.drive}.get(
-            quantity, 0.0
-        )
+        return {
+            "force": self.force,
+            "displacement": self.displacement,
+            "acceleration": self.acceleration,
+            "voltage": self.drive,
+        }.get(quantity, 0.0)
 
 
 @dataclass(frozen=True)
 class FloatingRig(Settings):
-    """A stator on soft supports around a shaft on its own supports, pushed by two shakers; runs CONDITION-x, -y, -plus, -minus, ..."""
+    """A stator on soft supports around a shaft on its own supports, pushed by two shakers.
+
+    Runs CONDITION-x, -y, -plus, -minus, ...
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     stator_mass: float = setting("value", "mass of the stator with its housing", unit="kg")
-    conditions: tuple[tuple[str, Condition], ...] = setting("sections", "conditions by name", section=Condition, default=(), needed=True)
+    conditions: tuple[tuple[str, Condition], ...] = setting(
+        "sections", "conditions by name", section=Condition, default=(), needed=True
+    )
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual floating stator")
-    journal: JournalSettings | None = setting("section", "journal bearing between stator and shaft", section=JournalSettings, default=None)
-    baseline_stiffness: Matrix = setting("matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE)
+    journal: JournalSettings | None = setting(
+        "section", "journal bearing between stator and shaft", section=JournalSettings, default=None
+    )
+    baseline_stiffness: Matrix = setting(
+        "matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE
+    )
     baseline_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=NONE)
     shaft_mass: float = setting("value", "mass that moves with the shaft", unit="kg", default=40.0)
-    shaft_stiffness: Matrix = setting("matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8)))
+    shaft_stiffness: Matrix = setting(
+        "matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8))
+    )
     shaft_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=((2e4, 0.0), (0.0, 2e4)))
-    shaft_noise: float = setting("value", "rms of a random force on the shaft in x and in y, white in the band", unit="N", default=0.0)
+    shaft_noise: float = setting(
+        "value", "rms of a random force on the shaft in x and in y, white in the band", unit="N", default=0.0
+    )
     unbalance: float = setting("value", "mass times eccentricity of the shaft", unit="kg.m", default=0.0)
     runout: tuple[float, ...] = setting(
         "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
     )
-    excitation: str = setting("choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard")
+    excitation: str = setting(
+        "choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard"
+    )
     force: float = setting("value", "rms force of one shaker", unit="N", default=2000.0)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
     spacing: float = setting("value", "spacing of the excited lines", unit="Hz", default=1.0)
-    slope: float = setting("value", "power of frequency with which the amplitude of the lines goes, -1 for 1/f", unit="1", default=0.0)
+    slope: float = setting(
+        "value",
+        "power of frequency with which the amplitude of the lines goes, -1 for 1/f",
+        unit="1",
+        default=0.0,
+    )
     periods: int = setting("integer", "periods recorded, all of them steady", default=8)
     sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
     drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
     gain: float = setting("value", "force of a shaker over its drive", unit="N/V", default=1000.0)
     probe_delay: float = setting("value", "delay of the relative probes", unit="s", default=0.0)
-    noise: FloatingNoise = setting("section", "measuring noise", section=FloatingNoise, default=FloatingNoise())
+    noise: FloatingNoise = setting(
+        "section", "measuring noise", section=FloatingNoise, default=FloatingNoise()
+    )
 
     def __post_init__(self) -> None:
         _check_matrices(self, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")
-        require_positive(self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain")
+        require_positive(
+            self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain"
+        )
         if not self.conditions:
-            raise ConfigError("conditions: are missing", hint="for example conditions: {dry: {}}", field="conditions")
+            raise ConfigError(
+                "conditions: are missing", hint="for example conditions: {dry: {}}", field="conditions"
+            )
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
-            raise ConfigError("a condition has the film of a journal bearing, the rig has no `journal`", field="conditions")
+            raise ConfigError(
+                "a condition has the film of a journal bearing, the rig has no `journal`", field="conditions"
+            )
         if not self.band[1] < self.sample_rate / 2:
-            raise ConfigError(f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field="band")
+            raise ConfigError(
+                f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz", field="band"
+            )
         exact = self.sample_rate / self.spacing
         if abs(exact - round(exact)) > 1e-9 * exact:
-            raise ConfigError(f"a period of {1 / self.spacing:g} s holds no whole number of samples", field="spacing")
+            raise ConfigError(
+                f"a period of {1 / self.spacing:g} s holds no whole number of samples", field="spacing"
+            )
 
     @property
     def runs(self) -> tuple[str, ...]:
         """The names of all recordings that can be made."""
-        return tuple(f"{name}-{end}" for name, _ in self.conditions for ends in RUNS_OF.values() for end in ends)
+        return tuple(
+            f"{name}-{end}" for name, _ in self.conditions for ends in RUNS_OF.values() for end in ends
+        )
 
     @property
     def usual(self) -> tuple[str, ...]:
@@ -166,7 +228,11 @@ class FloatingRig(Settings):
     def lines_in_band(self) -> tuple[IntArray, FloatArray]:
         """Numbers and frequencies [Hz] of the lines of a whole recording within the band, (n_line,) each."""
         frequency = fft.rfftfreq(self.n_sample, 1 / self.sample_rate)
-        inside = np.flatnonzero((frequency >= self.band[0] * (1 - 1e-9)) & (frequency <= self.band[1] * (1 + 1e-9)) & (frequency > 0))
+        inside = np.flatnonzero(
+            (frequency >= self.band[0] * (1 - 1e-9))
+            & (frequency <= self.band[1] * (1 + 1e-9))
+            & (frequency > 0)
+        )
         return inside, frequency[inside]
 
 
@@ -197,7 +263,8 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
 
 
 def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
-    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator is -H D.
+    """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
+    is -H D.
 
     Equation (sim-film).
     """
@@ -211,45 +278,69 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
     if condition.pad is not None:
         pad = condition.pad
         relative = jw / (2 * np.pi * pad.frequency)
-        dynamic = dynamic + (pad.stiffness + jw * pad.damping) / (1 + 2 * pad.damping_ratio * relative + relative**2) * np.eye(2)
+        dynamic = dynamic + (pad.stiffness + jw * pad.damping) / (
+            1 + 2 * pad.damping_ratio * relative + relative**2
+        ) * np.eye(2)
     return np.asarray(dynamic)
 
 
-def motions(rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,) [Hz]. Equation (sim-floating)."""
+def motions(
+    rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,)
+    [Hz]. Equation (sim-floating).
+    """
     omega, h = 2 * np.pi * np.asarray(frequency, float), film(rig, condition, frequency)
-    stator = dynamic_stiffness(rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega)
+    stator = dynamic_stiffness(
+        rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega
+    )
     shaft = dynamic_stiffness(rig.shaft_mass * np.eye(2), rig.shaft_stiffness, rig.shaft_damping, omega)
-    system = np.concatenate([np.concatenate([stator + h, -h], axis=2), np.concatenate([-h, shaft + h], axis=2)], axis=1)
+    system = np.concatenate(
+        [np.concatenate([stator + h, -h], axis=2), np.concatenate([-h, shaft + h], axis=2)], axis=1
+    )
     moved = np.linalg.solve(system, forces[:, :, None])[:, :, 0]
     return moved[:, :2], moved[:, 2:]
 
 
 def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
-    """f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with the shaft.
+    """f_x, f_y, d_x, d_y, a_x, a_y [SI], the drives u_x, u_y if the rig has them, and the tacho n, still with
+    the shaft.
 
     Periodic in the whole run and band-limited, so every line is the exact steady state.
     """
     condition = rig.condition(name)
     inside, lines = rig.lines_in_band
-    forces = np.concatenate([SHAKERS[name.rpartition("-")[2]](rig, rng)[inside], _white(rig.shaft_noise, (lines.size, 2), rng)], axis=1)
+    forces = np.concatenate(
+        [SHAKERS[name.rpartition("-")[2]](rig, rng)[inside], _white(rig.shaft_noise, (lines.size, 2), rng)],
+        axis=1,
+    )
     stator, shaft = motions(rig, condition, lines, forces)
     late = np.exp(-2j * np.pi * lines * rig.probe_delay)[:, None]
-    amplitudes = np.concatenate([forces[:, :2], (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator], axis=1)
+    amplitudes = np.concatenate(
+        [forces[:, :2], (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator], axis=1
+    )
     phase = rng.uniform(0, 2 * np.pi)
     samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
     channels = _channels()
     if rig.drives:
-        samples = np.concatenate([samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1)
+        samples = np.concatenate(
+            [samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1
+        )
         channels += [Channel(f"u_{axis}", "voltage", "reference", axis, AXIS_ANGLES[axis]) for axis in AXES]
-    samples = samples + rng.standard_normal(samples.shape) * [rig.noise.of(channel.quantity) for channel in channels]
+    samples = samples + rng.standard_normal(samples.shape) * [
+        rig.noise.of(channel.quantity) for channel in channels
+    ]
     tacho = pulses(_angle(rig, condition.speed) + phase) * (condition.speed > 0)
     return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
 
 
 def _channels() -> list[Channel]:
     kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
-    return [Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis]) for letter, quantity, role in kinds for axis in AXES]
+    return [
+        Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
+        for letter, quantity, role in kinds
+        for axis in AXES
+    ]
 
 
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
@@ -270,7 +361,9 @@ def _angle(rig: FloatingRig, speed: float) -> FloatArray:
 
 
 def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:
-    """What the six channels see of the turning shaft: motion under the unbalance, and runout, (n_sample, 6)."""
+    """What the six channels see of the turning shaft: motion under the unbalance, and runout, (n_sample,
+    6).
+    """
     total = np.zeros((rig.n_sample, 6))
     if condition.speed == 0:
         return total
@@ -284,7 +377,9 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
         total += (np.exp(1j * angle)[:, None] * amplitudes).real
     for order, amplitude in enumerate(rig.runout, 1):
         for column, quarter in ((2, 0.0), (3, np.pi / 2)):
-            total[:, column] -= amplitude * np.cos(order * (angle - quarter - 2 * np.pi * condition.speed * rig.probe_delay))
+            total[:, column] -= amplitude * np.cos(
+                order * (angle - quarter - 2 * np.pi * condition.speed * rig.probe_delay)
+            )
     return total
 
 
@@ -293,7 +388,9 @@ def _multisine(rig: FloatingRig) -> Multisine:
 
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
-    """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y in turn."""
+    """Amplitudes (n_sample // 2 + 1, 2) [N]: the multisine times *shares* in x and y, or its lines to x and y
+    in turn.
+    """
     design = _multisine(rig)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)
@@ -332,7 +429,11 @@ def truth(rig: FloatingRig) -> dict[str, Any]:
     stator = coefficients_by_name(AXES, k=rig.baseline_stiffness, c=rig.baseline_damping)
     conditions: dict[str, Any] = {}
     for name, condition in rig.conditions:
-        entries: dict[str, Any] = {"speed_hz": condition.speed, "load": condition.load, "pressure": condition.pressure}
+        entries: dict[str, Any] = {
+            "speed_hz": condition.speed,
+            "load": condition.load,
+            "pressure": condition.pressure,
+        }
         for part in (condition.relaxation, condition.pad):
             entries |= {} if part is None else {type(part).__name__.lower(): vars(part)}
         conditions[name] = entries | _coefficients_by_name(rig, condition)
@@ -348,7 +449,9 @@ def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
     """Coefficients of the condition of the runs; ConfigError where they are of several."""
     conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
     if len(conditions) != 1:
-        raise ConfigError("'runs' of one condition belong to one fit", hint="for example runs: [seal-plus, seal-minus]")
+        raise ConfigError(
+            "'runs' of one condition belong to one fit", hint="for example runs: [seal-plus, seal-minus]"
+        )
     return _coefficients_by_name(rig, rig.condition(runs[0]))
 
 

@@ -1,13 +1,17 @@
-"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients; Ocvirk's closed forms.
+"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear coefficients;
+Ocvirk's closed forms.
 
-Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear coefficients.
+Journal bearings with a finite-length oil film, healthy or worn: static equilibrium and the eight linear
+coefficients.
 
-Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per displacement in z:
-K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
+Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
+displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
 
-Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one half.
+Short journal bearing (Ocvirk): closed forms for a narrow film, L / D well below one half, cavitated over one
+half.
 
-The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`, load along -z.
+The circumferential pressure gradient is neglected; the film carries where it converges. Frame of `journal`,
+load along -z.
 """
 
 from __future__ import annotations
@@ -20,7 +24,15 @@ from scipy.optimize import brentq
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.film import FactoredFilm, Film, FilmMesh, band_room, factored, film_equations, interpolation
+from labpipe.methods.journal_bearing.film import (
+    FactoredFilm,
+    Film,
+    FilmMesh,
+    band_room,
+    factored,
+    film_equations,
+    interpolation,
+)
 
 # Static equilibrium of the journal on its film: Newton's method for pressures and displacement together,
 # dimensionless.
@@ -28,7 +40,8 @@ from labpipe.methods.journal_bearing.film import FactoredFilm, Film, FilmMesh, b
 # Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
 ROUGH_TOLERANCE = 1e-3
-# The same for the change on half the cells, from which a neighbour starts, and the fewest cells of a film that is started so.
+# The same for the change on half the cells, from which a neighbour starts, and the fewest cells of a film
+# that is started so.
 START_TOLERANCE = 1e-4
 MANY_CELLS = 480 * 30
 MOST_STEPS = 40
@@ -45,10 +58,11 @@ CHECK_LOAD = "the load may be too high for the film; check load, viscosity, spee
 
 @dataclass(frozen=True)
 class FilmState:
-    """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the journal (2,), Newton steps.
+    """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the
+    journal (2,), Newton steps.
 
-    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse: roughly, the state of the same
-    film on half the cells each way; None where it was not needed.
+    stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of the last step. coarse:
+    roughly, the state of the same film on half the cells each way; None where it was not needed.
     """
 
     displacement: FloatArray
@@ -60,21 +74,34 @@ class FilmState:
     coarse: FilmState | None = None
 
     def moved(self, first: FilmState, second: FilmState) -> FilmState:
-        """This state with displacement and pressure changed as from *first* to *second*: a start value, no equilibrium."""
+        """This state with displacement and pressure changed as from *first* to *second*: a start value, no
+        equilibrium.
+        """
         displacement = self.displacement + second.displacement - first.displacement
-        return replace(self, displacement=displacement, pressure=self.pressure + second.pressure - first.pressure, coarse=None)
+        return replace(
+            self,
+            displacement=displacement,
+            pressure=self.pressure + second.pressure - first.pressure,
+            coarse=None,
+        )
 
 
-def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE) -> FilmState:
-    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the same mesh.
+def film_equilibrium(
+    film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE
+) -> FilmState:
+    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the
+    same mesh.
 
-    *tolerance*: largest change of the displacement over clearance [-] in the last step. Without *near*, or where Newton's method fails
-    from it, coarser meshes give the start value. FitError when there is no equilibrium. Equation (jour-equilibrium).
+    *tolerance*: largest change of the displacement over clearance [-] in the last step. Without *near*, or
+    where Newton's method fails from it, coarser meshes give the start value. FitError when there is no
+    equilibrium. Equation (jour-equilibrium).
     """
     if near is not None:
         try:
             start = _start_near(film, load, near)
-            return replace(_balanced(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse)
+            return replace(
+                _balanced(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse
+            )
         except FitError:
             pass
     displacement, pressure, coarse = _first_guess(film, load)
@@ -84,15 +111,25 @@ def film_equilibrium(film: Film, load: FloatArray, near: FilmState | None = None
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
     """The state *near*, changed as the equilibrium on half the cells changes from that film to this.
 
-    Newton's method moves the front of the film by about a cell each step: over many cells it is cheaper to follow it on few of them.
+    Newton's method moves the front of the film by about a cell each step: over many cells it is cheaper to
+    follow it on few of them.
     """
     coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
-    if coarse is None or near.coarse is None or near.coarse.pressure.shape != (coarse.mesh.around, coarse.mesh.across // 2):
+    if (
+        coarse is None
+        or near.coarse is None
+        or near.coarse.pressure.shape != (coarse.mesh.around, coarse.mesh.across // 2)
+    ):
         return replace(near, coarse=None)
     state = film_equilibrium(coarse, load, near.coarse, START_TOLERANCE)
     around, across = interpolation(coarse.mesh, film.mesh)
     pressure = near.pressure + around @ (state.pressure - near.coarse.pressure) @ across
-    return replace(near, displacement=near.displacement + state.displacement - near.coarse.displacement, pressure=pressure, coarse=state)
+    return replace(
+        near,
+        displacement=near.displacement + state.displacement - near.coarse.displacement,
+        pressure=pressure,
+        coarse=state,
+    )
 
 
 def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
@@ -121,29 +158,44 @@ def _ambient(film: Film) -> FloatArray:
     return np.zeros((film.mesh.around, film.mesh.across // 2))
 
 
-def _balanced(film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float) -> FilmState:
+def _balanced(
+    film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float
+) -> FilmState:
     still = np.zeros(2)
     room, squeeze, weight = band_room(film.mesh), _squeeze(film), film.mesh.arc * film.mesh.strip / 2
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, still, pressure)
         factors = factored(equations, film.grid.curvature, room)
-        # The weights of the force are those of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b, for every b.
+        # The weights of the force are those of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b,
+        # for every b.
         squeezed = factors.solve(squeeze)
         by_force = weight * squeezed
         stiffness = np.einsum("aij,bij->ab", by_force, equations.by_displacement)
-        missing = load + film.force_weights @ pressure.sum(axis=1) - np.einsum("aij,ij->a", by_force, equations.residual)
+        missing = (
+            load
+            + film.force_weights @ pressure.sum(axis=1)
+            - np.einsum("aij,ij->a", by_force, equations.residual)
+        )
         change = np.linalg.solve(stiffness, missing)
         part = _allowed_part(film, displacement, change)
         displacement = displacement + part * change
-        side = equations.residual + change[0] * equations.by_displacement[0] + change[1] * equations.by_displacement[1]
+        side = (
+            equations.residual
+            + change[0] * equations.by_displacement[0]
+            + change[1] * equations.by_displacement[1]
+        )
         pressure = pressure - part * factors.solve(side[None])[0]
         if np.max(np.abs(change)) < tolerance:
             force = film.force_weights @ pressure.sum(axis=1)
-            return FilmState(displacement, pressure, force, stiffness, film.force_weights @ squeezed.sum(axis=2).T, step)
+            return FilmState(
+                displacement, pressure, force, stiffness, film.force_weights @ squeezed.sum(axis=2).T, step
+            )
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
 
 
-def film_at(film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None) -> FilmState:
+def film_at(
+    film: Film, displacement: FloatArray, velocity: FloatArray, near: FilmState | None = None
+) -> FilmState:
     """State of the film at *displacement* (2,) [-] over c and *velocity* (2,) [-] over c Omega.
 
     FitError when Newton's method does not converge.
@@ -166,7 +218,9 @@ def _damping(film: Film, factors: FactoredFilm) -> FloatArray:
 
 
 def _squeeze(film: Film) -> FloatArray:
-    """Derivative of the squeeze term 2 dh/d(Omega t) by the velocity of the journal, (2, n_theta, n_half) [-]."""
+    """Derivative of the squeeze term 2 dh/d(Omega t) by the velocity of the journal, (2, n_theta, n_half)
+    [-].
+    """
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
 
 
@@ -190,9 +244,10 @@ WIDEST_GROOVE = 2 * np.pi / 3
 class JournalBearing:
     """A plain journal bearing; lengths in [m], *clearance* radial, viscosity [Pa s].
 
-    wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin. cavitation_pressure [Pa] relative
-    to the ambient pressure at both ends, zero or negative. groove_width [rad]: of each of two axial grooves at the horizontal split, over
-    the whole length and at ambient pressure; zero for none. ConfigError for impossible values.
+    wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin.
+    cavitation_pressure [Pa] relative to the ambient pressure at both ends, zero or negative. groove_width
+    [rad]: of each of two axial grooves at the horizontal split, over the whole length and at ambient
+    pressure; zero for none. ConfigError for impossible values.
     """
 
     diameter: float
@@ -210,18 +265,26 @@ class JournalBearing:
                 raise ConfigError(f"the {name} of a journal bearing is positive, not {getattr(self, name):g}")
         if not 0 <= self.wear_depth < 2 * self.clearance:
             raise ConfigError(
-                f"a wear of {self.wear_depth * 1e6:g} um does not fit a clearance of {self.clearance * 1e6:g} um",
+                f"a wear of {self.wear_depth * 1e6:g} um does not fit a clearance of "
+                f"{self.clearance * 1e6:g} um",
                 hint="from zero to less than twice the radial clearance",
             )
         if not abs(self.wear_angle) <= np.pi:
-            raise ConfigError(f"a wear angle of {np.degrees(self.wear_angle):g} deg is none", hint="from -180 to 180 deg from the bottom")
+            raise ConfigError(
+                f"a wear angle of {np.degrees(self.wear_angle):g} deg is none",
+                hint="from -180 to 180 deg from the bottom",
+            )
         if not -np.inf < self.cavitation_pressure <= 0:
             raise ConfigError(
-                f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure", hint="give zero or less"
+                f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure",
+                hint="give zero or less",
             )
 
         if not 0 <= self.groove_width <= WIDEST_GROOVE:
-            raise ConfigError(f"a groove of {np.degrees(self.groove_width):g} deg is none", hint="from 0 to 120 deg, one on either side")
+            raise ConfigError(
+                f"a groove of {np.degrees(self.groove_width):g} deg is none",
+                hint="from 0 to 120 deg, one on either side",
+            )
 
     def pressure_scale(self, speed: float) -> float:
         """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]. Equation (jour-pressure-scale)."""
@@ -234,22 +297,33 @@ class JournalBearing:
         return self.pressure_scale(speed) * self.diameter / 2 * self.length
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Coefficients (2, 2) in y and z [N/m, N.s/m]; an oil film's depend on load and speed, not on the frequency of the motion."""
+        """Coefficients (2, 2) in y and z [N/m, N.s/m].
+
+        An oil film's depend on load and speed, not on the frequency of the motion.
+        """
         film = journal_equilibrium(self, point.load, point.speed)
         return BearingCoefficients(("y", "z"), film.stiffness, film.damping)
 
     def film(self, speed: float, mesh: FilmMesh) -> Film:
         """The dimensionless film on a mesh."""
         cavitation = self.cavitation_pressure / self.pressure_scale(speed)
-        return Film.of(mesh, self.diameter / self.length, self.wear_depth / self.clearance, self.wear_angle, cavitation, self.groove_width)
+        return Film.of(
+            mesh,
+            self.diameter / self.length,
+            self.wear_depth / self.clearance,
+            self.wear_angle,
+            cavitation,
+            self.groove_width,
+        )
 
 
 @dataclass(frozen=True)
 class JournalEquilibrium:
     """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
 
-    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless film, start value of a
-    neighbouring equilibrium. error: estimated mesh error of the coefficients relative to the largest; None where it was not estimated.
+    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless
+    film, start value of a neighbouring equilibrium. error: estimated mesh error of the coefficients relative
+    to the largest; None where it was not estimated.
     """
 
     bearing: JournalBearing
@@ -271,7 +345,10 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """Angle from the load to the displacement of the journal, positive with the spin [rad]. Equation (jour-attitude)."""
+        """Angle from the load to the displacement of the journal, positive with the spin [rad].
+
+        Equation (jour-attitude).
+        """
         turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
         return float(np.angle(turned))
 
@@ -288,17 +365,28 @@ class JournalEquilibrium:
     @property
     def damping(self) -> FloatArray:
         """C = -dF/dx' [N s/m], (2, 2), symmetric. Equation (jour-damping)."""
-        return self.state.damping * (self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed))
+        return self.state.damping * (
+            self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed)
+        )
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
-        """A start value beside this equilibrium: its state moved as that of *second* differs from that of *first*, on the same mesh."""
+        """A start value beside this equilibrium: its state moved as that of *second* differs from that of
+        *first*, on the same mesh.
+        """
         return replace(self, state=self.state.moved(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
-        """Roughly the same equilibrium on half the cells each way, a start value; None where it was not needed."""
+        """Roughly the same equilibrium on half the cells each way, a start value.
+
+        None where it was not needed.
+        """
         mesh = self.mesh.halved()
-        return None if self.state.coarse is None or mesh is None else replace(self, mesh=mesh, state=self.state.coarse, error=None)
+        return (
+            None
+            if self.state.coarse is None or mesh is None
+            else replace(self, mesh=mesh, state=self.state.coarse, error=None)
+        )
 
     @property
     def theta(self) -> FloatArray:
@@ -319,7 +407,10 @@ class JournalEquilibrium:
     @property
     def film_thickness(self) -> FloatArray:
         """Film thickness [m], (n_theta,)."""
-        return self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0] * self.bearing.clearance
+        return (
+            self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0]
+            * self.bearing.clearance
+        )
 
 
 def journal_equilibrium(
@@ -332,11 +423,14 @@ def journal_equilibrium(
 ) -> JournalEquilibrium:
     """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
 
-    *near*: an equilibrium of a similar bearing on the same mesh as start value. *tolerance*: largest change of the displacement over
-    clearance [-] in Newton's last step. ConfigError for a load of zero, FitError when there is no equilibrium.
+    *near*: an equilibrium of a similar bearing on the same mesh as start value. *tolerance*: largest change
+    of the displacement over clearance [-] in Newton's last step. ConfigError for a load of zero, FitError
+    when there is no equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
-        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
+        raise ConfigError(
+            "a journal bearing needs a load for its equilibrium", hint="give the static load in newtons"
+        )
     start = near.state if near is not None and near.mesh == mesh else None
     scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
     state = film_equilibrium(bearing.film(speed, mesh), scaled, start, tolerance)
@@ -344,25 +438,42 @@ def journal_equilibrium(
 
 
 def film_force(
-    bearing: JournalBearing, position: FloatArray, velocity: FloatArray, speed: float, mesh: FilmMesh = DEFAULT_MESH
+    bearing: JournalBearing,
+    position: FloatArray,
+    velocity: FloatArray,
+    speed: float,
+    mesh: FilmMesh = DEFAULT_MESH,
 ) -> FloatArray:
-    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without linearisation."""
+    """Force of the film on the journal (2,) [N] at a *position* (2,) [m] and *velocity* (2,) [m/s], without
+    linearisation.
+    """
     displacement = np.asarray(position) / bearing.clearance
-    state = film_at(bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed))
+    state = film_at(
+        bearing.film(speed, mesh), displacement, np.asarray(velocity) / (bearing.clearance * speed)
+    )
     return state.force * bearing.force_scale(speed)
 
 
 def converged_equilibrium(
-    bearing: JournalBearing, load: tuple[float, float], speed: float, tolerance: float = 0.01, mesh: FilmMesh = DEFAULT_MESH
+    bearing: JournalBearing,
+    load: tuple[float, float],
+    speed: float,
+    tolerance: float = 0.01,
+    mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalEquilibrium:
-    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below *tolerance*.
+    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below
+    *tolerance*.
 
-    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells each way (second order).
-    FitError when the finest mesh is not sufficient, ConfigError for a first mesh that cannot be halved. Equation (jour-mesh).
+    The error, relative to the largest coefficient, is estimated as a third of the change from half the cells
+    each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a first mesh
+    that cannot be halved. Equation (jour-mesh).
     """
     half = mesh.halved()
     if half is None:
-        raise ConfigError(f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve", hint="start from 48 x 8 cells or more")
+        raise ConfigError(
+            f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve",
+            hint="start from 48 x 8 cells or more",
+        )
     coarse = journal_equilibrium(bearing, load, speed, half)
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
@@ -370,7 +481,10 @@ def converged_equilibrium(
         if error <= tolerance:
             return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
         coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
-    raise FitError(f"the oil film needs more than {MOST_CELLS_AROUND} cells around", hint=f"allow a larger error than {tolerance:g}")
+    raise FitError(
+        f"the oil film needs more than {MOST_CELLS_AROUND} cells around",
+        hint=f"allow a larger error than {tolerance:g}",
+    )
 
 
 def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
@@ -383,27 +497,37 @@ def _change(coarse: JournalEquilibrium, fine: JournalEquilibrium) -> float:
 
 
 def short_bearing_load(bearing: JournalBearing, eccentricity_ratio: float, speed: float) -> float:
-    """Load [N] carried at an eccentricity ratio; f = pi D Omega mu L^3 e / (8 c^2 (1 - e^2)^2) sqrt((16/pi^2 - 1) e^2 + 1).
+    """Load [N] carried at an eccentricity ratio; f = pi D Omega mu L^3 e / (8 c^2 (1 - e^2)^2) sqrt((16/pi^2
+    - 1) e^2 + 1).
 
     Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-load).
     """
     e = eccentricity_ratio
-    scale = np.pi * bearing.diameter * speed * bearing.viscosity * bearing.length**3 / (8 * bearing.clearance**2)
+    scale = (
+        np.pi * bearing.diameter * speed * bearing.viscosity * bearing.length**3 / (8 * bearing.clearance**2)
+    )
     return float(scale * e / (1 - e**2) ** 2 * np.sqrt((16 / np.pi**2 - 1) * e**2 + 1))
 
 
 def short_bearing_equilibrium(bearing: JournalBearing, load: float, speed: float) -> tuple[float, float]:
-    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1 - e^2) / (4 e).
+    """Eccentricity ratio [-] and attitude angle [rad] under a *load* [N] at *speed* [rad/s]; tan = pi sqrt(1
+    - e^2) / (4 e).
 
     Equation (jour-short-attitude).
     """
     if not load > 0:
-        raise ConfigError("a journal bearing needs a load for its equilibrium", hint="give the static load in newtons")
-    e = float(brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14))
+        raise ConfigError(
+            "a journal bearing needs a load for its equilibrium", hint="give the static load in newtons"
+        )
+    e = float(
+        brentq(lambda ratio: short_bearing_load(bearing, ratio, speed) / load - 1, 1e-9, 1 - 1e-9, xtol=1e-14)
+    )
     return e, float(np.arctan2(np.pi * np.sqrt(1 - e**2), 4 * e))
 
 
-def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: float) -> tuple[FloatArray, FloatArray]:
+def short_bearing_coefficients(
+    bearing: JournalBearing, load: float, speed: float
+) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N/m] and damping [N s/m], (2, 2) in the order yy yz; zy zz, under a *load* [N] along -z.
 
     Friswell et al., Dynamics of Rotating Machines (2010), chapter 5. Equation (jour-short-coefficients).
@@ -420,4 +544,6 @@ def short_bearing_coefficients(bearing: JournalBearing, load: float, speed: floa
     c_yz = -8 * (p**2 * (1 + 2 * e**2) - 16 * e**2)
     c_zz = 2 * p * (p**2 * rest**2 + 48 * e**2) / root
     per_length = load / bearing.clearance * h
-    return np.array([[k_yy, k_yz], [k_zy, k_zz]]) * per_length, np.array([[c_yy, c_yz], [c_yz, c_zz]]) * (per_length / speed)
+    return np.array([[k_yy, k_yz], [k_zy, k_zz]]) * per_length, np.array([[c_yy, c_yz], [c_yz, c_zz]]) * (
+        per_length / speed
+    )

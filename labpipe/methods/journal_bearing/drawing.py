@@ -19,14 +19,19 @@ BOTTOM = 270.0
 
 
 def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
-    """Pressure over angle and width as filled contours; below, pressure at mid width and the film's thickness. *size* [in]."""
+    """Pressure over angle and width as filled contours.
+
+    Below, pressure at mid width and the film's thickness. *size* [in].
+    """
     order = np.argsort(np.mod(film.theta, 2 * np.pi))
     angle, pressure = np.degrees(np.mod(film.theta[order], 2 * np.pi)), BAR * film.pressure[order]
     with styled(grid=False):
         canvas = Canvas(figsize=size, layout="constrained")
         field, middle = canvas.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         filled = field.contourf(angle, MM * film.axial, pressure.T, contour_levels(pressure), cmap="cividis")
-        canvas.colorbar(filled, ax=field, shrink=0.9, ticks=MaxNLocator(7), format="%g").set_label("pressure [bar]")
+        canvas.colorbar(filled, ax=field, shrink=0.9, ticks=MaxNLocator(7), format="%g").set_label(
+            "pressure [bar]"
+        )
         field.set_ylabel("from mid width [mm]")
         _mid_width(middle, film, angle, pressure, order)
         for axes in (field, middle):
@@ -37,7 +42,9 @@ def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
     return canvas
 
 
-def _mid_width(axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray) -> None:
+def _mid_width(
+    axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray
+) -> None:
     """Pressure at mid width [bar] and, on a second ordinate, the thickness [um] over the angle [deg]."""
     axes.plot(angle, mid_width_pressure(film, pressure), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])
@@ -48,15 +55,22 @@ def _mid_width(axes: Axes, film: PressureField, angle: FloatArray, pressure: Flo
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising levels (n_level,) [Pa] at round pressures around all of *pressure* (n_theta, n_axial) [Pa], which leave no cell blank."""
+    """Rising levels (n_level,) [Pa] at round pressures around all of *pressure* (n_theta, n_axial) [Pa],
+    which leave no cell blank.
+    """
     range_of_pressure = float(np.ptp(pressure)) or 1.0
-    low, high = float(pressure.min()) - TORN * range_of_pressure, float(pressure.max()) + TORN * range_of_pressure
+    low, high = (
+        float(pressure.min()) - TORN * range_of_pressure,
+        float(pressure.max()) + TORN * range_of_pressure,
+    )
     levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low + 2 * TORN * range_of_pressure, high))
     inner = levels[(levels > low + 2 * TORN * range_of_pressure) & (levels < high)]
     return np.concatenate([[low], inner, [high]])
 
 
 def mid_width_pressure(film: PressureField, pressure: FloatArray) -> FloatArray:
-    """(n_theta,) [Pa] mean of the cells (n_theta, n_axial) [Pa] nearest to mid width: the middle ones, or the two beside it."""
+    """(n_theta,) [Pa] mean of the cells (n_theta, n_axial) [Pa] nearest to mid width: the middle ones, or the
+    two beside it.
+    """
     nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
     return np.asarray(pressure[:, nearest].mean(axis=1))

@@ -1,24 +1,30 @@
-"""The oil film: cells, wear, the Reynolds equation by finite volumes, its exact linearisation and its banded factors.
+"""The oil film: cells, wear, the Reynolds equation by finite volumes, its exact linearisation and its banded
+factors.
 
-The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities dimensionless.
+The Reynolds equation of a journal bearing by finite volumes and its exact linearisation; all quantities
+dimensionless.
 
-Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in axial direction, pressures over 6 mu Omega (R / c)^2:
+Lengths over the radial clearance c, angle theta around and zeta = 2 z / L in axial direction, pressures over
+6 mu Omega (R / c)^2:
 
     d/dtheta (h^3 dp/dtheta) + (D / L)^2 d/dzeta (h^3 dp/dzeta) = dh/dtheta + 2 dh/d(Omega t)
 
-The pressure is never below the cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2 dh/d(Omega t), A the
-discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell (complementarity). A front that jumps from cell to
-cell makes stiffness and damping rough functions of load, wear depth and angle. Therefore the equivalent condition
-gap = max(0, gap - c * surplus) uses a maximum rounded over a width proportional to the diverging wedge and to the square of the
-mesh, so that the front crosses about two cells gradually; away from it the equations hold exactly.
+The pressure is never below the cavitation pressure: with gap = p - p_cav and surplus = A p + dh/dtheta + 2
+dh/d(Omega t), A the discrete operator, gap >= 0, surplus >= 0 and gap * surplus = 0 in every cell
+(complementarity). A front that jumps from cell to cell makes stiffness and damping rough functions of load,
+wear depth and angle. Therefore the equivalent condition gap = max(0, gap - c * surplus) uses a maximum
+rounded over a width proportional to the diverging wedge and to the square of the mesh, so that the front
+crosses about two cells gradually; away from it the equations hold exactly.
 
-Axial grooves over the whole length are at ambient pressure and separate the film before them from that after them.
+Axial grooves over the whole length are at ambient pressure and separate the film before them from that after
+them.
 
 Banded Cholesky factors of the film's equations.
 
-The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic around the journal:
-where whole columns are cavitated, the ring is cut there and they are left out; a film without such a column is folded, columns
-0, n - 1, 1, n - 2, ..., which keeps the periodic ring within a band of two columns.
+The cells are numbered in axial direction first, so the band is one column of cells wide. The film is periodic
+around the journal: where whole columns are cavitated, the ring is cut there and they are left out; a film
+without such a column is folded, columns 0, n - 1, 1, n - 2, ..., which keeps the periodic ring within a band
+of two columns.
 """
 
 from __future__ import annotations
@@ -36,10 +42,11 @@ from labpipe.errors import ConfigError, FitError
 
 
 def wear_edges(depth: float, angle: float) -> tuple[float, float]:
-    """First and last angle of the wear, theta_s, theta_f = 3 pi/2 + angle -+ arccos(1 - depth) [rad], theta_s in [0, 2 pi).
+    """First and last angle of the wear, theta_s, theta_f = 3 pi/2 + angle -+ arccos(1 - depth) [rad], theta_s
+    in [0, 2 pi).
 
-    *depth*: largest wear over radial clearance [-]; *angle* of the deepest point from the bottom, positive with the spin [rad].
-    Mendes et al. (2017) eq. 9, there modulo 2 pi. Equation (jour-wear-edges).
+    *depth*: largest wear over radial clearance [-]; *angle* of the deepest point from the bottom, positive
+    with the spin [rad]. Mendes et al. (2017) eq. 9, there modulo 2 pi. Equation (jour-wear-edges).
     """
     half = float(np.arccos(1 - depth))
     start = float(np.mod(1.5 * np.pi + angle - half, 2 * np.pi))
@@ -47,7 +54,8 @@ def wear_edges(depth: float, angle: float) -> tuple[float, float]:
 
 
 def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
-    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same shape as *theta* [rad].
+    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance [-], same
+    shape as *theta* [rad].
 
     Equation (jour-wear).
     """
@@ -58,8 +66,8 @@ def worn_depth(theta: FloatArray, depth: float, angle: float) -> FloatArray:
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
     """`worn_depth` averaged over an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact.
 
-    On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to cell; the mean over
-    one cell does not, and preserves the worn volume. Equation (jour-wear-mean).
+    On a mesh the bare profile, with its kink at both edges, makes results jump as an edge moves from cell to
+    cell; the mean over one cell does not, and preserves the worn volume. Equation (jour-wear-mean).
     """
     if depth <= 0:
         return np.zeros_like(theta)
@@ -80,7 +88,10 @@ FEWEST_ACROSS = 4
 
 @dataclass(frozen=True)
 class FilmMesh:
-    """Cells *around* the journal by cells *across* the full width; both even, because half the width is solved."""
+    """Cells *around* the journal by cells *across* the full width.
+
+    Both even, because half the width is solved.
+    """
 
     around: int = 120
     across: int = 30
@@ -112,9 +123,10 @@ class FilmMesh:
 class FilmGrid:
     """Geometry of a mesh with n_theta cells around and n_half across half the width.
 
-    centre, face (n_theta,): angles of cells and of the faces after them [rad]; at_centre, at_face, wedge (2, n_theta): derivative
-    of film thickness over clearance, and of its slope, by the journal's displacement over clearance in y and z [-];
-    curvature (n_half, n_half): minus the second difference across the width, symmetric at mid width, zero pressure at the edge.
+    centre, face (n_theta,): angles of cells and of the faces after them [rad]; at_centre, at_face, wedge (2,
+    n_theta): derivative of film thickness over clearance, and of its slope, by the journal's displacement
+    over clearance in y and z [-]; curvature (n_half, n_half): minus the second difference across the width,
+    symmetric at mid width, zero pressure at the edge.
     """
 
     centre: FloatArray
@@ -148,14 +160,19 @@ def _curvature(mesh: FilmMesh) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
-    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b; linear, periodic around the journal."""
+    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b.
+
+    Linear, periodic around the journal.
+    """
     position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(position).astype(int)
     part = position - before
     around = np.zeros((fine.around, coarse.around))
     np.add.at(around, (np.arange(fine.around), before % coarse.around), 1 - part)
     np.add.at(around, (np.arange(fine.around), (before + 1) % coarse.around), part)
-    across = np.array([np.interp(_strips(fine), _strips(coarse), unit) for unit in np.eye(coarse.across // 2)])
+    across = np.array(
+        [np.interp(_strips(fine), _strips(coarse), unit) for unit in np.eye(coarse.across // 2)]
+    )
     return around, across
 
 
@@ -167,7 +184,8 @@ def _strips(mesh: FilmMesh) -> FloatArray:
 # dimensionless.
 
 # The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded.
-# Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by less than .6 %.
+# Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by
+# less than .6 %.
 COMPLIANCE = 2.0
 ROUNDING = 0.8
 # Wedge below which a film counts as converging, relative to that of the journal's displacement.
@@ -176,17 +194,19 @@ LEAST_WEDGE = 0.02
 LEAST_SLOPE = 1e-9
 # Diagonal that fixes a cell in a groove at ambient pressure.
 GROOVE_DIAGONAL = 1e12
-# Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove finite.
+# Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove
+# finite.
 LEAST_DISTANCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """A film: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom, cavitation pressure (<= 0).
+    """A film: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom, cavitation
+    pressure (<= 0).
 
-    worn_centre, worn_face (n_theta,) [-]: added thickness at cell centres and faces; groove [rad]: width of each of two axial grooves at
-    the horizontal split, zero for none; grooved (n_theta,): cells in a groove; opening (n_theta,): conductance factor of the face after
-    each cell for the distance to the groove's edge.
+    worn_centre, worn_face (n_theta,) [-]: added thickness at cell centres and faces; groove [rad]: width of
+    each of two axial grooves at the horizontal split, zero for none; grooved (n_theta,): cells in a groove;
+    opening (n_theta,): conductance factor of the face after each cell for the distance to the groove's edge.
     """
 
     mesh: FilmMesh
@@ -203,9 +223,17 @@ class Film:
 
     @classmethod
     def of(
-        cls, mesh: FilmMesh, slenderness: float, depth: float = 0.0, angle: float = 0.0, cavitation: float = 0.0, groove: float = 0.0
+        cls,
+        mesh: FilmMesh,
+        slenderness: float,
+        depth: float = 0.0,
+        angle: float = 0.0,
+        cavitation: float = 0.0,
+        groove: float = 0.0,
     ) -> Film:
-        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom, with or without grooves."""
+        """The film over a bore with wear *depth* (over clearance) at *angle* [rad] from the bottom, with or
+        without grooves.
+        """
         grid = film_grid(mesh)
         centre, face = (mean_worn_depth(theta, depth, angle, mesh.arc) for theta in (grid.centre, grid.face))
         grooved, opening = _grooves(grid, mesh.arc, groove)
@@ -226,18 +254,27 @@ class Film:
     def coarser(self) -> Film | None:
         """The same film with half the cells each way, None where that is too coarse."""
         mesh = self.mesh.halved()
-        return None if mesh is None else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
+        return (
+            None
+            if mesh is None
+            else Film.of(mesh, self.slenderness, self.depth, self.angle, self.cavitation, self.groove)
+        )
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the journal in y and z.
+        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the
+        journal in y and z.
 
         Equation (jour-thickness).
         """
-        return 1 + self.worn_centre + displacement @ self.grid.at_centre, 1 + self.worn_face + displacement @ self.grid.at_face
+        return (
+            1 + self.worn_centre + displacement @ self.grid.at_centre,
+            1 + self.worn_face + displacement @ self.grid.at_face,
+        )
 
     @property
     def force_weights(self) -> FloatArray:
-        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega (R/c)^2 R L.
+        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega
+        (R/c)^2 R L.
 
         Equation (jour-force).
         """
@@ -246,10 +283,12 @@ class Film:
 
 @dataclass(frozen=True)
 class FilmEquations:
-    """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity @ dv.
+    """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity
+    @ dv.
 
-    around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta, n_half);
-    by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation pressure.
+    around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta,
+    n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation
+    pressure.
     """
 
     around: FloatArray
@@ -260,8 +299,11 @@ class FilmEquations:
     cavitated: BoolArray
 
 
-def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,) over c Omega [-].
+def film_equations(
+    film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray
+) -> FilmEquations:
+    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,)
+    over c Omega [-].
 
     Equation (jour-reynolds).
     """
@@ -286,7 +328,9 @@ def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, p
     by_width = by_width / slope
     by_displacement = np.empty((2, *pressure.shape))
     for axis in range(2):
-        by_displacement[axis] = _out((3 * grid.at_face[axis] / face)[:, None] * flow) + thicker[axis, :, None] * (leak - surplus)
+        by_displacement[axis] = _out((3 * grid.at_face[axis] / face)[:, None] * flow) + thicker[
+            axis, :, None
+        ] * (leak - surplus)
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
@@ -295,7 +339,12 @@ def film_equations(film: Film, displacement: FloatArray, velocity: FloatArray, p
 
 
 def _hold_ambient(
-    grooved: BoolArray, pressure: FloatArray, diagonal: FloatArray, residual: FloatArray, by_displacement: FloatArray, cavitated: BoolArray
+    grooved: BoolArray,
+    pressure: FloatArray,
+    diagonal: FloatArray,
+    residual: FloatArray,
+    by_displacement: FloatArray,
+    cavitated: BoolArray,
 ) -> None:
     """Replace the equations of cells in grooves by p = 0, in place."""
     diagonal[grooved] = GROOVE_DIAGONAL
@@ -305,7 +354,9 @@ def _hold_ambient(
 
 
 def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
-    """Cells in the grooves at theta = 0 and 180 deg, and conductance factors of the faces: 1 / distance to the edge [cells]."""
+    """Cells in the grooves at theta = 0 and 180 deg, and conductance factors of the faces: 1 / distance to
+    the edge [cells].
+    """
     from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
     grooved: BoolArray = from_split < groove / 2
     distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
@@ -317,10 +368,11 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
 
 
 def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>= LEAST_SLOPE) and by width.
+    """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>=
+    LEAST_SLOPE) and by width.
 
-    x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t).
-    Equation (jour-rounded).
+    x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2 width): 2 width (t^3 - t^4 / 2),
+    slope t^2 (3 - 2 t). Equation (jour-rounded).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)
@@ -341,7 +393,8 @@ def _out(flow: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class FactoredFilm:
-    """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded factors (n_band, n_cell).
+    """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded
+    factors (n_band, n_cell).
 
     diagonal (n_theta, n_half): of all cells.
     """
@@ -351,11 +404,16 @@ class FactoredFilm:
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape; only the diagonal in cavitated columns."""
+        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape.
+
+        Only the diagonal in cavitated columns.
+        """
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 
-        solved, _ = lapack.dpbtrs(self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1, overwrite_b=1)
+        solved, _ = lapack.dpbtrs(
+            self.factors, sides[:, self.columns].reshape(sides.shape[0], -1).T, lower=1, overwrite_b=1
+        )
         full = sides / self.diagonal
         full[:, self.columns] = solved.T.reshape(sides.shape[0], self.columns.size, -1)
         return full
@@ -371,13 +429,16 @@ def band_room(mesh: FilmMesh) -> FloatArray:
 
 
 def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
-    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not positive definite.
+    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not
+    positive definite.
 
     *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
     """
     cavitated: BoolArray = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)
-    columns, band = _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))
+    columns, band = (
+        _folded_band(equations) if columns is None else (columns, _open_band(equations, columns, room))
+    )
     diagonal = _diagonal(equations, curvature)
     band[:, :, 0] = diagonal[columns]
     band[:, :-1, 1] = equations.across[columns, None] * np.diagonal(curvature, 1)
@@ -385,7 +446,9 @@ def factored(equations: FilmEquations, curvature: FloatArray, room: FloatArray) 
 
     factors, info = lapack.dpbtrf(band.reshape(-1, band.shape[2]).T, lower=1, overwrite_ab=1)
     if info != 0:
-        raise FitError("the equations of the oil film are singular", hint="check load, speed, viscosity and clearance")
+        raise FitError(
+            "the equations of the oil film are singular", hint="check load, speed, viscosity and clearance"
+        )
     return FactoredFilm(columns, factors, diagonal)
 
 
@@ -395,7 +458,10 @@ def _diagonal(equations: FilmEquations, curvature: FloatArray) -> FloatArray:
 
 
 def _open_ring(cavitated: BoolArray) -> IntArray | None:
-    """Columns from the end of the longest cavitated arc to its start; None when no column is completely cavitated."""
+    """Columns from the end of the longest cavitated arc to its start.
+
+    None when no column is completely cavitated.
+    """
     film = np.flatnonzero(~cavitated)
     if film.size in (0, cavitated.size):
         return None

@@ -22,7 +22,9 @@ class Wear(Settings):
     """Wear of the bushing after Dufrane: an arc of larger radius."""
 
     depth: float = setting("value", "deepest wear", unit="m", default=0.0)
-    angle: float = setting("value", "angle of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0)
+    angle: float = setting(
+        "value", "angle of the deepest wear from the bottom, positive with the spin", unit="rad", default=0.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,18 +38,31 @@ class JournalSettings(Settings):
     clearance: float = setting("value", "radial clearance", unit="m")
     viscosity: float = setting("value", "dynamic viscosity of the oil", unit="Pa.s")
     temperature: float | None = setting(
-        "value", "temperature of the film; default: that at which the viscosity is given", unit="K", default=None
+        "value",
+        "temperature of the film; default: that at which the viscosity is given",
+        unit="K",
+        default=None,
     )
-    viscosity_temperature: float | None = setting("value", "temperature at which the viscosity is given", unit="K", default=None)
-    viscosity_slope: float = setting("value", "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", unit="1/K", default=0.0)
-    cavitation_pressure: float = setting("value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0)
-    groove_width: float = setting("value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0)
+    viscosity_temperature: float | None = setting(
+        "value", "temperature at which the viscosity is given", unit="K", default=None
+    )
+    viscosity_slope: float = setting(
+        "value", "relative fall of the viscosity per kelvin (Reynolds), 3 %/K", unit="1/K", default=0.0
+    )
+    cavitation_pressure: float = setting(
+        "value", "pressure at which the film tears, against ambient", unit="Pa", default=0.0
+    )
+    groove_width: float = setting(
+        "value", "width of two axial grooves at the horizontal split", unit="rad", default=0.0
+    )
     wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
 
     def __post_init__(self) -> None:
         if self.temperature is not None and (self.viscosity_temperature is None or not self.viscosity_slope):
             what = "temperature: the viscosity at it needs 'viscosity_temperature' and 'viscosity_slope'"
-            raise ConfigError(what, hint="viscosity_temperature: 40 degC, viscosity_slope: 3 %/K", field="temperature")
+            raise ConfigError(
+                what, hint="viscosity_temperature: 40 degC, viscosity_slope: 3 %/K", field="temperature"
+            )
         self.bearing()
 
     @property
@@ -55,7 +70,9 @@ class JournalSettings(Settings):
         """Viscosity at the film's temperature [Pa.s], eta exp(-b (T - T_0)) (Reynolds 1886)."""
         if self.temperature is None or self.viscosity_temperature is None:
             return self.viscosity
-        return self.viscosity * float(np.exp(-self.viscosity_slope * (self.temperature - self.viscosity_temperature)))
+        return self.viscosity * float(
+            np.exp(-self.viscosity_slope * (self.temperature - self.viscosity_temperature))
+        )
 
     def bearing(self) -> JournalBearing:
         """The bearing; ConfigError for impossible values."""
@@ -78,14 +95,18 @@ class JournalFile(JournalSettings):
     speed: float = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz")
     load: float = setting("value", "static load, downwards (-z)", unit="N")
     side_load: float = setting("value", "static load in y (horizontal)", unit="N", default=0.0)
-    accuracy: float = setting("value", "mesh error allowed, of the largest coefficient", unit="1", default=0.01)
+    accuracy: float = setting(
+        "value", "mesh error allowed, of the largest coefficient", unit="1", default=0.01
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.speed > 0:
             raise ConfigError(f"speed: an oil film needs a speed above zero, not {self.speed:g} Hz")
         if not np.hypot(self.load, self.side_load) > 0:
-            raise ConfigError("load: a journal bearing needs a load for its equilibrium", hint="for example load: 58.82 N")
+            raise ConfigError(
+                "load: a journal bearing needs a load for its equilibrium", hint="for example load: 58.82 N"
+            )
         if not 1e-4 <= self.accuracy <= 0.5:
             raise ConfigError("accuracy: must lie between 0.01 % and 50 %")
 
@@ -100,12 +121,19 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
     film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
     return BearingCoefficients(
-        dofs=DOFS, stiffness=state.stiffness, damping=state.damping, rest=_rest(state), notes=_notes(state), film=film
+        dofs=DOFS,
+        stiffness=state.stiffness,
+        damping=state.damping,
+        rest=_rest(state),
+        notes=_notes(state),
+        film=film,
     )
 
 
 def _rest(state: JournalEquilibrium) -> tuple[Amount, ...]:
-    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement, thinnest film."""
+    """Eccentricity over clearance, attitude from the load with the spin, Sommerfeld number, displacement,
+    thinnest film.
+    """
     y, z = state.position
     return (
         Amount("eccentricity_ratio", state.eccentricity_ratio, "1"),
@@ -134,4 +162,10 @@ def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
     return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
 
 
-JOURNAL_KIND = BearingKind(JournalFile, journal_coefficients, on_rotor=JournalSettings, mount=JournalSettings.bearing, figures=_figures)
+JOURNAL_KIND = BearingKind(
+    JournalFile,
+    journal_coefficients,
+    on_rotor=JournalSettings,
+    mount=JournalSettings.bearing,
+    figures=_figures,
+)

@@ -1,9 +1,11 @@
-"""Coefficients of a worn journal bearing as a smooth table over wear and operating point, with exact derivatives.
+"""Coefficients of a worn journal bearing as a smooth table over wear and operating point, with exact
+derivatives.
 
-An identification evaluates coefficients thousands of times. A bearing of given L / D under a load of fixed direction has scaled
-coefficients K c / W and C c Omega / W that depend on sqrt(depth / c), the wear angle, ln S (Sommerfeld) and p_cav L D / W only; the
-table is a tensor product of cubic splines over these. The root of the depth resolves shallow wear; the splines are even in it, so
-that at zero depth the angle has no influence and the derivative by depth vanishes.
+An identification evaluates coefficients thousands of times. A bearing of given L / D under a load of fixed
+direction has scaled coefficients K c / W and C c Omega / W that depend on sqrt(depth / c), the wear angle, ln
+S (Sommerfeld) and p_cav L D / W only; the table is a tensor product of cubic splines over these. The root of
+the depth resolves shallow wear; the splines are even in it, so that at zero depth the angle has no influence
+and the derivative by depth vanishes.
 """
 
 from __future__ import annotations
@@ -18,7 +20,13 @@ from scipy.interpolate import NdBSpline, make_interp_spline
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, TOLERANCE, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    DEFAULT_MESH,
+    TOLERANCE,
+    JournalBearing,
+    JournalEquilibrium,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.processes import end_with_parent
 
@@ -33,10 +41,11 @@ LEAST_ROOT = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class TableRange:
-    """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and angle), angle +-*angle* [rad],
-    viscosity by a factor up and down, clearance likewise, cavitation pressures down to *cavitation_pressure* [Pa] (zero: no axis).
-    A factor of 1 on both: no Sommerfeld axis. Derivatives by depth change sharply where the wear divides the film into two, hence the
-    many nodes. *tolerance* [-] of the equilibria, as in `journal_equilibrium`.
+    """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and
+    angle), angle +-*angle* [rad], viscosity by a factor up and down, clearance likewise, cavitation pressures
+    down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis. Derivatives
+    by depth change sharply where the wear divides the film into two, hence the many nodes. *tolerance* [-] of
+    the equilibria, as in `journal_equilibrium`.
     """
 
     depth: float = 50e-6
@@ -52,7 +61,9 @@ class TableRange:
 
     def __post_init__(self) -> None:
         if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
-            raise ConfigError("a table of wear needs a largest depth, zero or more, and an angle below 90 deg")
+            raise ConfigError(
+                "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
+            )
         if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
             raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
         if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
@@ -66,7 +77,10 @@ class TableRange:
 
 @dataclass(frozen=True)
 class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2); their derivatives by PARAMETERS in SI units, (5, 2, 2) each."""
+    """stiffness [N/m], damping [N s/m], (2, 2).
+
+    Their derivatives by PARAMETERS in SI units, (5, 2, 2) each.
+    """
 
     stiffness: FloatArray
     damping: FloatArray
@@ -78,7 +92,8 @@ class TableCoefficients:
 class JournalTable:
     """Scaled coefficients K c / W and C c Omega / W [-] over the active axes; made by `journal_table`.
 
-    active: indices of the AXES with more than one node; low, high (4,): ranges, equal where there is one node; spline: K, then C.
+    active: indices of the AXES with more than one node; low, high (4,): ranges, equal where there is one
+    node; spline: K, then C.
     """
 
     bearing: JournalBearing
@@ -88,11 +103,14 @@ class JournalTable:
     high: FloatArray
     spline: NdBSpline
 
-    def coefficients(self, bearing: JournalBearing, speed: float, size: float | None = None) -> TableCoefficients:
-        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the table's.
+    def coefficients(
+        self, bearing: JournalBearing, speed: float, size: float | None = None
+    ) -> TableCoefficients:
+        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the
+        table's.
 
-        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError outside the table.
-        Equation (jour-table).
+        *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s]. FitError
+        outside the table. Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
@@ -110,7 +128,10 @@ class JournalTable:
     def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))
         for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
-            raise FitError(f"the {AXES[axis]} lies outside the table of bearing coefficients", hint="make the table wider")
+            raise FitError(
+                f"the {AXES[axis]} lies outside the table of bearing coefficients",
+                hint="make the table wider",
+            )
         return np.clip(point, self.low, self.high)[None, list(self.active)]
 
 
@@ -126,7 +147,9 @@ def _place(bearing: JournalBearing, weight: float, speed: float) -> tuple[FloatA
     slopes[2, 2] = 1 / mu
     slopes[3, [0, 2]] = -root / (2 * c), -2 / c
     slopes[4, 3] = 1 / mean_pressure
-    return np.array([root, bearing.wear_angle, np.log(sommerfeld), bearing.cavitation_pressure / mean_pressure]), slopes
+    return np.array(
+        [root, bearing.wear_angle, np.log(sommerfeld), bearing.cavitation_pressure / mean_pressure]
+    ), slopes
 
 
 def journal_table(
@@ -137,7 +160,8 @@ def journal_table(
     mesh: FilmMesh = DEFAULT_MESH,
     workers: int = 1,
 ) -> JournalTable:
-    """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure are not used.
+    """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
+    are not used.
 
     *workers*: number of processes, without influence on the result.
     """
@@ -161,15 +185,21 @@ def _nodes(
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
     return (
         np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
-        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle) if ranges.depth > 0 else np.array([bearing.wear_angle]),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
+        if ranges.depth > 0
+        else np.array([bearing.wear_angle]),
         np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
-        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation) if ranges.cavitation_pressure else np.zeros(1),
+        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation)
+        if ranges.cavitation_pressure
+        else np.zeros(1),
     )
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of other parts."""
+    """The part of a table at one *root* of depth over clearance: its equilibria do not depend on those of
+    other parts.
+    """
 
     bearing: JournalBearing
     load: tuple[float, float]
@@ -179,10 +209,14 @@ class _Sheet:
     nodes: tuple[FloatArray, ...]
     tolerance: float
 
-    def equilibrium(self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None) -> JournalEquilibrium:
+    def equilibrium(
+        self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
+    ) -> JournalEquilibrium:
         """At a wear angle [rad], ln S [-] and p_cav L D / W [-]."""
         bearing, weight = self.bearing, float(np.hypot(*self.load))
-        viscosity = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
+        viscosity = (
+            bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
+        )
         worn = dataclasses.replace(
             bearing,
             viscosity=float(viscosity),
@@ -216,8 +250,13 @@ def _sheet(sheet: _Sheet) -> FloatArray:
     return np.broadcast_to(np.reshape(rows, (len(rows), *shape[1:])), shape)
 
 
-def _start(here: list[JournalEquilibrium], before: list[JournalEquilibrium], number: int) -> JournalEquilibrium | None:
-    """The last equilibrium, moved as its neighbours at the angle *before* differ; that neighbour where there is no last one."""
+def _start(
+    here: list[JournalEquilibrium], before: list[JournalEquilibrium], number: int
+) -> JournalEquilibrium | None:
+    """The last equilibrium, moved as its neighbours at the angle *before* differ.
+
+    That neighbour where there is no last one.
+    """
     if not here:
         return before[number] if before else None
     if not before:
@@ -225,7 +264,9 @@ def _start(here: list[JournalEquilibrium], before: list[JournalEquilibrium], num
     return here[-1].moved(before[number - 1], before[number])
 
 
-def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray) -> JournalTable:
+def _fitted(
+    bearing: JournalBearing, load: tuple[float, float], nodes: tuple[FloatArray, ...], values: FloatArray
+) -> JournalTable:
     """Splines through *values* (n_depth, n_angle, n_sommerfeld, n_cavitation, 8), reflected at zero depth."""
     active = tuple(axis for axis in range(len(AXES)) if nodes[axis].size > 1)
     values = values.reshape(*(nodes[axis].size for axis in active), 8)
@@ -239,4 +280,6 @@ def _fitted(bearing: JournalBearing, load: tuple[float, float], nodes: tuple[Flo
         along = make_interp_spline(place, np.moveaxis(values, number, 0), degree)
         knots.append(along.t)
         values = np.moveaxis(along.c, 0, number)
-    return JournalTable(bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees))
+    return JournalTable(
+        bearing, load, active, low, high, NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees)
+    )

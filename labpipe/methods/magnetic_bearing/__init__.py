@@ -1,1 +1,3 @@
-"""Magnetic bearings: magnet and control-loop coefficients from tests, predictions, certificates, and virtual rigs."""
+"""Magnetic bearings: magnet and control-loop coefficients from tests, predictions, certificates, and virtual
+rigs.
+"""

@@ -1,9 +1,11 @@
 """The balance of a levitated rotor, M x'' = K_i i - K_s x, from currents and displacements of a test.
 
-The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its slopes.
+The balance of a levitated rotor, M x'' = K_i i - K_s x, between samples: B z = 0 with z = [I, X] and its
+slopes.
 
-Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not smooth; then exactly, with
-A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A) (T - |t|)) / sqrt(A) M^-1 K_i i(t) over -T ... T.
+Smooth currents: B = [-K_i, K_s - w^2 M + j w C]. Behind a held output the current between samples is not
+smooth; then exactly, with A = M^-1 K_s, x[k+1] + x[k-1] - 2 cos(sqrt(A) T) x[k] = the integral of sin(sqrt(A)
+(T - |t|)) / sqrt(A) M^-1 K_i i(t) over -T ... T.
 """
 
 from __future__ import annotations
@@ -35,10 +37,11 @@ SAME_PLACE = 1e-9
 class Levitation:
     """Spectra of currents and displacements on the lines of a fit, and the rotor that ties them.
 
-    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel, n_channel) [SI units];
-    to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m], are to_axes @ channels. mass (n, n) [kg] of the
-    rotor at the magnets. currents: their channels; planes: numbers of the axes of every plane.
-    labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for `Noise`.
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
+    n_channel) [SI units]; to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m],
+    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. currents: their channels; planes:
+    numbers of the axes of every plane. labels (n,) of the axes; bearing (n,): number of the bearing of each.
+    shared, shared_power as for `Noise`.
     """
 
     omega: FloatArray
@@ -80,9 +83,14 @@ def levitation_of(
     displacements = _chosen(spectra, DISPLACEMENT, ("output",), names[1], "output")
     displacements = _paired(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
-    lines: BoolArray = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    lines: BoolArray = (
+        np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+    )
     if np.count_nonzero(lines) < LEAST_LINES:
-        hint = f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current exceeds its noise are left out"
+        hint = (
+            f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current "
+            "exceeds its noise are left out"
+        )
         raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
     to_axes = np.zeros((2 * n, len(spectra.channels)))
@@ -104,13 +112,17 @@ def levitation_of(
     )
 
 
-def _chosen(spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str) -> list[int]:
+def _chosen(
+    spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names: Sequence[str], key: str
+) -> list[int]:
     """Columns of a quantity in one of its roles that are named, or all."""
     columns = [n for role in roles for n in spectra.columns(quantity, role)]
     places = {text for n in columns for text in (spectra.channels[n].name, spectra.channels[n].dof)}
     for name in names:
         if name not in places:
-            raise ConfigError(f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key)
+            raise ConfigError(
+                f"no {quantity} channel '{name}'", hint=nearest(name, sorted(places)), field=key
+            )
     if names:
         columns = [n for n in columns if {spectra.channels[n].name, spectra.channels[n].dof} & set(names)]
     if not columns:
@@ -119,7 +131,9 @@ def _chosen(spectra: ChannelSpectra, quantity: str, roles: Sequence[str], names:
     dofs = [spectra.channels[n].dof for n in columns]
     if len(set(dofs)) < len(dofs):
         dof = next(dof for dof in dofs if dofs.count(dof) > 1)
-        raise ConfigError(f"two {quantity} channels have the dof {dof}", hint=f"name one of them in `{key}`", field=key)
+        raise ConfigError(
+            f"two {quantity} channels have the dof {dof}", hint=f"name one of them in `{key}`", field=key
+        )
     return columns
 
 
@@ -128,13 +142,24 @@ def _paired(channels: Sequence[Channel], currents: Sequence[int], displacements:
     of_dof = {channels[n].dof: n for n in displacements}
     missing = [channels[n] for n in currents if channels[n].dof not in of_dof]
     if missing:
-        hint = f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis the same dof"
-        raise ConfigError(f"the current {missing[0].name} of dof {missing[0].dof} has no displacement", hint=hint, field="output")
+        hint = (
+            f"displacements have {', '.join(sorted(of_dof))}; give current and displacement of an axis "
+            "the same dof"
+        )
+        raise ConfigError(
+            f"the current {missing[0].name} of dof {missing[0].dof} has no displacement",
+            hint=hint,
+            field="output",
+        )
     return [of_dof[channels[n].dof] for n in currents]
 
 
-def _at_magnets(currents: Sequence[Channel], sensors: Sequence[Channel]) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of every axis, and the axes of every plane."""
+def _at_magnets(
+    currents: Sequence[Channel], sensors: Sequence[Channel]
+) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
+    """Displacements at the magnets by the sensors' (n, n) [1], the bearing of every axis, and the axes of
+    every plane.
+    """
     planes: dict[float | str, list[int]] = {}
     for number, channel in enumerate(currents):
         planes.setdefault(_plane(channel), []).append(number)
@@ -143,7 +168,10 @@ def _at_magnets(currents: Sequence[Channel], sensors: Sequence[Channel]) -> tupl
         if len(axes) == 1:
             continue
         if len(axes) > 2:
-            raise ConfigError(f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}", field="input")
+            raise ConfigError(
+                f"{len(axes)} currents act in one plane: {', '.join(currents[k].name for k in axes)}",
+                field="input",
+            )
         magnets, probes = (_places([channels[k] for k in axes]) for channels in (currents, sensors))
         matrix[np.ix_(axes, axes)] = magnets @ np.linalg.inv(probes)
     places = [channel.position for channel in currents]
@@ -153,27 +181,41 @@ def _at_magnets(currents: Sequence[Channel], sensors: Sequence[Channel]) -> tupl
 
 
 def _plane(channel: Channel) -> float | str:
-    """What axes of one plane have in common: the angle, or the last letter of a name such as ax and bearing2.y."""
+    """What axes of one plane have in common: the angle, or the last letter of a name such as ax and
+    bearing2.y.
+    """
     if channel.angle is not None:
         return round(channel.angle, 9)
     return AXIS_ANGLES.get(channel.dof[-1:], channel.dof)
 
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
-    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope; ConfigError where they are not known."""
+    """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope.
+
+    ConfigError where they are not known.
+    """
     places = [channel.position for channel in channels]
     for channel, place in zip(channels, places, strict=True):
         if place is None:
             hint = "position: 120 mm, along the axis"
-            raise ConfigError(f"two bearings act in one plane, and the place of channel '{channel.name}' is not known", hint=hint)
+            raise ConfigError(
+                f"two bearings act in one plane, and the place of channel '{channel.name}' is not known",
+                hint=hint,
+            )
     matrix = np.column_stack([np.ones(2), np.array(places, float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
-        raise ConfigError(f"channels {channels[0].name} and {channels[1].name} of one plane have one position", hint="two places")
+        raise ConfigError(
+            f"channels {channels[0].name} and {channels[1].name} of one plane have one position",
+            hint="two places",
+        )
     return matrix
 
 
 def mass_matrix(
-    currents: Sequence[Channel], planes: Sequence[Sequence[int]], mass: FloatArray | float, settings: MagnetSettings
+    currents: Sequence[Channel],
+    planes: Sequence[Sequence[int]],
+    mass: FloatArray | float,
+    settings: MagnetSettings,
 ) -> FloatArray:
     """Mass (n, n) [kg] of the rigid rotor at the magnets, T^-T diag(m, J) T^-1 in a plane with two of them.
 
@@ -183,7 +225,11 @@ def mass_matrix(
     if not isinstance(mass, float):
         matrix: FloatArray = np.asarray(mass, float)
         if matrix.shape != (n, n):
-            raise ConfigError(f"the mass has {matrix.shape[0]} axes, the currents {n}", hint="one number, or a row per axis", field="mass")
+            raise ConfigError(
+                f"the mass has {matrix.shape[0]} axes, the currents {n}",
+                hint="one number, or a row per axis",
+                field="mass",
+            )
         return matrix
     matrix = np.zeros((n, n))
     for axes in planes:
@@ -192,14 +238,20 @@ def mass_matrix(
             continue
         if settings.inertia is None:
             hint = "inertia: 0.02 kg.m^2 +- 1 %, about the centre of gravity"
-            raise ConfigError("a rotor on two bearings needs its moment of inertia", hint=hint, field="inertia")
-        back = np.linalg.inv(_places([currents[k] for k in axes]) @ np.array([[1.0, -settings.centre], [0.0, 1.0]]))
+            raise ConfigError(
+                "a rotor on two bearings needs its moment of inertia", hint=hint, field="inertia"
+            )
+        back = np.linalg.inv(
+            _places([currents[k] for k in axes]) @ np.array([[1.0, -settings.centre], [0.0, 1.0]])
+        )
         matrix[np.ix_(axes, axes)] = back.T @ np.diag(np.array([mass, settings.inertia.value])) @ back
     return matrix
 
 
 def _shared(spectra: ChannelSpectra, n: int) -> dict[str, float]:
-    """Factor of the noise that neighbouring lines share on the variance of a sum over lines, and on that of a sum of powers."""
+    """Factor of the noise that neighbouring lines share on the variance of a sum over lines, and on that of a
+    sum of powers.
+    """
     correlation = np.array(spectra.line_correlation, np.complex128)
     pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
     shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
@@ -219,13 +271,16 @@ UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
 @dataclass(frozen=True)
 class Between:
-    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz] or at once."""
+    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz]
+    or at once.
+    """
 
     rate: float
     bandwidth: float | None = None
 
     def moments(self, omega: FloatArray) -> ComplexArray:
-        """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) / i_0 over -T ... T.
+        """n_j(w), (n_power, n_line) [s^(2 j)]: (1/T^2) integral of (T - |t|)^(2 j + 1) / (2 j + 1)! i(t) /
+        i_0 over -T ... T.
 
         Equation (mag-moments).
         """
@@ -241,7 +296,11 @@ class Between:
         moments = []
         for j in range(POWERS):
             power = 2 * j + 1
-            moments.append((((interval - t) ** power * ahead + t**power * behind) @ weights) / factorial(power) * self.rate**2)
+            moments.append(
+                (((interval - t) ** power * ahead + t**power * behind) @ weights)
+                / factorial(power)
+                * self.rate**2
+            )
         return np.array(moments)
 
 
@@ -270,7 +329,8 @@ class MagnetModel:
         return matrices
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
-        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass* (n, n) [kg] in its place.
+        """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass*
+        (n, n) [kg] in its place.
 
         Equation (mag-balance).
         """
@@ -283,37 +343,62 @@ class MagnetModel:
         a = np.linalg.solve(mass, matrices["k_s"])
         powers = [np.linalg.matrix_power(-a, j) for j in range(POWERS + 1)]
         moments = self.between.moments(omega)
-        pushed = mass @ sum(moments[j][:, None, None] * powers[j] for j in range(POWERS)) @ np.linalg.solve(mass, matrices["k_i"])
+        pushed = (
+            mass
+            @ sum(moments[j][:, None, None] * powers[j] for j in range(POWERS))
+            @ np.linalg.solve(mass, matrices["k_i"])
+        )
         # 2 (cos(w T) - cos(sqrt(A) T)) / T^2, the one of both cosines taken from both series.
         turned = 2 * sum(powers[j] * interval ** (2 * j - 2) / factorial(2 * j) for j in range(1, POWERS + 1))
         moved = -4 * np.sin(w * interval / 2) ** 2 / interval**2 * mass - mass @ turned
         return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not linear."""
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
+        linear.
+        """
         scale = np.maximum(np.abs(values), self._sizes(omega))
         changes = []
         for number in range(values.size):
             step = STEP * scale[number] * np.eye(values.size)[number]
-            changes.append((self.rows(values + step, omega) - self.rows(values - step, omega)) / (2 * STEP * scale[number]))
+            changes.append(
+                (self.rows(values + step, omega) - self.rows(values - step, omega))
+                / (2 * STEP * scale[number])
+            )
         return np.array(changes)
 
     def _sizes(self, omega: FloatArray) -> FloatArray:
         """Sizes of parameters that count [their units], from the inertia at the middle of the band."""
         inertia = float(np.max(np.abs(self.mass))) * float(np.median(omega)) ** 2
-        return np.array([{"k_i": 1.0, "k_s": inertia, "c": inertia / float(np.median(omega))}[kind] for kind, _, _ in self.places])
+        return np.array(
+            [
+                {"k_i": 1.0, "k_s": inertia, "c": inertia / float(np.median(omega))}[kind]
+                for kind, _, _ in self.places
+            ]
+        )
 
 
 def magnet_model(
-    labels: tuple[str, ...], bearing: tuple[int, ...], mass: FloatArray, coupling: str, damping: bool, between: Between | None
+    labels: tuple[str, ...],
+    bearing: tuple[int, ...],
+    mass: FloatArray,
+    coupling: str,
+    damping: bool,
+    between: Between | None,
 ) -> MagnetModel:
-    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are estimated."""
+    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are
+    estimated.
+    """
     n = len(labels)
-    pairs = [(row, column) for row in range(n) for column in range(n) if _estimated(coupling, row, column, bearing)]
+    pairs = [
+        (row, column) for row in range(n) for column in range(n) if _estimated(coupling, row, column, bearing)
+    ]
     kinds = [kind for kind in UNITS if kind != "c" or damping]
     places = tuple((kind, row, column) for kind in kinds for row, column in pairs)
     glue = "" if all(len(label) == 1 for label in labels) else "_"
-    names = tuple(kind if n == 1 else f"{kind}_{labels[row]}{glue}{labels[column]}" for kind, row, column in places)
+    names = tuple(
+        kind if n == 1 else f"{kind}_{labels[row]}{glue}{labels[column]}" for kind, row, column in places
+    )
     return MagnetModel(names, places, mass, between)
 
 

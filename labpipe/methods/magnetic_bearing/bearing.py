@@ -1,4 +1,6 @@
-"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, stiffness, damping, poles."""
+"""Magnetic bearings as a kind of bearing: reluctance network, settings of their file, stiffness, damping,
+poles.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
-# Poles of one ring in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the bias.
+# Poles of one ring in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the
+# bias.
 ALONG_X = np.array([1.0, -1.0, 0.0, 0.0])
 ASSUMPTIONS = (
     "four poles per ring in two rings, coils on every pole, opposite coils in series",
@@ -48,22 +51,37 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Magnet(Settings):
-    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent magnet."""
+    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent
+    magnet.
+    """
 
     turns: int = setting("integer", "turns of the coil on each pole")
     gap: float = setting("value", "effective air gap of the centred rotor", unit="m")
     pole_area: float = setting("value", "area of one pole", unit="m^2")
-    bias_current: float = setting("value", "steady current that adds to the permanent magnet's flux", unit="A", default=0.0)
-    coercivity: float = setting("value", "coercivity H_c of the permanent-magnet ring", unit="A/m", default=0.0)
-    magnet_length: float = setting("value", "length of the permanent-magnet ring along its magnetisation", unit="m", default=0.0)
-    magnet_area: float | None = setting("value", "area of the ring; by default its reluctance is neglected", unit="m^2", default=None)
-    recoil: float = setting("value", "relative recoil permeability of the permanent magnet", unit="1", default=1.05)
+    bias_current: float = setting(
+        "value", "steady current that adds to the permanent magnet's flux", unit="A", default=0.0
+    )
+    coercivity: float = setting(
+        "value", "coercivity H_c of the permanent-magnet ring", unit="A/m", default=0.0
+    )
+    magnet_length: float = setting(
+        "value", "length of the permanent-magnet ring along its magnetisation", unit="m", default=0.0
+    )
+    magnet_area: float | None = setting(
+        "value", "area of the ring; by default its reluctance is neglected", unit="m^2", default=None
+    )
+    recoil: float = setting(
+        "value", "relative recoil permeability of the permanent magnet", unit="1", default=1.05
+    )
     iron_path: float = setting("value", "length of the iron path of one pole", unit="m", default=0.0)
     iron_permeability: float = setting("value", "relative permeability of the iron", unit="1", default=4000.0)
 
     def __post_init__(self) -> None:
         positive = {"turns": self.turns, "gap": self.gap, "pole_area": self.pole_area, "recoil": self.recoil}
-        positive |= {"iron_permeability": self.iron_permeability, "magnet_area": 1.0 if self.magnet_area is None else self.magnet_area}
+        positive |= {
+            "iron_permeability": self.iron_permeability,
+            "magnet_area": 1.0 if self.magnet_area is None else self.magnet_area,
+        }
         for name, amount in positive.items():
             if not amount > 0:
                 raise ConfigError(f"{name}: must be above zero, not {amount:g}")
@@ -71,12 +89,17 @@ class Magnet(Settings):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name}: must not be negative")
         if not self.bias_current + self.coercivity * self.magnet_length > 0:
-            raise ConfigError("magnet: without bias flux there is no force per current", hint="give bias_current, or coercivity and length")
+            raise ConfigError(
+                "magnet: without bias flux there is no force per current",
+                hint="give bias_current, or coercivity and length",
+            )
 
     @property
     def magnet_reluctance(self) -> float:
         """R_m = l_m / (mu_0 mu_r A_m); zero where no area is given [A/Wb]."""
-        return 0.0 if self.magnet_area is None else self.magnet_length / (MU_0 * self.recoil * self.magnet_area)
+        return (
+            0.0 if self.magnet_area is None else self.magnet_length / (MU_0 * self.recoil * self.magnet_area)
+        )
 
     @property
     def iron_length(self) -> float:
@@ -86,7 +109,9 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: *force_per_current* k_i [N/A], *negative_stiffness* k_n [N/m], bias flux density [T]."""
+    """F = k_i i + k_n x of the centred rotor: *force_per_current* k_i [N/A], *negative_stiffness* k_n [N/m],
+    bias flux density [T].
+    """
 
     force_per_current: float
     negative_stiffness: float
@@ -94,30 +119,37 @@ class MagnetFactors:
 
 
 def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
-    """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current* [A], (4,) [Wb].
+    """Flux of the four poles of one ring with the rotor at *displacement* [m] in x and the control *current*
+    [A], (4,) [Wb].
 
-    Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A / (g_j + l_iron), and
-    H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
+    Both rings are equal, so each has half of the permanent magnet: phi_j = P_j (U + N i_j), P_j = mu_0 A /
+    (g_j + l_iron), and H_c l_m = R_m sum_j phi_j + 2 U. Equation (mag-fluxes).
     """
     permeance = MU_0 * magnet.pole_area / (magnet.gap + magnet.iron_length - ALONG_X * displacement)
     coils = magnet.turns * (magnet.bias_current + ALONG_X * current)
     source = magnet.coercivity * magnet.magnet_length
-    potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (RINGS + magnet.magnet_reluctance * permeance.sum())
+    potential = (source - magnet.magnet_reluctance * (permeance @ coils)) / (
+        RINGS + magnet.magnet_reluctance * permeance.sum()
+    )
     fluxes: FloatArray = permeance * (potential + coils)
     return fluxes
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation (mag-force)."""
+    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N].
+
+    Equation (mag-force).
+    """
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
 
 
 def magnet_factors(magnet: Magnet) -> MagnetFactors:
-    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the bias flux of a pole.
+    """k_i = 4 phi_0 N / g', k_n = 4 phi_0^2 / (mu_0 A g') of the centred rotor; g' = g + l_iron, phi_0 the
+    bias flux of a pole.
 
-    Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through phi_0 alone.
-    Equation (mag-factors).
+    Neither x nor i changes the total flux of the ring to first order, so the permanent magnet acts through
+    phi_0 alone. Equation (mag-factors).
     """
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
@@ -129,12 +161,16 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
 
 
 def static_stiffness(factors: MagnetFactors, current_per_displacement: float) -> float:
-    """k_0 = k_i di/dx - k_n of the closed loop at rest; *current_per_displacement* = probe * G(0) * amplifier [A/m] -> [N/m]."""
+    """k_0 = k_i di/dx - k_n of the closed loop at rest.
+
+    *current_per_displacement* = probe * G(0) * amplifier [A/m] -> [N/m].
+    """
     return factors.force_per_current * current_per_displacement - factors.negative_stiffness
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without reluctance [m^2].
+    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
+    reluctance [m^2].
 
     Equation (mag-area).
     """
@@ -150,44 +186,67 @@ DOFS = ("x", "y")
 
 @dataclass(frozen=True, kw_only=True)
 class MagneticFile(Settings):
-    """A magnetic-bearing file: the control loop, the magnet by its geometry or its factors, and the frequency of the motion.
+    """A magnetic-bearing file: the control loop, the magnet by its geometry or its factors, and the frequency
+    of the motion.
 
-    One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness and magnet is required.
+    One of static_stiffness (from which the negative stiffness is inferred), negative_stiffness and magnet is
+    required.
     """
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
     name: str = setting("text", "name of the bearing", default="")
     mass: float = setting("value", "mass that this bearing carries, for poles and sensitivity", unit="kg")
     speed: float | None = setting("value", "speed of the shaft, in Hz or rpm", unit="Hz", default=None)
-    frequency: float | None = setting("value", "frequency of the motion; default: the speed", unit="Hz", default=None)
-    loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
-    magnet: Magnet | None = setting("section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None)
-    force_per_current: float | None = setting(
-        "value", "force-current factor; default: the magnet's, without one the loop's", unit="N/A", default=None
+    frequency: float | None = setting(
+        "value", "frequency of the motion; default: the speed", unit="Hz", default=None
     )
-    negative_stiffness: float | None = setting("value", "pull of the bias field per displacement, k_n", unit="N/m", default=None)
-    static_stiffness: float | None = setting("value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None)
-    inferred: tuple[str, ...] = setting("names", "entries neither published nor measured; stated with the result", default=())
+    loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
+    magnet: Magnet | None = setting(
+        "section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None
+    )
+    force_per_current: float | None = setting(
+        "value",
+        "force-current factor; default: the magnet's, without one the loop's",
+        unit="N/A",
+        default=None,
+    )
+    negative_stiffness: float | None = setting(
+        "value", "pull of the bias field per displacement, k_n", unit="N/m", default=None
+    )
+    static_stiffness: float | None = setting(
+        "value", "stiffness of the closed loop at rest; k_n is inferred", unit="N/m", default=None
+    )
+    inferred: tuple[str, ...] = setting(
+        "names", "entries neither published nor measured; stated with the result", default=()
+    )
 
     def __post_init__(self) -> None:
         if not self.mass > 0:
             raise ConfigError(f"mass: must be above zero, not {self.mass:g} kg")
         if self.frequency is None and self.speed is None:
-            raise ConfigError("frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz")
+            raise ConfigError(
+                "frequency: is missing, and there is no speed", hint="for example frequency: 50 Hz"
+            )
         if not self.motion_frequency > 0:
             raise ConfigError(f"frequency: must be above zero, not {self.motion_frequency:g} Hz")
         self._check_inferred()
         if self.negative_stiffness is not None and self.static_stiffness is not None:
-            raise ConfigError("static_stiffness: negative_stiffness is given as well", hint="leave one of them out")
+            raise ConfigError(
+                "static_stiffness: negative_stiffness is given as well", hint="leave one of them out"
+            )
         if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
-            raise ConfigError("negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet")
+            raise ConfigError(
+                "negative_stiffness: is missing", hint="or give static_stiffness, or the geometry as magnet"
+            )
 
     def _check_inferred(self) -> None:
         """ConfigError for an inferred entry that is no entry of a magnetic bearing."""
         entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
             if name not in entries:
-                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, entries))
+                raise ConfigError(
+                    f"inferred: '{name}' is no entry of a magnetic bearing", hint=nearest(name, entries)
+                )
 
     @property
     def motion_frequency(self) -> float:
@@ -197,7 +256,11 @@ class MagneticFile(Settings):
     def levitated(self) -> Levitated:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
         factors = None if self.magnet is None else magnet_factors(self.magnet)
-        factor = self.force_per_current if factors is None or self.force_per_current is not None else factors.force_per_current
+        factor = (
+            self.force_per_current
+            if factors is None or self.force_per_current is not None
+            else factors.force_per_current
+        )
         loop = self.loop if factor is None else replace(self.loop, force_per_current=factor)
         if self.static_stiffness is not None:
             return Levitated(loop, inferred_negative_stiffness(loop, self.static_stiffness), self.mass)
@@ -208,10 +271,16 @@ class MagneticFile(Settings):
 
     def assumptions(self) -> str:
         """Assumptions of the result, with the inferred values named."""
-        alike = ["both directions alike, without coupling"] if self.loop.cross is None else ["mass and magnet alike in both directions"]
+        alike = (
+            ["both directions alike, without coupling"]
+            if self.loop.cross is None
+            else ["mass and magnet alike in both directions"]
+        )
         poles = f"poles: delay by Pade approximation of order {PADE_ORDER}"
         if self.loop.rate is not None:
-            poles = f"poles: of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
+            poles = (
+                f"poles: of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
+            )
         assumptions = [*alike, poles]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
@@ -224,7 +293,9 @@ class MagneticFile(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and the sensitivity's peak."""
+    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and
+    the sensitivity's peak.
+    """
 
     poles: ComplexArray
     unstable: int
@@ -255,14 +326,21 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
         notes=_notes(settings, plant, stability),
         shares=_shares(plant, omega),
         poles=stability.poles,
-        words={"stability": "unstable" if stability.unstable else "stable", **zone, "assumptions": settings.assumptions()},
+        words={
+            "stability": "unstable" if stability.unstable else "stable",
+            **zone,
+            "assumptions": settings.assumptions(),
+        },
         findings=stability_findings(stability),
     )
 
 
 def _shares(plant: Levitated, omega: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[Amount, ...]:
     """k and c of every element at one frequency [N/m, N.s/m]."""
-    shares = {name: share[0] for name, share in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()}
+    shares = {
+        name: share[0]
+        for name, share in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
+    }
     stiffness = [Amount(f"k_{name}", float(share.real), "N/m") for name, share in shares.items()]
     damping = [Amount(f"c_{name}", float(share.imag / omega[0]), "N.s/m") for name, share in shares.items()]
     return (*stiffness, *damping)
@@ -280,25 +358,48 @@ def _notes(settings: MagneticFile, plant: Levitated, stability: Verdict) -> tupl
         Amount("unstable_poles", float(stability.unstable), "1"),
     ]
     if stability.unstable == 0:
-        notes += [Amount("sensitivity_peak", stability.peak.value, "1"), Amount("sensitivity_frequency", stability.peak.frequency, "Hz")]
+        notes += [
+            Amount("sensitivity_peak", stability.peak.value, "1"),
+            Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+        ]
     return tuple(notes)
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity beyond zone B."""
+    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay.
+
+    A sensitivity beyond zone B.
+    """
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)
-        return (Finding("unstable-loop", f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay approximated)"),)
+        return (
+            Finding(
+                "unstable-loop",
+                f"the loop is unstable: {stability.unstable} poles grow; at "
+                f"{listed} rad/s (delay approximated)",
+            ),
+        )
     warnings = []
     if right.size:
-        warnings.append(Finding("delay-approximation", "the approximated delay gives poles that grow, the exact one gives none"))
+        warnings.append(
+            Finding(
+                "delay-approximation",
+                "the approximated delay gives poles that grow, the exact one gives none",
+            )
+        )
     if stability.peak.zone in ("C", "D"):
-        peak = f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone {stability.peak.zone}"
+        peak = (
+            f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone "
+            f"{stability.peak.zone}"
+        )
         warnings.append(Finding("sensitivity", f"{peak} of ISO 14839-3, not fit for long operation"))
     return tuple(warnings)
 
 
 MAGNETIC_KIND = BearingKind(
-    MagneticFile, magnetic_coefficients, operating={"speed": synchronous, "frequency": frequency_hz}, lateral=("x", "y")
+    MagneticFile,
+    magnetic_coefficients,
+    operating={"speed": synchronous, "frequency": frequency_hz},
+    lateral=("x", "y"),
 )

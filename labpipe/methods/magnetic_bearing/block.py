@@ -1,4 +1,6 @@
-"""Model block: an amplifier, a sensor or a whole chain as gain, delay and low-pass of an order that the data ask for."""
+"""Model block: an amplifier, a sensor or a whole chain as gain, delay and low-pass of an order that the data
+ask for.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,13 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.derived import reported_fit, without_intervals
 from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, condition_number, correlation, determination, estimated, inflation_factors, widened
+from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widened
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings
 from labpipe.records.finding import Finding, Parameter
@@ -33,7 +35,9 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and ln zeta."""
+    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
+    ln zeta.
+    """
 
     order: int
     sign: float
@@ -49,7 +53,9 @@ class Block:
     def response(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
         """G (n_line,) [1] of values (n,) [1] at omega (n_line,) [rad/s]. Equation (mag-block)."""
         s = 1j * omega
-        total: ComplexArray = self.sign * np.exp(np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest)
+        total: ComplexArray = self.sign * np.exp(
+            np.clip(values[0], -FARTHEST, FARTHEST) - s * values[1] / self.highest
+        )
         rest = list(np.exp(np.clip(values[2:], -FARTHEST, FARTHEST)))
         if self.order in (1, 3):
             total = total / (1 + s / (2 * np.pi * rest.pop(0)))
@@ -88,7 +94,12 @@ class _Problem:
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """(n_equation, n) [1] by centred differences."""
         steps = STEP * np.eye(parameters.size)
-        return np.column_stack([(self.residual(parameters + step) - self.residual(parameters - step)) / (2 * STEP) for step in steps])
+        return np.column_stack(
+            [
+                (self.residual(parameters + step) - self.residual(parameters - step)) / (2 * STEP)
+                for step in steps
+            ]
+        )
 
     def chi2(self, parameters: FloatArray) -> float:
         """Sum of squares [1] at *parameters* (n,) [1]; infinite where it is no number."""
@@ -98,10 +109,16 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band; ConfigError for more than one input or output, FitError for lines without noise or too few."""
+    """One fit, or one per band.
+
+    ConfigError for more than one input or output, FitError for lines without noise or too few.
+    """
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
-        raise ConfigError(f"a block has one input and one output, not {len(columns)} and {len(rows)}", hint="name them: input, output")
+        raise ConfigError(
+            f"a block has one input and one output, not {len(columns)} and {len(rows)}",
+            hint="name them: input, output",
+        )
     fits = []
     for band in settings.bands or (settings.band,):
         lines = np.ones(response.frequency.size, bool) if band is None else lines_in(response.frequency, band)
@@ -115,14 +132,31 @@ def _fit(measured: Measured, response: FrequencyResponse, settings: FitSettings)
     if not has_noise(measured):
         raise FitError("the noise of the response is not known", hint="average several periods or blocks")
     if measured.omega.size < LEAST_LINES:
-        raise FitError(f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`")
-    orders = [int(block_settings.order)] if block_settings.order != AUTO else [int(order) for order in ORDERS[1:]]
-    minima = [minimum_of_order for minimum_of_order in (_most_likely(measured, order) for order in orders) if minimum_of_order is not None]
+        raise FitError(
+            f"{measured.omega.size} lines in the band", hint=f"{LEAST_LINES} or more: widen `band`"
+        )
+    orders = (
+        [int(block_settings.order)] if block_settings.order != AUTO else [int(order) for order in ORDERS[1:]]
+    )
+    minima = [
+        minimum_of_order
+        for minimum_of_order in (_most_likely(measured, order) for order in orders)
+        if minimum_of_order is not None
+    ]
     if not minima:
         raise FitError("no block can be determined by these lines", hint="widen the band")
-    ranked = sorted((_candidate(measured, *minimum_of_order) for minimum_of_order in minima), key=lambda candidate: candidate.bic or 0.0)
-    problem, minimum = next(minimum_of_order for minimum_of_order in minima if f"order {minimum_of_order[0].block.order}" == ranked[0].name)
-    return _reported(measured, response, settings, problem, minimum, tuple(ranked) if block_settings.order == AUTO else ())
+    ranked = sorted(
+        (_candidate(measured, *minimum_of_order) for minimum_of_order in minima),
+        key=lambda candidate: candidate.bic or 0.0,
+    )
+    problem, minimum = next(
+        minimum_of_order
+        for minimum_of_order in minima
+        if f"order {minimum_of_order[0].block.order}" == ranked[0].name
+    )
+    return _reported(
+        measured, response, settings, problem, minimum, tuple(ranked) if block_settings.order == AUTO else ()
+    )
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
@@ -160,8 +194,12 @@ def _reported(
 ) -> Fit:
     best = _candidate(measured, problem, minimum)
     jacobian = problem.jacobian(minimum.values)
-    covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p is not None and best.chi2_p < MISMATCH_P else 1.0
+    covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(
+        jacobian.T @ jacobian, hermitian=True
+    )
+    factor = (
+        float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p is not None and best.chi2_p < MISMATCH_P else 1.0
+    )
     design = triangle_of(jacobian)
     values, slopes = problem.block.reported(minimum.values)
     fitted = problem.block.response(minimum.values, measured.omega)[:, None, None]
@@ -171,28 +209,40 @@ def _reported(
     vifs, errors = inflation_factors(design), slopes * np.sqrt(np.diag(covariance))
     parameters: list[Parameter] = []
     for number, (name, unit) in enumerate(problem.block.names):
-        plain = estimated(name, unit, float(values[number]), float(errors[number]), best.dof, float(vifs[number]))
+        plain = estimated(
+            name, unit, float(values[number]), float(errors[number]), best.dof, float(vifs[number])
+        )
         parameters.append(widened(plain, factor) if factor > 1 else plain)
-    as_estimate = Estimate(values=values, covariance=covariance, scaled_design=design, gof=gof, dof=best.dof, iterations=minimum.steps)
-    excess = f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the loop biases its FRF"
-    mismatch = (Finding("model-mismatch", f"{excess}; `frf: {{reference: r}}` where the loop is closed"),) if factor > 1 else ()
-    frequency = measured.omega / (2 * np.pi)
-    assert measured.covariance is not None
-    return Fit(
-        name=settings.name,
-        model=settings.model,
-        estimator=settings.estimator,
-        band_hz=(float(frequency[0]), float(frequency[-1])),
-        lines=frequency.size,
-        equations=measured.n_equation,
-        dof=best.dof,
+    as_estimate = Estimate(
+        values=values,
+        covariance=covariance,
+        scaled_design=design,
         gof=gof,
-        parameters=tuple(parameters) if minimum.converged else without_intervals(parameters),
-        condition_number=condition_number(design),
-        correlation=correlation(covariance),
+        dof=best.dof,
         converged=minimum.converged,
         iterations=minimum.steps,
-        findings=(*estimate_findings(as_estimate, names, frequency.size), *goodness_findings(gof), *mismatch, *response.findings),
+    )
+    excess = (
+        f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
+        "loop biases its FRF"
+    )
+    mismatch = (
+        (Finding("model-mismatch", f"{excess}; `frf: {{reference: r}}` where the loop is closed"),)
+        if factor > 1
+        else ()
+    )
+    frequency = measured.omega / (2 * np.pi)
+    assert measured.covariance is not None
+    band = (float(frequency[0]), float(frequency[-1]))
+    shown = tuple(parameters) if minimum.converged else without_intervals(parameters)
+    return replace(
+        reported_fit(settings, as_estimate, shown, band, frequency.size),
+        findings=(
+            *estimate_findings(as_estimate, names, frequency.size),
+            *goodness_findings(gof),
+            *mismatch,
+            *response.findings,
+        ),
         candidates=tuple(candidates),
         curve=FittedCurve(
             frequency,

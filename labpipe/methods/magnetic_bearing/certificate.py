@@ -1,7 +1,9 @@
-"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its interval, and a verdict.
+"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
+interval, and a verdict.
 
-Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file its unknowns are fitted to
-all that was recorded, and what the fitted loop says holds between the lines and beyond the measured band as well.
+Without a model S is measured line by line, of one loop or of several that are coupled. With a bearing file
+its unknowns are fitted to all that was recorded, and what the fitted loop says holds between the lines and
+beyond the measured band as well.
 """
 
 from __future__ import annotations
@@ -26,7 +28,15 @@ from labpipe.methods.magnetic_bearing.limits import (
     words,
 )
 from labpipe.methods.magnetic_bearing.loop import margins
-from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH, LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.methods.magnetic_bearing.loop_fit import (
+    BENT,
+    REACH,
+    LoopFit,
+    fit_statement,
+    goodness,
+    identifiability_findings,
+    loop_fit,
+)
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
@@ -57,7 +67,14 @@ STEP = 0.02
 HIGHEST, NYQUIST = 20e3, 0.5
 # Amounts whose logarithm is nearer to a normal distribution than they are themselves.
 LOGARITHMIC = ("sensitivity_peak", "gain_margin_lower", "gain_margin_upper", "disk_margin", "delay_margin")
-UNITS = {"phase_margin": "rad", "delay_margin": "s", "sensitivity_frequency": "Hz", "f_n": "Hz", "pole_real": "1/s", "pole_imag": "rad/s"}
+UNITS = {
+    "phase_margin": "rad",
+    "delay_margin": "s",
+    "sensitivity_frequency": "Hz",
+    "f_n": "Hz",
+    "pole_real": "1/s",
+    "pole_imag": "rad/s",
+}
 
 
 # From values of the unknowns by name to the amounts by name.
@@ -66,10 +83,11 @@ Amounts = Callable[[Mapping[str, float]], dict[str, float]]
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Amounts by name at the fitted unknowns, their covariance by noise (n, n) [their units], in the same order; *unstable* poles.
+    """Amounts by name at the fitted unknowns, their covariance by noise (n, n) [their units], in the same
+    order; *unstable* poles.
 
-    changes (n_source, n) [their units]: by one standard uncertainty of each of the *sources*. bent: names of the amounts that do not
-    follow the unknowns in a straight line within their errors.
+    changes (n_source, n) [their units]: by one standard uncertainty of each of the *sources*. bent: names of
+    the amounts that do not follow the unknowns in a straight line within their errors.
     """
 
     amounts: dict[str, float]
@@ -90,9 +108,15 @@ class ClosedLoop:
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their logarithm, and their budget."""
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their
+        logarithm, and their budget.
+        """
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
-        return with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC) if self.sources else (tuple(plain), None)
+        return (
+            with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
+            if self.sources
+            else (tuple(plain), None)
+        )
 
     def _parameter(self, number: int, name: str, quantile: float) -> Parameter:
         value, error = self.amounts[name], float(np.sqrt(max(self.covariance[number, number], 0.0)))
@@ -101,11 +125,14 @@ class ClosedLoop:
         if name in LOGARITHMIC and value > 0:
             reach = np.exp(quantile * error / value)
             ends = (value / reach, value * reach)
-        return Parameter(name, value, unit, std_error=error, ci95=(float(ends[0]), float(ends[1])), derived=True)
+        return Parameter(
+            name, value, unit, std_error=error, ci95=(float(ends[0]), float(ends[1])), derived=True
+        )
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
-    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in the unknowns' errors.
+    """The closed loop of the file with its fitted unknowns; modes up to *highest_mode* [Hz], first order in
+    the unknowns' errors.
 
     Equation (comp-closed-loop).
     """
@@ -119,7 +146,9 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
         return _amounts(other, rate, _nearest(loop_poles(other, rate), poles), unstable == 0)
 
     here = at(values)
-    slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(len(fit.parameters), len(here))
+    slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(
+        len(fit.parameters), len(here)
+    )
     if not fit.usable:
         return ClosedLoop(here, np.zeros((len(here), len(here))), unstable)
     changes = fit.changes @ slopes
@@ -128,8 +157,12 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     return ClosedLoop(here, slopes.T @ fit.covariance @ slopes, unstable, sources, changes, bent)
 
 
-def _bent(at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray) -> tuple[str, ...]:
-    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard errors along an amount's slope."""
+def _bent(
+    at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray
+) -> tuple[str, ...]:
+    """Names of the amounts whose course is not straight where the unknowns move REACH combined standard
+    errors along an amount's slope.
+    """
     here = at(values)
     errors = np.sqrt(np.maximum(np.einsum("ji,jk,ki->i", slopes, covariance, slopes), 0.0))
     bent = []
@@ -138,7 +171,10 @@ def _bent(at: Amounts, values: Mapping[str, float], slopes: FloatArray, covarian
             continue
         away = REACH * covariance @ slopes[:, column] / error
         for sign in (1.0, -1.0):
-            moved = {entry: value + sign * float(step) for (entry, value), step in zip(values.items(), away, strict=True)}
+            moved = {
+                entry: value + sign * float(step)
+                for (entry, value), step in zip(values.items(), away, strict=True)
+            }
             try:
                 reached = at(moved).get(name, np.nan)
             except ConfigError:
@@ -157,11 +193,16 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
 
 
 def bent_findings(loop: ClosedLoop) -> list[Finding]:
-    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their errors."""
+    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their
+    errors.
+    """
     if not loop.bent:
         return []
     names = ", ".join(loop.bent)
-    what = f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted loop: their intervals are rough"
+    what = (
+        f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted "
+        "loop: their intervals are rough"
+    )
     return [Finding("first-order", what)]
 
 
@@ -186,7 +227,9 @@ def _nearest(poles: ComplexArray, modes: ComplexArray) -> ComplexArray:
 
 
 def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
-    """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
+    """Margins where the loop is stable, then f_n, logarithmic decrement 2 pi z / sqrt(1 - z^2) and pole of
+    every mode.
+    """
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
@@ -216,7 +259,9 @@ def _amounts(plant: Levitated, rate: float | None, modes: ComplexArray, stable: 
 BEYOND = 1.5
 
 
-def certificate(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
+def certificate(
+    settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
+) -> Comparison:
     """The certificate of the loops of one test; with a bearing *file* by its fitted unknowns as well.
 
     ConfigError for channels and settings that do not fit together, FitError without a covariance.
@@ -227,14 +272,20 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, peaks)
     model = None if file is None else _fitted(settings, certificate_settings, response, matrix, file)
-    limits = [_zone_limit(certificate_settings, worst, model), *_decrement_limits(certificate_settings, model)]
+    limits = [
+        _zone_limit(certificate_settings, worst, model),
+        *_decrement_limits(certificate_settings, model),
+    ]
     amounts, budgets = list(measured_amounts), [budget]
     if model is not None and model.loop is not None:
         of_loop, budget = model.loop.parameters(normal_quantile(0.975))
         amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
     amounts += probabilities(limits)
     if model is not None:
-        amounts, budgets = [*amounts, *goodness(model.fit), *model.fit.parameters], [*budgets, model.fit.budget]
+        amounts, budgets = (
+            [*amounts, *goodness(model.fit), *model.fit.parameters],
+            [*budgets, model.fit.budget],
+        )
     verdict = verdict_of(limits, certificate_settings.confidence)
     return Comparison(
         name=settings.name,
@@ -255,9 +306,11 @@ def certificate(settings: CompareSettings, response: FrequencyResponse, file: Ma
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no intervals.
+    """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no
+    intervals.
 
-    rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in continuous time.
+    rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in continuous
+    time.
     """
 
     file: MagneticFile
@@ -268,7 +321,16 @@ class FittedModel:
 
 
 # Amounts of a fitted closed loop by the first part of their names.
-OF_LOOP = ("sensitivity_*", "gain_margin_*", "phase_margin", "delay_margin", "disk_margin", "f_n_*", "log_decrement_*", "pole_*")
+OF_LOOP = (
+    "sensitivity_*",
+    "gain_margin_*",
+    "phase_margin",
+    "delay_margin",
+    "disk_margin",
+    "f_n_*",
+    "log_decrement_*",
+    "pole_*",
+)
 
 
 def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tuple[str, str]]:
@@ -279,12 +341,18 @@ def _unfounded(settings: CompareSettings, model: FittedModel | None) -> list[tup
 
 
 def resolved(settings: CompareSettings) -> CertificateSettings:
-    """The settings of the certificate, with the points of the comparison where it names none behind the sums."""
+    """The settings of the certificate, with the points of the comparison where it names none behind the
+    sums.
+    """
     certificate_settings: CertificateSettings = settings.kind_settings
     return (
         certificate_settings
         if certificate_settings.after
-        else replace(certificate_settings, before=certificate_settings.before or (settings.before,), after=(settings.after,))
+        else replace(
+            certificate_settings,
+            before=certificate_settings.before or (settings.before,),
+            after=(settings.after,),
+        )
     )
 
 
@@ -295,12 +363,22 @@ def _peaks(matrix: SensitivityMatrix, response: FrequencyResponse) -> list[Peak]
         size, error = matrix.size(number)
         phased = matrix.values[:, number, number]
         above = np.maximum(error, 1e-15 * size)
-        peaks.append(peak_of(MeasuredSensitivity(matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number))))
+        peaks.append(
+            peak_of(
+                MeasuredSensitivity(
+                    matrix.frequency, phased, above, matrix.quantile, response, matrix.errors_of(number)
+                )
+            )
+        )
     return peaks
 
 
-def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """Measured peaks and margins of all loops, and of several the largest singular value, with what systematic errors add."""
+def _measured_amounts(
+    matrix: SensitivityMatrix, peaks: Sequence[Peak]
+) -> tuple[tuple[Parameter, ...], Budget | None]:
+    """Measured peaks and margins of all loops, and of several the largest singular value, with what
+    systematic errors add.
+    """
     amounts: list[Parameter] = []
     changes: list[FloatArray] = []
     for number, (loop, peak) in enumerate(zip(matrix.loops, peaks, strict=True)):
@@ -314,7 +392,9 @@ def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple
     if len(peaks) > 1:
         size, error = matrix.largest()
         top = int(np.argmax(size))
-        amounts.append(with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile))
+        amounts.append(
+            with_error("largest_singular_value", "1", float(size[top]), float(error[top]), matrix.quantile)
+        )
         amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
@@ -322,37 +402,66 @@ def _measured_amounts(matrix: SensitivityMatrix, peaks: Sequence[Peak]) -> tuple
 
 
 def _fitted(
-    settings: CompareSettings, own: CertificateSettings, response: FrequencyResponse, matrix: SensitivityMatrix, file: MagneticFile
+    settings: CompareSettings,
+    own: CertificateSettings,
+    response: FrequencyResponse,
+    matrix: SensitivityMatrix,
+    file: MagneticFile,
 ) -> FittedModel:
-    """The fit of the file's unknowns to all recorded signals, its closed loop, and why nothing is decided by it."""
+    """The fit of the file's unknowns to all recorded signals, its closed loop, and why nothing is decided by
+    it.
+    """
     if len(matrix.loops) != 1:
-        raise ConfigError("a bearing file describes one loop", hint="leave theory out, or certify one loop at a time")
+        raise ConfigError(
+            "a bearing file describes one loop", hint="leave theory out, or certify one loop at a time"
+        )
     rate = own.rate or file.loop.rate
     fit = loop_fit([recorded_loop(own, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
     if sound(fit):
-        unstable = "" if loop is None or not loop.unstable else f"the fitted loop is unstable, {loop.unstable} poles grow"
-        return FittedModel(file, fit, loop, unstable and f"{unstable}, so it cannot be the recorded one", rate)
-    cause = cause_of(own, response, file, settings.estimate) or "check signs, units, delays and the controller of the bearing file"
+        unstable = (
+            ""
+            if loop is None or not loop.unstable
+            else (f"the fitted loop is unstable, {loop.unstable} poles grow")
+        )
+        return FittedModel(
+            file, fit, loop, unstable and f"{unstable}, so it cannot be the recorded one", rate
+        )
+    cause = cause_of(own, response, file, settings.estimate) or (
+        "check signs, units, delays and the controller of the bearing file"
+    )
     return FittedModel(file, fit, loop, f"{_why_rejected(fit)}; {cause}", rate)
 
 
 def _why_rejected(fit: LoopFit) -> str:
     if fit.chi2_p < MISMATCH_P:
-        return f"the fitted loop leaves more than noise (chi-square per degree of freedom {fit.chi2_reduced:.3g})"
+        return (
+            "the fitted loop leaves more than noise (chi-square per degree of freedom "
+            f"{fit.chi2_reduced:.3g})"
+        )
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
 def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None) -> Limit:
-    """Probability that the peak of |S| lies within the demanded zone, by its logarithm; of a sound model that of the fitted loop.
+    """Probability that the peak of |S| lies within the demanded zone, by its logarithm; of a sound model that
+    of the fitted loop.
 
     The measured peak at an edge of the band is the least that it can be.
     """
     peak, error, whose = worst.value, worst.combined, "measured"
-    by_model = model is not None and model.loop is not None and not model.rejected and "sensitivity_peak" in model.loop.amounts
+    by_model = (
+        model is not None
+        and model.loop is not None
+        and not model.rejected
+        and "sensitivity_peak" in model.loop.amounts
+    )
     if by_model and model is not None and model.loop is not None:
-        peak, error, whose = model.loop.amounts["sensitivity_peak"], model.loop.error("sensitivity_peak"), "of the fitted loop"
+        peak, error, whose = (
+            model.loop.amounts["sensitivity_peak"],
+            model.loop.error("sensitivity_peak"),
+            "of the fitted loop",
+        )
     probability = below(np.log(peak), error / peak, np.log(dict(ZONES)[own.zone]))
     zone = f"zone {zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
     if worst.at_edge and not by_model and probability > 1 - own.confidence:
@@ -362,34 +471,57 @@ def _zone_limit(own: CertificateSettings, worst: Peak, model: FittedModel | None
 
 
 def _decrement_limits(own: CertificateSettings, model: FittedModel | None) -> list[Limit]:
-    """Probability that the least damped mode has its decrement; none where neither a model nor a decrement was asked for."""
+    """Probability that the least damped mode has its decrement.
+
+    None where neither a model nor a decrement was asked for.
+    """
     if model is None and own.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
     if why or model is None or model.loop is None:
-        return [Limit("log_decrement", None, f"log decrement above {own.least_decrement:g} not judged, since {why}", why)]
+        return [
+            Limit(
+                "log_decrement",
+                None,
+                f"log decrement above {own.least_decrement:g} not judged, since {why}",
+                why,
+            )
+        ]
     loop = model.loop
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
     value = loop.amounts[least]
-    probability = min(below(-loop.amounts[name], loop.error(name), -own.least_decrement) for name in loop.modes())
-    said = f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.least_decrement:g} with {words(probability)}"
+    probability = min(
+        below(-loop.amounts[name], loop.error(name), -own.least_decrement) for name in loop.modes()
+    )
+    said = (
+        f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {own.least_decrement:g} "
+        f"with {words(probability)}"
+    )
     return [Limit("log_decrement", probability, said)]
 
 
 def _statement(verdict: str, limits: Sequence[Limit], worst: Peak, model: FittedModel | None) -> str:
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
-    return f"{verdict.capitalize()}: {'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
+    return (
+        f"{verdict.capitalize()}: "
+        f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
+    )
 
 
 def _curves(matrix: SensitivityMatrix, model: FittedModel | None) -> tuple[Curve, ...]:
-    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary part of L."""
+    """|S| of every loop with its 95 % band, of several the largest singular value, and the real and imaginary
+    part of L.
+    """
     curves = []
     fitted = _fitted_size(matrix.frequency, model)
     several = len(matrix.loops) > 1
-    named = [(f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n)) for n, name in enumerate(matrix.loops)]
+    named = [
+        (f"sensitivity {name}" if several else "sensitivity", matrix.combined_size(n))
+        for n, name in enumerate(matrix.loops)
+    ]
     if several:
         named.append(("largest singular value", matrix.combined_largest()))
     for quantity, (size, error) in named:
@@ -411,18 +543,34 @@ def _fitted_size(frequency: FloatArray, model: FittedModel | None) -> FloatArray
 
 
 def _curve(
-    frequency: FloatArray, quantity: str, values: FloatArray, ends: tuple[FloatArray, ...] = (), fitted: FloatArray | None = None
+    frequency: FloatArray,
+    quantity: str,
+    values: FloatArray,
+    ends: tuple[FloatArray, ...] = (),
+    fitted: FloatArray | None = None,
 ) -> Curve:
     low, high = ends or (np.empty(0), np.empty(0))
     matched = np.empty(0) if fitted is None else fitted
     lists = [tuple(part.tolist()) for part in (frequency, matched, values, low, high)]
-    return Curve("", quantity, "1", frequency=lists[0], matched=lists[1], measured=lists[2], low=lists[3], high=lists[4])
+    return Curve(
+        "",
+        quantity,
+        "1",
+        frequency=lists[0],
+        matched=lists[1],
+        measured=lists[2],
+        low=lists[3],
+        high=lists[4],
+    )
 
 
 def _findings(worst: Peak, model: FittedModel | None) -> tuple[Finding, ...]:
     findings = []
     if worst.at_edge:
-        what = f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be larger beyond"
+        what = (
+            f"the largest sensitivity is at the edge of the band, {worst.frequency:.4g} Hz; it may be "
+            "larger beyond"
+        )
         findings.append(Finding("sensitivity-edge", what))
     if model is None:
         return tuple(findings)
@@ -432,6 +580,9 @@ def _findings(worst: Peak, model: FittedModel | None) -> tuple[Finding, ...]:
     findings += identifiability_findings(model.fit)
     findings += [] if model.loop is None else bent_findings(model.loop)
     if model.fit.chi2_p < MISMATCH_P:
-        what = f"{model.rejected}. What intervals there are count the misfit as noise; this model decides nothing"
+        what = (
+            f"{model.rejected}. What intervals there are count the misfit as noise; this model decides "
+            "nothing"
+        )
         findings.append(Finding("model-mismatch", what))
     return (*findings, note("assumptions", model.file.assumptions()))

@@ -24,13 +24,22 @@ from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, Theory
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
-    """The magnetic-bearing file as a function of the condition that sets one of its entries; ConfigError for another kind of bearing."""
+    """The magnetic-bearing file as a function of the condition that sets one of its entries.
+
+    ConfigError for another kind of bearing.
+    """
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
-        raise ConfigError(f"is of the kind {file.kind_name}", where=str(file.path), hint=f"a loop is predicted for the kind {MAGNETIC}")
+        raise ConfigError(
+            f"is of the kind {file.kind_name}",
+            where=str(file.path),
+            hint=f"a loop is predicted for the kind {MAGNETIC}",
+        )
 
     def at(condition: float | None, unit: str) -> MagneticFile:
-        bearing: MagneticFile = file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
+        bearing: MagneticFile = (
+            file.settings() if condition is None else file.settings_at(settings.entry, [(condition, unit)])
+        )
         return bearing
 
     return at
@@ -44,7 +53,11 @@ def _file_of(settings: CompareSettings, evidence: Evidence) -> MagneticFile | No
 def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | None:
     """The theory that was given, else the bearing file that the settings name; None without either."""
     given: MagneticTheory | None = evidence.theory
-    return magnetic_theory(evidence.folder, settings.theory) if given is None and settings.theory is not None else given
+    return (
+        magnetic_theory(evidence.folder, settings.theory)
+        if given is None and settings.theory is not None
+        else given
+    )
 
 
 def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -56,7 +69,9 @@ def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Compar
 
 
 def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[View]:
-    """All tests of the fit with their bearing file, its entry set to the test's condition where the settings name one."""
+    """All tests of the fit with their bearing file, its entry set to the test's condition where the settings
+    name one.
+    """
     named, views = evidence.fits_of(settings), []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)
@@ -73,7 +88,9 @@ def sensitivity_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
     response = evidence.responses[0]
     comparison = loop_sensitivity(settings, response, _file_of(settings, evidence))
-    return _with_directions_left_out(comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)])
+    return _with_directions_left_out(
+        comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)]
+    )
 
 
 def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -82,25 +99,38 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
     tests = [*evidence.responses, *evidence.spectra]
     if len(tests) != 1:
-        raise ConfigError(f"a certificate is that of one test, not of {len(tests)}", hint="one pipeline per setting of the loop")
+        raise ConfigError(
+            f"a certificate is that of one test, not of {len(tests)}",
+            hint="one pipeline per setting of the loop",
+        )
     response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
     comparison = certificate(settings, response, _file_of(settings, evidence))
     certificate_settings = resolved(settings)
     outputs = [port for port in response.outputs if port.label in certificate_settings.recorded]
-    return _with_directions_left_out(comparison, [*outputs, *(() if certificate_settings.before else response.inputs)])
+    return _with_directions_left_out(
+        comparison, [*outputs, *(() if certificate_settings.before else response.inputs)]
+    )
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
-    """The comparison with a finding on the directions of its *ports* that have an uncertainty: nothing tells what they read across."""
+    """The comparison with a finding on the directions of its *ports* that have an uncertainty: nothing tells
+    what they read across.
+    """
     names = directions_left_out(ports)
     if not names:
         return comparison
-    message = f"uncertainties of the directions of {', '.join(names)} are not propagated: no other channel tells the motion across"
+    message = (
+        f"uncertainties of the directions of {', '.join(names)} are not propagated: no other channel "
+        "tells the motion across"
+    )
     return replace(comparison, findings=(*comparison.findings, Finding("number-uncertainty", message)))
 
 
 PREDICTION = ComparisonKind(
-    prediction_of_tests, keys=("fit", "parameter", "over", "theory", "estimate"), needs=("fit", "theory"), loop=True
+    prediction_of_tests,
+    keys=("fit", "parameter", "over", "theory", "estimate"),
+    needs=("fit", "theory"),
+    loop=True,
 )
 SENSITIVITY = ComparisonKind(sensitivity_of_test, keys=("before", "after", "theory", "estimate"), loop=True)
 CERTIFICATE = ComparisonKind(

@@ -11,13 +11,20 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError
 from labpipe.estimation import statistics
-from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.derived import reported_fit, without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import condition_number, correlation, determination, estimated, inflation_factors, widened
+from labpipe.estimation.statistics import determination, estimated, inflation_factors, widened
 from labpipe.methods.floating_bearing.budget import budgeted
 from labpipe.methods.floating_bearing.values import SAME, Valued
-from labpipe.methods.magnetic_bearing.balance import Between, Levitation, MagnetModel, levitation_of, magnet_model, mass_matrix
+from labpipe.methods.magnetic_bearing.balance import (
+    Between,
+    Levitation,
+    MagnetModel,
+    levitation_of,
+    magnet_model,
+    mass_matrix,
+)
 from labpipe.methods.magnetic_bearing.likelihood import MagnetEstimate, magnet_estimate, noise_of, unweighted
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
 from labpipe.records.finding import Finding, Parameter, note
@@ -35,18 +42,24 @@ PER_DECADE, BEYOND = 12, 1.5
 
 
 def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidence: float) -> RobustPlant:
-    """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all lines with *confidence*.
+    """The band of radius |G^ - G_nominal| + r, r of the measured scatter, which holds the true plant at all
+    lines with *confidence*.
 
-    |G^ - G|^2 / var is F with 2 and 2 nu degrees of freedom, of which the quantile of one line is that of all by their number (Sidak).
-    *dof* nu: complex ones behind the variance.
+    |G^ - G|^2 / var is F with 2 and 2 nu degrees of freedom, of which the quantile of one line is that of all
+    by their number (Sidak). *dof* nu: complex ones behind the variance.
     """
     assert curve.variance is not None
-    radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(dof, curve.variance.size, confidence)
+    radius = np.abs(curve.measured - curve.fitted) + np.sqrt(curve.variance) * scatter_radius(
+        dof, curve.variance.size, confidence
+    )
     # An element that the model lacks has no size of its own.
     weight = radius / np.linalg.norm(curve.fitted, 2, axis=(1, 2))[:, None, None]
     a, b, c, d = state_space(best.model, best.values)
     n_output, n_input = weight.shape[1:]
-    bounds = [[overbound(curve.frequency, weight[:, row, column]) for column in range(n_input)] for row in range(n_output)]
+    bounds = [
+        [overbound(curve.frequency, weight[:, row, column]) for column in range(n_input)]
+        for row in range(n_output)
+    ]
     return RobustPlant(
         frequency=curve.frequency,
         nominal=curve.fitted,
@@ -65,7 +78,8 @@ def robust_plant(best: MagnetEstimate, curve: FittedCurve, dof: float, confidenc
 
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
-    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of F with 2 and 2 nu.
+    """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
+    F with 2 and 2 nu.
 
     Equation (mag-radius).
     """
@@ -73,8 +87,12 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
 
 
-def state_space(model: MagnetModel, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the currents."""
+def state_space(
+    model: MagnetModel, values: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
+    currents.
+    """
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -84,7 +102,8 @@ def state_space(model: MagnetModel, values: FloatArray) -> tuple[FloatArray, Flo
 
 
 def overbound(frequency: FloatArray, weight: FloatArray) -> tuple[float, float, float]:
-    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere below *weight* (n_line,) [1].
+    """k [1], zero and pole [Hz] of the weight of first order with the least mean logarithm that is nowhere
+    below *weight* (n_line,) [1].
 
     Equation (mag-overbound).
     """
@@ -108,7 +127,8 @@ ONE_DIRECTION = 1e3
 def remedy(_group: Sequence[str]) -> str:
     """What separates parameters that the lines cannot tell apart."""
     return (
-        "the rotor moves and is driven in one way only: excite the axes one after the other or by independent signals, widen the band so "
+        "the rotor moves and is driven in one way only: excite the axes one after the other or by "
+        "independent signals, widen the band so "
         "that K_s and w^2 M differ in their course, or estimate fewer terms, `coupling: direct`"
     )
 
@@ -118,10 +138,11 @@ def mismatch_findings(best: MagnetEstimate, factor: float) -> tuple[Finding, ...
     if factor == 1.0:
         return ()
     message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom {best.reduced:.3g}, "
-        f"p = {best.p_value:.2g}): the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
-        f"wrong, or the magnet is not linear at this amplitude. Standard errors are {factor:.3g} times those of noise alone. Narrow the "
-        "band; where the current was sampled without a filter behind a held output, give `hold`"
+        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
+        f"freedom {best.reduced:.3g}, p = {best.p_value:.2g}): the rotor is no rigid mass in the band "
+        "(bending, a moving housing), another force acts, the mass is wrong, or the magnet is not linear at "
+        f"this amplitude. Standard errors are {factor:.3g} times those of noise alone. Narrow the band; "
+        "where the current was sampled without a filter behind a held output, give `hold`"
     )
     return (Finding("model-mismatch", message),)
 
@@ -140,23 +161,31 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
 def noise_findings(rotor: Levitation) -> tuple[Finding, ...]:
     """A note where few periods or blocks widen the intervals."""
     noise = noise_of(rotor)
-    loss = float(np.sqrt(noise.inflation / noise.shared * (noise.dof - noise.equations) / noise.dof)) if np.isfinite(noise.dof) else 1.0
+    loss = (
+        float(np.sqrt(noise.inflation / noise.shared * (noise.dof - noise.equations) / noise.dof))
+        if np.isfinite(noise.dof)
+        else 1.0
+    )
     if loss < LOSS:
         return ()
     message = (
-        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are {loss:.3g} times those with a "
+        f"the covariance of the channels has {noise.dof:.3g} degrees of freedom: standard errors are "
+        f"{loss:.3g} times those with a "
         "known one. Average more periods, or let neighbouring lines share their noise"
     )
     return (note("few-averages", message),)
 
 
 def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertainties) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise would give."""
+    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
+    would give.
+    """
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [
-        "magnet: M x'' = K_i i - K_s x. K_s is a stiffness: negative where the bias field pulls the rotor away from the centre (the "
-        f"`negative_stiffness` of a bearing file is -k_s). It holds for motions of this size: r.m.s. {size:.3g} um."
+        "magnet: M x'' = K_i i - K_s x. K_s is a stiffness: negative where the bias field pulls the rotor "
+        "away from the centre (the `negative_stiffness` of a bearing file is -k_s). It holds for motions of "
+        f"this size: r.m.s. {size:.3g} um."
     ]
     if n == 1:
         values = dict(zip(best.model.names, best.values, strict=True))
@@ -166,12 +195,23 @@ def fit_notes(rotor: Levitation, best: MagnetEstimate, uncertainties: Uncertaint
             f"{name}: {sign * values[kind]:.6g} {unit} +- {errors[kind]:.2g} {unit}"
             for name, kind, sign, unit in ((current, "k_i", 1, "N/A"), (motion, "k_s", -1, "N/m"))
         )
-        notes.append(f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, quantity: force}}.")
+        notes.append(
+            f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
+            f"quantity: force}}."
+        )
     plain = zip(best.model.names, unweighted(rotor, best.model), best.model.units, strict=True)
-    listed = ", ".join(f"{name} {number(float(value))} {unit}" for name, value, unit in plain if not name.startswith("c"))
-    notes.append(f"magnet: least squares that takes currents and displacements for free of noise gives {listed}; it is not to be used.")
+    listed = ", ".join(
+        f"{name} {number(float(value))} {unit}" for name, value, unit in plain if not name.startswith("c")
+    )
+    notes.append(
+        f"magnet: least squares that takes currents and displacements for free of noise gives {listed}; it "
+        "is not to be used."
+    )
     if "mass" not in dict(uncertainties):
-        notes.append("magnet: the mass counts as exact, and all results are in proportion to it: give its uncertainty (4 kg +- 5 g).")
+        notes.append(
+            "magnet: the mass counts as exact, and all results are in proportion to it: give its uncertainty "
+            "(4 kg +- 5 g)."
+        )
     return tuple(notes)
 
 
@@ -198,7 +238,9 @@ def drawn(rotor: Levitation, best: MagnetEstimate) -> FittedCurve | None:
 
 
 def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
-    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of every run times what that run is in I^-1."""
+    """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of every run times what that run is in
+    I^-1.
+    """
     n = rotor.n_axis
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
     rows = np.concatenate([-measured, np.broadcast_to(np.eye(n), measured.shape)], axis=2)
@@ -213,7 +255,8 @@ def _variance(rotor: Levitation, measured: ComplexArray, inverse: ComplexArray) 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
     """One fit, or one per band.
 
-    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the parameters.
+    ConfigError where settings and channels do not fit together, FitError where the lines cannot determine the
+    parameters.
     """
     _check(settings)
     return tuple(_fit(spectra, settings, band) for band in settings.bands or (settings.band,))
@@ -223,21 +266,37 @@ def _check(settings: FitSettings) -> None:
     """ConfigError without the mass."""
     if settings.mass == ESTIMATE:
         hint = "mass: 4 kg +- 5 g, in the rig file or in the fit"
-        raise ConfigError("the mass of the rotor must be known: all else is in proportion to it", hint=hint, field="mass")
+        raise ConfigError(
+            "the mass of the rotor must be known: all else is in proportion to it", hint=hint, field="mass"
+        )
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
     magnet_settings: MagnetSettings = settings.model_settings
     mass = settings.mass if isinstance(settings.mass, float) else _matrix(settings.mass)
     rotor = levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
-    between = None if magnet_settings.hold is None else Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
-    model = magnet_model(rotor.labels, rotor.bearing, rotor.mass, magnet_settings.coupling, magnet_settings.passive_damping, between)
+    between = (
+        None
+        if magnet_settings.hold is None
+        else Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
+    )
+    model = magnet_model(
+        rotor.labels,
+        rotor.bearing,
+        rotor.mass,
+        magnet_settings.coupling,
+        magnet_settings.passive_damping,
+        between,
+    )
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
     factor = float(np.sqrt(best.reduced)) if best.p_value < MISMATCH_P else 1.0
     whole = factor**2 * best.covariance + systematic(best.uncertainties, best.values.size)
     parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
     if not best.converged:
-        parameters = tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in without_intervals(parameters))
+        parameters = tuple(
+            replace(parameter, std_error_inflated=None, systematic=None)
+            for parameter in without_intervals(parameters)
+        )
     gof = _goodness(rotor, model, best)
     as_estimate = statistics.Estimate(
         values=best.values,
@@ -258,21 +317,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = drawn(rotor, best)
-    plant = None if curve is None else robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence)
-    return Fit(
-        name=settings.name,
-        model=settings.model,
-        estimator=settings.estimator,
-        band_hz=band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi))),
-        lines=rotor.omega.size,
-        equations=best.dof + len(model.names),
-        dof=best.dof,
-        gof=gof,
-        parameters=parameters,
-        condition_number=condition_number(best.design),
-        correlation=correlation(best.covariance),
-        converged=best.converged,
-        iterations=best.steps,
+    plant = (
+        None
+        if curve is None
+        else robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence)
+    )
+    band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
+    return replace(
+        reported_fit(settings, as_estimate, parameters, band, rotor.omega.size),
         findings=findings,
         notes=fit_notes(rotor, best, settings.uncertainties),
         curve=curve,
@@ -287,19 +339,29 @@ def _matrix(mass: object) -> FloatArray:
     return np.diag(values) if values.ndim == 1 else values
 
 
-def _given(rotor: Levitation, settings: FitSettings, mass: FloatArray | float) -> list[tuple[Uncertainty, FloatArray]]:
-    """Uncertainties of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix by one standard deviation."""
+def _given(
+    rotor: Levitation, settings: FitSettings, mass: FloatArray | float
+) -> list[tuple[Uncertainty, FloatArray]]:
+    """Uncertainties of the mass and of the moment of inertia, with the change (n, n) [kg] of the mass matrix
+    by one standard deviation.
+    """
     magnet_settings: MagnetSettings = settings.model_settings
     given: list[tuple[Uncertainty, FloatArray]] = []
     of_mass = dict(settings.uncertainties).get("mass")
     if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
         source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
-        given.append((uncertainty_of(of_mass, source, "kg"), _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass))
-    if magnet_settings.inertia is not None and magnet_settings.inertia.std_error > 0:
-        larger = replace(magnet_settings, inertia=Uncertain(magnet_settings.inertia.value + magnet_settings.inertia.std_error))
+        given.append(
+            (
+                uncertainty_of(of_mass, source, "kg"),
+                _mass_of(rotor, magnet_settings, mass + of_mass.std_error) - rotor.mass,
+            )
+        )
+    inertia = magnet_settings.inertia
+    if inertia is not None and inertia.std_error > 0:
+        larger = replace(magnet_settings, inertia=Uncertain(inertia.value + inertia.std_error))
         change = _mass_of(rotor, larger, mass) - rotor.mass
-        source = f"moment of inertia, {magnet_settings.inertia.value:g} kg.m^2 +- {magnet_settings.inertia.std_error:g} kg.m^2"
-        given.append((uncertainty_of(magnet_settings.inertia, source, "kg.m^2"), change))
+        source = f"moment of inertia, {inertia.value:g} kg.m^2 +- {inertia.std_error:g} kg.m^2"
+        given.append((uncertainty_of(inertia, source, "kg.m^2"), change))
     return given
 
 
@@ -308,7 +370,10 @@ def _mass_of(rotor: Levitation, own: MagnetSettings, mass: FloatArray | float) -
 
 
 def _valued(best: MagnetEstimate, whole: FloatArray) -> list[Valued]:
-    """The parameters with their slopes; intervals by the *whole* covariance (n_parameter, n_parameter) [their units]."""
+    """The parameters with their slopes.
+
+    Intervals by the *whole* covariance (n_parameter, n_parameter) [their units].
+    """
     vifs = inflation_factors(best.design)
     parameters = []
     for place, (name, unit) in enumerate(zip(best.model.names, best.model.units, strict=True)):

@@ -1,7 +1,9 @@
-"""The virtual levitated rig: settings, and rotor, bearings and amplifiers in continuous time, the loop closed from step to step.
+"""The virtual levitated rig: settings, and rotor, bearings and amplifiers in continuous time, the loop closed
+from step to step.
 
-M q'' + (C + W G) q' = B (k_i i - k_s B' q + ...) + Q, y = S q + n, i_c = -C(z) X (y + r_in) + r_out, held and one delay late. The
-coordinates q of a rotor on two bearings are x_c, y_c, dx/dz, dy/dz of its centre of gravity, then the bending mode in x and in y.
+M q'' + (C + W G) q' = B (k_i i - k_s B' q + ...) + Q, y = S q + n, i_c = -C(z) X (y + r_in) + r_out, held and
+one delay late. The coordinates q of a rotor on two bearings are x_c, y_c, dx/dz, dy/dz of its centre of
+gravity, then the bending mode in x and in y.
 """
 
 from __future__ import annotations
@@ -12,7 +14,13 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.methods.magnetic_bearing.sampled_loop import ROUNDING, integrals, linear_states, step_matrices, tustin
+from labpipe.methods.magnetic_bearing.sampled_loop import (
+    ROUNDING,
+    integrals,
+    linear_states,
+    step_matrices,
+    tustin,
+)
 from labpipe.records.settings import Settings, setting
 from labpipe.simulate.virtual_rigs import require_positive
 
@@ -23,16 +31,21 @@ KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
 AXES = {"x": ("x",), "xy": ("x", "y")}
 ENDS = ("a", "b")
-# Runs in which all axes are excited at once, and the one without excitation; others are named after their axis, as multisine-x.
+# Runs in which all axes are excited at once, and the one without excitation; others are named after their
+# axis, as multisine-x.
 RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of shape times force."""
+    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
+    shape times force.
+    """
 
     frequency: float = setting("value", "natural frequency w_0", unit="Hz")
-    at_bearings: tuple[float, ...] = setting("values", "its shape at both bearings, for a modal mass of 1 kg", unit="1")
+    at_bearings: tuple[float, ...] = setting(
+        "values", "its shape at both bearings, for a modal mass of 1 kg", unit="1"
+    )
     at_sensors: tuple[float, ...] = setting("values", "its shape at both sensors", unit="1")
     damping_ratio: float = setting("value", "damping ratio of the mode", unit="1", default=0.003)
     at_unbalance: float = setting("value", "its shape at the unbalance", unit="1", default=0.0)
@@ -49,7 +62,9 @@ class BendingMode(Settings):
 class LongRotor(Settings):
     """A rotor on two bearings: its inertias, and places along the axis from the centre of gravity on."""
 
-    inertia: float = setting("value", "transverse moment of inertia about the centre of gravity", unit="kg.m^2")
+    inertia: float = setting(
+        "value", "transverse moment of inertia about the centre of gravity", unit="kg.m^2"
+    )
     bearings: tuple[float, ...] = setting("values", "places of the two bearings", unit="m")
     sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", unit="m")
     polar_inertia: float = setting("value", "polar moment of inertia", unit="kg.m^2", default=0.0)
@@ -66,7 +81,8 @@ class LongRotor(Settings):
 
 @dataclass(frozen=True)
 class SampledPid(Settings):
-    """i = -(P + I / s + D s / (1 + s T)) X y by the bilinear transform, sampled and held at *rate*, *delay* intervals late.
+    """i = -(P + I / s + D s / (1 + s T)) X y by the bilinear transform, sampled and held at *rate*, *delay*
+    intervals late.
 
     y are the readings of all sensors, X mixes them: the unit matrix unless `mixing` is given.
     """
@@ -76,7 +92,9 @@ class SampledPid(Settings):
     integral: float = setting("value", "I, current per displacement and time", unit="A/(m.s)", default=0.0)
     derivative_time: float = setting("value", "time constant T of the differentiator", unit="s", default=2e-4)
     rate: float = setting("value", "sampling rate of the controller", unit="Hz", default=10e3)
-    delay: int = setting("integer", "whole intervals from a reading to the output computed from it", default=1)
+    delay: int = setting(
+        "integer", "whole intervals from a reading to the output computed from it", default=1
+    )
     mixing: tuple[tuple[float, ...], ...] | None = setting(
         "matrix", "X, from readings to axes of control (order of the axes)", unit="1", default=None
     )
@@ -90,9 +108,17 @@ class SampledPid(Settings):
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """What is added in the loop, at the controller's output (a current) or input (a displacement); its rms is that of one axis."""
+    """What is added in the loop, at the controller's output (a current) or input (a displacement).
 
-    rms: float = setting("value", "rms at the output [A]; at the input [m] it is this times `per_ampere`", unit="A", default=0.1)
+    Its rms is that of one axis.
+    """
+
+    rms: float = setting(
+        "value",
+        "rms at the output [A]; at the input [m] it is this times `per_ampere`",
+        unit="A",
+        default=0.1,
+    )
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
     per_ampere: float = setting("value", "displacement added at the input for 1 A", unit="m/A", default=1e-4)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(5.0, 500.0))
@@ -106,13 +132,19 @@ class Injection(Settings):
 
 @dataclass(frozen=True)
 class LevitatedNoise(Settings):
-    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of the recording."""
+    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
+    the recording.
+    """
 
     displacement: float = setting("value", "position sensors; it is in the loop", unit="m", default=1e-7)
     current: float = setting("value", "measured currents", unit="A", default=1e-4)
     force: float = setting("value", "measured force of a shaker", unit="N", default=0.05)
-    disturbance: float = setting("value", "random force on the rotor at every bearing and axis", unit="N", default=1.0)
-    reference: float = setting("value", "recorded injection, of the unit in which it is recorded", unit="1", default=0.0)
+    disturbance: float = setting(
+        "value", "random force on the rotor at every bearing and axis", unit="N", default=1.0
+    )
+    reference: float = setting(
+        "value", "recorded injection, of the unit in which it is recorded", unit="1", default=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -125,41 +157,84 @@ class LevitatedRig(Settings):
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
     axes: str = setting("choice", "directions", choices=tuple(AXES), default="x")
-    rotor: LongRotor | None = setting("section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None)
+    rotor: LongRotor | None = setting(
+        "section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None
+    )
     force_per_current: float = setting("value", "k_i of one bearing", unit="N/A", default=80.0)
-    negative_stiffness: float = setting("value", "pull of one bearing's bias field per displacement, -k_s", unit="N/m", default=2e5)
+    negative_stiffness: float = setting(
+        "value", "pull of one bearing's bias field per displacement, -k_s", unit="N/m", default=2e5
+    )
     damping: float = setting("value", "passive damping at every bearing", unit="N.s/m", default=0.0)
-    cross_stiffness: float = setting("value", "k_xy = -k_yx at every bearing, as of a seal", unit="N/m", default=0.0)
-    amplifier_bandwidth: float = setting("value", "-3 dB bandwidth of the current amplifiers", unit="Hz", default=2000.0)
-    injection: Injection = setting("section", "what is added in the loop", section=Injection, default=Injection())
-    shaker: float = setting("value", "rms force of a shaker at every bearing and axis (run shaker)", unit="N", default=10.0)
+    cross_stiffness: float = setting(
+        "value", "k_xy = -k_yx at every bearing, as of a seal", unit="N/m", default=0.0
+    )
+    amplifier_bandwidth: float = setting(
+        "value", "-3 dB bandwidth of the current amplifiers", unit="Hz", default=2000.0
+    )
+    injection: Injection = setting(
+        "section", "what is added in the loop", section=Injection, default=Injection()
+    )
+    shaker: float = setting(
+        "value", "rms force of a shaker at every bearing and axis (run shaker)", unit="N", default=10.0
+    )
     speed: float = setting("value", "shaft speed", unit="Hz", default=0.0)
     unbalance: float = setting("value", "mass times eccentricity", unit="kg.m", default=0.0)
     unbalance_place: float = setting("value", "its place along the axis", unit="m", default=0.0)
-    runout: tuple[float, ...] = setting("values", "amplitudes of 1x, 2x, ... that the sensors see", unit="m", default=())
-    sample_rate: float = setting("value", "sampling rate of the recording: the controller's over a whole number", unit="Hz", default=2000.0)
+    runout: tuple[float, ...] = setting(
+        "values", "amplitudes of 1x, 2x, ... that the sensors see", unit="m", default=()
+    )
+    sample_rate: float = setting(
+        "value",
+        "sampling rate of the recording: the controller's over a whole number",
+        unit="Hz",
+        default=2000.0,
+    )
     force_recorded: bool = setting("flag", "the currents are recorded as the forces k_i i", default=False)
-    output_recorded: bool = setting("flag", "the controller's outputs, with what is added there, are recorded too (u_)", default=False)
+    output_recorded: bool = setting(
+        "flag", "the controller's outputs, with what is added there, are recorded too (u_)", default=False
+    )
     noise: LevitatedNoise = setting("section", "noise", section=LevitatedNoise, default=LevitatedNoise())
 
     def __post_init__(self) -> None:
         require_positive(self, "mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
         if self.speed < 0:
-            raise ConfigError("the shaft speed must not be negative", hint="it turns from x to y", field="speed")
-        if self.axes == "x" and (self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)):
-            raise ConfigError("cross-coupling and gyroscopic moments need both axes", hint="axes: xy", field="axes")
-        _whole(self.control.rate / self.sample_rate, f"the recording's rate divides that of the controller, {self.control.rate:g} Hz")
-        _whole(self.sample_rate / self.injection.spacing, "a period of the injection holds no whole number of samples")
+            raise ConfigError(
+                "the shaft speed must not be negative", hint="it turns from x to y", field="speed"
+            )
+        if self.axes == "x" and (
+            self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
+        ):
+            raise ConfigError(
+                "cross-coupling and gyroscopic moments need both axes", hint="axes: xy", field="axes"
+            )
+        _whole(
+            self.control.rate / self.sample_rate,
+            f"the recording's rate divides that of the controller, {self.control.rate:g} Hz",
+        )
+        _whole(
+            self.sample_rate / self.injection.spacing,
+            "a period of the injection holds no whole number of samples",
+        )
         if not self.injection.band[1] < self.sample_rate / 2:
-            raise ConfigError(f"the injection's band must lie below {self.sample_rate / 2:g} Hz", field="injection")
+            raise ConfigError(
+                f"the injection's band must lie below {self.sample_rate / 2:g} Hz", field="injection"
+            )
         n = len(self.labels)
         if self.control.mixing is not None and np.shape(self.control.mixing) != (n, n):
-            raise ConfigError(f"control.mixing is not a {n} x {n} matrix", hint=f"its axes are {', '.join(self.labels)}", field="control")
+            raise ConfigError(
+                f"control.mixing is not a {n} x {n} matrix",
+                hint=f"its axes are {', '.join(self.labels)}",
+                field="control",
+            )
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the controlled axes: x, y of one bearing, ax, ay, bx, by of two."""
-        return AXES[self.axes] if self.rotor is None else tuple(end + axis for end in ENDS for axis in AXES[self.axes])
+        return (
+            AXES[self.axes]
+            if self.rotor is None
+            else tuple(end + axis for end in ENDS for axis in AXES[self.axes])
+        )
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -194,7 +269,8 @@ BETWEEN = 8
 class Mechanics:
     """M [kg], C + W G [N.s/m] and the rotor's own K [N/m], (n_q, n_q); tilts in kg.m^2 and so on.
 
-    at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance (n_direction, n_q).
+    at_bearings, at_sensors (n_axis, n_q) [1, m]: displacement there per coordinate; at_unbalance
+    (n_direction, n_q).
     """
 
     mass: FloatArray
@@ -231,11 +307,19 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
 
 def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
     """Masses, polar inertias, own stiffnesses and dampings of the coordinates of one plane."""
-    masses, gyroscopic, stiffnesses, damping = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+    masses, gyroscopic, stiffnesses, damping = (
+        [mass, rotor.inertia],
+        [0.0, rotor.polar_inertia],
+        [0.0, 0.0],
+        [0.0, 0.0],
+    )
     if rotor.bending is not None:
         natural = 2 * np.pi * rotor.bending.frequency
         masses, gyroscopic = [*masses, 1.0], [*gyroscopic, 0.0]
-        stiffnesses, damping = [*stiffnesses, natural**2], [*damping, 2 * rotor.bending.damping_ratio * natural]
+        stiffnesses, damping = (
+            [*stiffnesses, natural**2],
+            [*damping, 2 * rotor.bending.damping_ratio * natural],
+        )
     return masses, gyroscopic, stiffnesses, damping
 
 
@@ -251,29 +335,45 @@ def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray,
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with y."""
+    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
+    y.
+    """
     n = len(rig.labels)
-    coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
+    coupling = (
+        np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
+    )
     return np.asarray(-rig.negative_stiffness * np.eye(n) + np.kron(np.eye(n // coupling.shape[0]), coupling))
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
-    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]: reading per force k_i i.
+    """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]:
+    reading per force k_i i.
 
     Equation (sim-rotor).
     """
     of = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
-    dynamic = jw**2 * of.mass + jw * of.damping + of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
-    return np.asarray(of.at_sensors @ np.linalg.solve(dynamic, np.broadcast_to(of.at_bearings.T, (*jw.shape[:1], *of.at_bearings.T.shape))))
+    dynamic = (
+        jw**2 * of.mass
+        + jw * of.damping
+        + of.stiffness
+        + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
+    )
+    return np.asarray(
+        of.at_sensors
+        @ np.linalg.solve(
+            dynamic, np.broadcast_to(of.at_bearings.T, (*jw.shape[:1], *of.at_bearings.T.shape))
+        )
+    )
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What a run of the loop gives: *output* of the controller (n_sample, n_axis) [A] with what is added there, at its rate.
+    """What a run of the loop gives: *output* of the controller (n_sample, n_axis) [A] with what is added
+    there, at its rate.
 
-    motion at the sensors [m] and current [A], (n_sample * BETWEEN, n_axis): a held output leaves a current that is not smooth from step
-    to step, and a logger's filter sees it between them.
+    motion at the sensors [m] and current [A], (n_sample * BETWEEN, n_axis): a held output leaves a current
+    that is not smooth from step to step, and a logger's filter sees it between them.
     """
 
     output: FloatArray
@@ -285,9 +385,10 @@ class Signals:
 class LevitatedLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz].
 
-    w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m], injection at the controller's input
-    [m] and output [A]; z: output of the controller [A], then motion [m] and current [A] BETWEEN times in the interval; all but the
-    forces n_axis each. a (n_state, n_state), b (n_state, n_input), c (n_output, n_state), d (n_output, n_input). Equation (sim-step).
+    w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m],
+    injection at the controller's input [m] and output [A]; z: output of the controller [A], then motion [m]
+    and current [A] BETWEEN times in the interval; all but the forces n_axis each. a (n_state, n_state), b
+    (n_state, n_input), c (n_output, n_state), d (n_output, n_input). Equation (sim-step).
     """
 
     a: FloatArray
@@ -299,7 +400,10 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z; what a delay holds alone (z = 0) is left out. Equation (sim-poles)."""
+        """Poles of the closed loop (n_state,) [1/s], s = rate ln z.
+
+        What a delay holds alone (z = 0) is left out. Equation (sim-poles).
+        """
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
@@ -309,7 +413,9 @@ class LevitatedLoop:
         growth = float(np.max(self.poles.real))
         if growth > ROUNDING * self.rate:
             message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
-            raise ConfigError(message, hint="raise proportional and derivative gain, or shorten the delay", field="control")
+            raise ConfigError(
+                message, hint="raise proportional and derivative gain, or shorten the delay", field="control"
+            )
         outputs = linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return Signals(outputs[:, : self.n_axis], fine[:, 0], fine[:, 1])
@@ -322,14 +428,21 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]
     n_plant = plant[0][0].shape[0]
     interval = 1 / control.rate
-    terms = [tustin(control.derivative, 0.0, control.derivative_time, interval), _integrator(control.integral, interval)]
+    terms = [
+        tustin(control.derivative, 0.0, control.derivative_time, interval),
+        _integrator(control.integral, interval),
+    ]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
 
     def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
-        forces, seen, added_in, added_out = np.split(inputs, [2 * n_q, 2 * n_q + n_axis, 2 * n_q + 2 * n_axis])
+        forces, seen, added_in, added_out = np.split(
+            inputs, [2 * n_q, 2 * n_q + n_axis, 2 * n_q + 2 * n_axis]
+        )
         error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
-        parts = [b0 * error + stored for (b0, _, _), stored in zip(terms, memory.reshape(2, n_axis), strict=True)]
+        parts = [
+            b0 * error + stored for (b0, _, _), stored in zip(terms, memory.reshape(2, n_axis), strict=True)
+        ]
         memories = [b1 * error - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
         output = added_out - control.proportional * error - parts[0] - parts[1]
         line = np.concatenate([waiting, output])
@@ -346,8 +459,12 @@ def _integrator(gain: float, interval: float) -> tuple[float, float, float]:
     return gain * interval / 2, gain * interval / 2, -1.0
 
 
-def _sampled_plant(rig: LevitatedRig, of: Mechanics, share: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """q, q' and currents after a *share* of the controller's interval: step, held outputs, generalised forces at its ends (straight)."""
+def _sampled_plant(
+    rig: LevitatedRig, of: Mechanics, share: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, q' and currents after a *share* of the controller's interval: step, held outputs, generalised forces
+    at its ends (straight).
+    """
     n_q, n_axis = of.mass.shape[0], len(rig.labels)
     n = 2 * n_q + n_axis
     corner = 2 * np.pi * rig.amplifier_bandwidth
@@ -355,7 +472,9 @@ def _sampled_plant(rig: LevitatedRig, of: Mechanics, share: float) -> tuple[Floa
     stiffness = of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
     slope, outputs, forces = np.zeros((n, n)), np.zeros((n, n_axis)), np.zeros((n, n_q))
     slope[:n_q, n_q : 2 * n_q] = np.eye(n_q)
-    slope[n_q : 2 * n_q] = inverse @ np.hstack([-stiffness, -of.damping, rig.force_per_current * of.at_bearings.T])
+    slope[n_q : 2 * n_q] = inverse @ np.hstack(
+        [-stiffness, -of.damping, rig.force_per_current * of.at_bearings.T]
+    )
     slope[2 * n_q :, 2 * n_q :] = -corner * np.eye(n_axis)
     outputs[2 * n_q :] = corner * np.eye(n_axis)
     forces[n_q : 2 * n_q] = inverse

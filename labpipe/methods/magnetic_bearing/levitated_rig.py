@@ -1,7 +1,9 @@
-"""A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with injection in the loop.
+"""A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with
+injection in the loop.
 
-Recorded are the currents, the readings of the sensors and what is injected. The force k_i i that moves the rotor is fed back from its
-displacement, so an FRF from current to displacement is that of the rotor only by way of the injection.
+Recorded are the currents, the readings of the sensors and what is injected. The force k_i i that moves the
+rotor is fed back from its displacement, so an FRF from current to displacement is that of the rotor only by
+way of the injection.
 """
 
 from __future__ import annotations
@@ -32,19 +34,24 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.simulate.linear import TACHO, pulses
 from labpipe.simulate.virtual_rigs import Truth, kind_of_recordings, whole_numbers
 
-# Left out before a recording; that much of it, and as much after the recording, is for the logger's filter [s].
+# Left out before a recording; that much of it, and as much after the recording, is for the logger's filter
+# [s].
 SETTLING, MARGIN = 2.0, 0.05
 # Currents are small: stored in whole uA.
 FINE_CURRENT = ("uA", 1e6)
 
 
 def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
-    """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft that turns."""
+    """Currents i_ or forces f_, readings, injections r_ or forces s_ of shakers, and the tacho n of a shaft
+    that turns.
+    """
     n_sample, n_axis = _n_sample(rig, name), len(rig.labels)
     length = n_sample * rig.decimation + round((SETTLING + MARGIN) * rig.control.rate)
     angle = 2 * np.pi * rig.speed * np.arange(length + 1) / rig.control.rate
     added, push = _injected(rig, name, length, rng), _pushed(rig, name, length + 1, rng)
-    seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(rig, angle[:-1])
+    seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
+        rig, angle[:-1]
+    )
     signals = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
     fine = _logged(rig, np.hstack([signals.current, signals.motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
@@ -56,24 +63,40 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     samples = np.hstack([fine, plain[:, n_axis:]])
     samples[:, n_axis : 2 * n_axis] += plain[:, :n_axis]
     channels = _channels(rig, name)
-    samples = samples + rng.standard_normal(samples.shape) * [_measuring_noise(rig, channel) for channel in channels]
+    samples = samples + rng.standard_normal(samples.shape) * [
+        _measuring_noise(rig, channel) for channel in channels
+    ]
     if rig.force_recorded:
         samples[:, :n_axis] *= rig.force_per_current
     if rig.speed > 0:
         channels.append(TACHO)
-        samples = np.column_stack([samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])])
+        samples = np.column_stack(
+            [samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])]
+        )
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
 def _n_sample(rig: LevitatedRig, name: str) -> int:
     period = round(rig.sample_rate / rig.injection.spacing)
-    return rig.injection.periods * period if name.startswith(MULTISINE) else round(rig.injection.duration * rig.sample_rate)
+    return (
+        rig.injection.periods * period
+        if name.startswith(MULTISINE)
+        else round(rig.injection.duration * rig.sample_rate)
+    )
 
 
 def _inputs(
-    rig: LevitatedRig, angle: FloatArray, push: FloatArray, seen: FloatArray, added: FloatArray, rng: np.random.Generator
+    rig: LevitatedRig,
+    angle: FloatArray,
+    push: FloatArray,
+    seen: FloatArray,
+    added: FloatArray,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """What drives the loop (n_sample, n_input) [N, m, m, A]; noise that is stated for the recording has its density at the loop's rate."""
+    """What drives the loop (n_sample, n_input) [N, m, m, A].
+
+    Noise that is stated for the recording has its density at the loop's rate.
+    """
     of, loudness = mechanics(rig), np.sqrt(rig.decimation)
     directions = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(AXES[rig.axes])]
     whirling = rig.unbalance * (2 * np.pi * rig.speed) ** 2 * directions
@@ -85,7 +108,9 @@ def _inputs(
 
 
 def _injected(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator) -> FloatArray:
-    """What is added in the loop (length, n_axis) [A or m]: on the axis that the run is named after, or on all."""
+    """What is added in the loop (length, n_axis) [A or m]: on the axis that the run is named after, or on
+    all.
+    """
     n_axis, injection = len(rig.labels), rig.injection
     added = np.zeros((length, n_axis))
     level = injection.rms * (injection.per_ampere if injection.place == "input" else 1.0)
@@ -105,8 +130,13 @@ def _pushed(rig: LevitatedRig, name: str, length: int, rng: np.random.Generator)
     return _random(rig, rig.shaker, shape, rng, straight_lines=True) if name == SHAKER else np.zeros(shape)
 
 
-def _random(rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool) -> FloatArray:
-    """White in the injection's band, of this *rms*; with *straight_lines*, what is straight between its samples has this spectrum."""
+def _random(
+    rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool
+) -> FloatArray:
+    """White in the injection's band, of this *rms*.
+
+    With *straight_lines*, what is straight between its samples has this spectrum.
+    """
     frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
     inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
     spectrum = np.zeros((frequency.size, shape[1]), np.complex128)
@@ -118,7 +148,10 @@ def _random(rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.rando
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
-    """What sensors see of the turning surface (n_sample, n_axis) [m]; the sensor in y sees it a quarter of a turn later."""
+    """What sensors see of the turning surface (n_sample, n_axis) [m].
+
+    The sensor in y sees it a quarter of a turn later.
+    """
     quarters = np.resize(np.array([0.0, np.pi / 2])[: len(AXES[rig.axes])], len(rig.labels))
     seen = np.zeros((angle.size, quarters.size))
     for order, amplitude in enumerate(rig.runout, 1):
@@ -127,7 +160,9 @@ def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:
 
 
 def _logged(rig: LevitatedRig, signals: FloatArray, per_step: int, n_sample: int) -> FloatArray:
-    """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by one filter without delay."""
+    """Signals known *per_step* times in a step of the controller, as a logger stores them: all channels by
+    one filter without delay.
+    """
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 
@@ -142,7 +177,10 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
     """Currents are what drives the rotor unless a shaker does; readings, injections."""
     quantity, letter = ("force", "f") if rig.force_recorded else ("current", "i")
     added = "current" if rig.injection.place == "output" else "displacement"
-    kinds = [(f"{letter}_", quantity, "reference" if name == SHAKER else "input"), ("", "displacement", "output")]
+    kinds = [
+        (f"{letter}_", quantity, "reference" if name == SHAKER else "input"),
+        ("", "displacement", "output"),
+    ]
     if rig.output_recorded:
         kinds.append(("u_", "current", "reference"))
     if name == SHAKER:
@@ -150,12 +188,17 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
     elif name != REST:
         kinds.append(("r_", added, "reference"))
     return [
-        Channel(f"{prefix}{label}", what, role, label, AXIS_ANGLES.get(label[-1])) for prefix, what, role in kinds for label in rig.labels
+        Channel(f"{prefix}{label}", what, role, label, AXIS_ANGLES.get(label[-1]))
+        for prefix, what, role in kinds
+        for label in rig.labels
     ]
 
 
 def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
-    """Standard deviation of what the logger adds to a channel [A, N, A or m]; the sensors' noise is in the loop already."""
+    """Standard deviation of what the logger adds to a channel [A, N, A or m].
+
+    The sensors' noise is in the loop already.
+    """
     if channel.name.startswith("r_"):
         return rig.noise.reference
     if channel.name.startswith("s_"):
@@ -166,7 +209,9 @@ def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:
-    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the closed loop [SI, 1/s]."""
+    """k_i, k_s per bearing (negative where the magnet pulls), the rotor's matrices, and the poles of the
+    closed loop [SI, 1/s].
+    """
     of = mechanics(rig)
     poles = levitated_loop(rig).poles
     slowest = poles[np.argsort(-poles.real)]
@@ -190,7 +235,10 @@ def truth(rig: LevitatedRig) -> dict[str, Any]:
 
 
 def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
-    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ... of two axes of one bearing."""
+    """Of every fit that this rig is for: k_i, k_s; k, c of one mass in force over displacement; k_x_x ...
+
+    of two axes of one bearing.
+    """
     values = {"k_i": rig.force_per_current, "k_s": -rig.negative_stiffness, "m": rig.mass, **_magnets(rig)}
     if rig.rotor is not None:
         return values
@@ -207,7 +255,11 @@ def _magnets(rig: LevitatedRig) -> dict[str, float]:
     glue = "" if rig.rotor is None else "_"
     for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
         term, direct = f"{rig.labels[row]}{glue}{rig.labels[column]}", float(row == column)
-        magnets |= {f"k_i_{term}": direct * rig.force_per_current, f"k_s_{term}": float(stiffness), f"c_{term}": direct * rig.damping}
+        magnets |= {
+            f"k_i_{term}": direct * rig.force_per_current,
+            f"k_s_{term}": float(stiffness),
+            f"c_{term}": direct * rig.damping,
+        }
     return magnets
 
 

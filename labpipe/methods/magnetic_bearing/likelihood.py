@@ -1,10 +1,12 @@
-"""The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of given numbers do.
+"""The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of
+given numbers do.
 
-Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the channels free of noise.
+Errors in variables by maximum likelihood for a balance B(p) z = 0 of any number of equations, none of the
+channels free of noise.
 
-With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines and runs of
-(B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient is that of L^-1 dB/dp z^ with z^ the
-channels without the noise that the residual tells.
+With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines
+and runs of (B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient
+is that of L^-1 dB/dp z^ with z^ the channels without the noise that the residual tells.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class Residual:
-    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^ (n_line, n_run, n_channel)."""
+    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^
+    (n_line, n_run, n_channel).
+    """
 
     plain: ComplexArray
     lower: ComplexArray
@@ -63,7 +67,10 @@ class MagnetLikelihood:
         """The whitened residual at *values* (n_parameter,) [parameter units]."""
         key = values.tobytes()
         if self._at is None or self._at[0] != key:
-            self._at = key, residual(self.rotor, self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
+            self._at = (
+                key,
+                residual(self.rotor, self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes),
+            )
         return self._at[1]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -88,7 +95,8 @@ class MagnetLikelihood:
 
 
 def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
-    """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its covariance is singular.
+    """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its
+    covariance is singular.
 
     Equation (mag-likelihood).
     """
@@ -103,10 +111,11 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
 
 
 def start(problem: MagnetLikelihood) -> FloatArray:
-    """Values (n_parameter,) [parameter units] to begin with: weighted least squares, repeated with the weights that it gives.
+    """Values (n_parameter,) [parameter units] to begin with: weighted least squares, repeated with the
+    weights that it gives.
 
-    The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with k_i = 0, since the noise of
-    w^2 x grows with frequency. The best of all repeats counts.
+    The first weights are those of a free rotor, 1 / (sd(x) m w^2). Equal weights end in a false minimum with
+    k_i = 0, since the noise of w^2 x grows with frequency. The best of all repeats counts.
     """
     rotor, model = problem.rotor, problem.model
     smooth = MagnetModel(model.names, model.places, model.mass)
@@ -127,7 +136,9 @@ def start(problem: MagnetLikelihood) -> FloatArray:
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free of noise."""
+    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
+    of noise.
+    """
     smooth = MagnetModel(model.names, model.places, model.mass)
     none = np.zeros(len(model.names))
     columns = np.einsum("plac,lrc->plra", smooth.slopes(none, rotor.omega) @ rotor.to_axes, rotor.channels)
@@ -143,7 +154,8 @@ def real_rows(rows: ComplexArray) -> FloatArray:
     return np.concatenate([rows.real, rows.imag], axis=1)
 
 
-# The most likely K_i and K_s, what noise leaves of them, and what the uncertainties of given numbers do to them.
+# The most likely K_i and K_s, what noise leaves of them, and what the uncertainties of given numbers do to
+# them.
 
 NEAR, MOST_STEPS = 1e-4, 60
 # Relative noise below which a covariance is rounding.
@@ -152,9 +164,11 @@ NOISE_FREE = 1e-20
 
 @dataclass(frozen=True)
 class MagnetEstimate:
-    """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for an estimated covariance.
+    """Values (n_parameter,), covariance by noise (n_parameter, n_parameter) [their units], 2 V corrected for
+    an estimated covariance.
 
-    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; uncertainties: what given numbers do.
+    design: triangle (n_parameter, n_parameter) [1] of the Jacobian with columns of length 1; uncertainties:
+    what given numbers do.
     """
 
     model: MagnetModel
@@ -180,26 +194,38 @@ def noise_of(rotor: Levitation) -> Noise:
     return Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
 
 
-def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()) -> MagnetEstimate:
-    """The most likely parameters; *given*: uncertainties of the mass matrix with its change (n, n) [kg] by one standard deviation.
+def magnet_estimate(
+    rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()
+) -> MagnetEstimate:
+    """The most likely parameters; *given*: uncertainties of the mass matrix with its change (n, n) [kg] by
+    one standard deviation.
 
     FitError for too few lines, a covariance from too few periods, channels without noise.
     """
     noise, n = noise_of(rotor), len(model.names)
     n_equation = 2 * rotor.omega.size * rotor.channels.shape[1] * rotor.n_axis
     if n_equation <= n:
-        raise FitError(f"{n_equation} real equations cannot determine {n} parameters", hint="widen the band, or `coupling: direct`")
+        raise FitError(
+            f"{n_equation} real equations cannot determine {n} parameters",
+            hint="widen the band, or `coupling: direct`",
+        )
     _check_noise(rotor, noise)
     problem = MagnetLikelihood(rotor, model)
     try:
         best = minimise(problem, start(problem), NEAR, MOST_STEPS)
     except np.linalg.LinAlgError:
-        raise FitError("the covariance of the channels is singular on a line", hint="leave out lines without noise") from None
+        raise FitError(
+            "the covariance of the channels is singular on a line", hint="leave out lines without noise"
+        ) from None
     jacobian = problem.jacobian(best.values)
     dof = n_equation - n
     squares = 2 * problem.chi2(best.values) / noise.excess
     uncertainties = _uncertainties(problem, best.values, jacobian, given)
-    squares -= _explained(problem, best.values, jacobian, uncertainties, given, noise.excess) if uncertainties else 0.0
+    squares -= (
+        _explained(problem, best.values, jacobian, uncertainties, given, noise.excess)
+        if uncertainties
+        else 0.0
+    )
     information = inverse_information(jacobian)
     return MagnetEstimate(
         model=model,
@@ -219,7 +245,10 @@ def magnet_estimate(rotor: Levitation, model: MagnetModel, given: Sequence[tuple
 def _check_noise(rotor: Levitation, noise: Noise) -> None:
     variance = np.einsum("lrcc->lrc", rotor.covariance).real
     if np.sum(variance) <= NOISE_FREE * np.sum(np.abs(rotor.channels) ** 2):
-        raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint="measure several periods or blocks")
+        raise FitError(
+            "the noise of the channels is not known, so ml cannot weigh them",
+            hint="measure several periods or blocks",
+        )
     if noise.dof <= noise.least_dof:
         raise FitError(
             f"the covariance of the channels was estimated from {noise.dof:.3g} degrees of freedom only",
@@ -230,7 +259,8 @@ def _check_noise(rotor: Levitation, noise: Noise) -> None:
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each source once.
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
+    source once.
 
     The mass, and numbers of the rig that stand in sums of channels or calibrate them.
     """
@@ -246,16 +276,23 @@ def errors_by_given(
     for factor in rotor.spectra.factors:
         error = w**factor.power * (to_balance @ (smoothed @ factor.derivative.T)[..., None])[..., 0]
         if factor.std_error > 0 and np.any(error):
-            errors.append((Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error))
+            errors.append(
+                (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error)
+            )
     sources: dict[str, tuple[Uncertainty, ComplexArray]] = {}
     for uncertainty, error in errors:
         source = sources.get(uncertainty.source)
-        sources[uncertainty.source] = (uncertainty, error) if source is None else (source[0], source[1] + error)
+        sources[uncertainty.source] = (
+            (uncertainty, error) if source is None else (source[0], source[1] + error)
+        )
     return list(sources.values())
 
 
 def _uncertainties(
-    problem: MagnetLikelihood, values: FloatArray, jacobian: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
+    problem: MagnetLikelihood,
+    values: FloatArray,
+    jacobian: FloatArray,
+    given: Sequence[tuple[Uncertainty, FloatArray]],
 ) -> tuple[GivenUncertainty, ...]:
     """dp = -J^+ L^-1 de of every source."""
     state = problem.at(values)
@@ -265,7 +302,11 @@ def _uncertainties(
     uncertainties = []
     for uncertainty, error in errors_by_given(problem, values, given):
         changes = real_rows(state.whiten(error).reshape(1, -1)) @ gain.T
-        uncertainties.append(GivenUncertainty(uncertainty.source, changes, std_error=uncertainty.std_error, unit=uncertainty.unit))
+        uncertainties.append(
+            GivenUncertainty(
+                uncertainty.source, changes, std_error=uncertainty.std_error, unit=uncertainty.unit
+            )
+        )
     return tuple(uncertainties)
 
 
@@ -277,9 +318,13 @@ def _explained(
     given: Sequence[tuple[Uncertainty, FloatArray]],
     excess: float,
 ) -> float:
-    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs counting as one."""
+    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
+    counting as one.
+    """
     state = problem.at(values)
-    white = np.stack([state.whiten(error).reshape(-1) for _, error in errors_by_given(problem, values, given)])
+    white = np.stack(
+        [state.whiten(error).reshape(-1) for _, error in errors_by_given(problem, values, given)]
+    )
     changes = real_rows(white)
     # What the parameters can follow is theirs already.
     changes = changes + np.concatenate([uncertainty.changes for uncertainty in uncertainties]) @ jacobian.T

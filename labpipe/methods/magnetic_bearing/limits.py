@@ -1,4 +1,6 @@
-"""Settings of a certificate, its limits of acceptance with the probability that each is kept, and logarithmic decrements against them."""
+"""Settings of a certificate, its limits of acceptance with the probability that each is kept, and logarithmic
+decrements against them.
+"""
 
 from __future__ import annotations
 
@@ -29,19 +31,35 @@ LEAST_DECREMENT = 0.1
 class CertificateSettings(Settings):
     """What was recorded of the loop, how it is sampled, and the limits of acceptance."""
 
-    before: tuple[str, ...] = setting("names", "responses ahead of the sums at which excitations are added, one per loop", default=())
+    before: tuple[str, ...] = setting(
+        "names", "responses ahead of the sums at which excitations are added, one per loop", default=()
+    )
     after: tuple[str, ...] = setting("names", "responses behind those sums, one per loop", default=())
     output: str = setting("text", "response that is the command behind the controller, [V]", default="")
     displacement: str = setting("text", "response that is the reading of the probe", default="")
     current: str = setting("text", "response that is the current", default="")
-    injection: str = setting("choice", "where the excitation is added: the controller's side", choices=(INPUT, OUTPUT), default=INPUT)
-    rate: float | None = setting("value", "sampling rate of the controller; default: that of discrete blocks", unit="Hz", default=None)
-    filtered: bool = setting("flag", "current and displacement were recorded through a filter against aliasing", default=False)
+    injection: str = setting(
+        "choice",
+        "where the excitation is added: the controller's side",
+        choices=(INPUT, OUTPUT),
+        default=INPUT,
+    )
+    rate: float | None = setting(
+        "value", "sampling rate of the controller; default: that of discrete blocks", unit="Hz", default=None
+    )
+    filtered: bool = setting(
+        "flag", "current and displacement were recorded through a filter against aliasing", default=False
+    )
     log_decrement: float | None = setting(
-        "value", "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none", unit="1", default=None
+        "value",
+        "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none",
+        unit="1",
+        default=None,
     )
     zone: str = setting("choice", "worst zone of ISO 14839-3", choices=ZONE_NAMES, default="B")
-    confidence: float = setting("value", "probability from which a limit counts as kept, or as broken", unit="1", default=0.95)
+    confidence: float = setting(
+        "value", "probability from which a limit counts as kept, or as broken", unit="1", default=0.95
+    )
 
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
@@ -51,7 +69,11 @@ class CertificateSettings(Settings):
         if self.rate is not None and not self.rate > 0:
             raise ConfigError("'rate' must be above zero", field="rate")
         if self.before and len(self.before) != len(self.after):
-            raise ConfigError(f"{len(self.before)} points ahead of a sum and {len(self.after)} behind", hint="one per loop", field="before")
+            raise ConfigError(
+                f"{len(self.before)} points ahead of a sum and {len(self.after)} behind",
+                hint="one per loop",
+                field="before",
+            )
 
     @property
     def least_decrement(self) -> float:
@@ -61,7 +83,9 @@ class CertificateSettings(Settings):
     @property
     def recorded(self) -> tuple[str, ...]:
         """The responses that it names."""
-        return tuple(name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name)
+        return tuple(
+            name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name
+        )
 
 
 # Limits of acceptance, each with the probability that it is kept, and the verdict on all of them.
@@ -92,11 +116,19 @@ def below(value: float, error: float, limit: float) -> float:
 
 def words(probability: float) -> str:
     """A probability as people read it."""
-    return "over 99.9 %" if probability > 0.999 else "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
+    return (
+        "over 99.9 %"
+        if probability > 0.999
+        else "under 0.1 %"
+        if probability < 0.001
+        else f"{100 * probability:.3g} %"
+    )
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else undecided."""
+    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
+    undecided.
+    """
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -114,7 +146,10 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
     """The probabilities that are not known, and the verdict that rests on them, with the reason."""
     unjudged = [limit for limit in limits if limit.probability is None]
     reasons = "; ".join(dict.fromkeys(limit.why for limit in unjudged))
-    return [*((f"probability_{limit.name}", limit.why) for limit in unjudged), *([("verdict", reasons)] if reasons else [])]
+    return [
+        *((f"probability_{limit.name}", limit.why) for limit in unjudged),
+        *([("verdict", reasons)] if reasons else []),
+    ]
 
 
 # Logarithmic decrements of the modes of a fit (an FRF's modal model, a ring-down, one degree of freedom)
@@ -124,7 +159,8 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
-    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping ratios.
+    """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
+    ratios.
 
     Equation (comp-decrement).
     """
@@ -134,7 +170,13 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
     if not amounts:
         hint = "a fit of model modal, decay, or sdof"
         raise ConfigError(f"fit '{settings.fit}' has no damping ratio", hint=hint)
-    limits = [_limit(certificate_settings, amounts, "; ".join(filter(None, (_why_undecided(fit, several) for fit in fits))))]
+    limits = [
+        _limit(
+            certificate_settings,
+            amounts,
+            "; ".join(filter(None, (_why_undecided(fit, several) for fit in fits))),
+        )
+    ]
     verdict = verdict_of(limits, certificate_settings.confidence)
     return Comparison(
         name=settings.name,
@@ -156,17 +198,30 @@ REJECTING = ("feedback", "no-convergence", "model-mismatch")
 def _why_undecided(fit: Fit, several: bool) -> str:
     """Why the decrements of a fit decide nothing; empty where they do."""
     of_test = f" of test '{fit.test}'" if several and fit.test else ""
-    codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings) if finding.code in REJECTING))
+    codes = list(
+        dict.fromkeys(
+            finding.code for finding in of_level(WARNING, fit.findings) if finding.code in REJECTING
+        )
+    )
     if codes or not fit.converged:
         return f"the fit{of_test} is rejected ({', '.join(codes) or 'no-convergence'})"
-    plain = [amount.name for amount in _decrements(fit, several) if amount.full_error is None and np.isfinite(amount.value)]
+    plain = [
+        amount.name
+        for amount in _decrements(fit, several)
+        if amount.full_error is None and np.isfinite(amount.value)
+    ]
     return f"{', '.join(plain)} has no standard error" if plain else ""
 
 
 def _decrements(fit: Fit, several: bool) -> list[Parameter]:
-    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, ends by the ends of z; or the decrement that the fit has."""
+    """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, ends by the ends of z.
+
+    Or the decrement that the fit has.
+    """
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
-    decrements = given or [_of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO]
+    decrements = given or [
+        _of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO
+    ]
     suffix = f"_{fit.test}" if several and fit.test else ""
     return [replace(parameter, name=parameter.name + suffix) for parameter in decrements]
 
@@ -176,7 +231,10 @@ def _of_ratio(ratio: Parameter) -> Parameter:
     name = DECREMENT + ratio.name.removeprefix(RATIO)
     if not abs(ratio.value) < 1:
         return Parameter(name, float(np.copysign(np.inf, ratio.value)), "1", derived=True)
-    value, slope = 2 * np.pi * ratio.value / np.sqrt(1 - ratio.value**2), 2 * np.pi / (1 - ratio.value**2) ** 1.5
+    value, slope = (
+        2 * np.pi * ratio.value / np.sqrt(1 - ratio.value**2),
+        2 * np.pi / (1 - ratio.value**2) ** 1.5,
+    )
     if ratio.full_error is None:
         return Parameter(name, float(value), "1", derived=True)
     plain = with_error(name, "1", float(value), float(slope) * ratio.full_error, normal_quantile(0.975))
@@ -191,5 +249,7 @@ def _limit(own: CertificateSettings, amounts: Sequence[Parameter], why: str) -> 
     said = f"log decrement {least.value:.3g} ({least.name}) is the least; above {own.least_decrement:g}"
     if why:
         return Limit(DECREMENT, None, f"{said} not judged, since {why}", why)
-    probability = min(below(-amount.value, amount.full_error or 0.0, -own.least_decrement) for amount in amounts)
+    probability = min(
+        below(-amount.value, amount.full_error or 0.0, -own.least_decrement) for amount in amounts
+    )
     return Limit(DECREMENT, probability, f"{said} with {words(probability)}")

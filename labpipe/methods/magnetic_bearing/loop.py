@@ -27,30 +27,42 @@ PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
 
 @dataclass(frozen=True, kw_only=True)
 class ControlLoop(Settings):
-    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau} / (1 + s / w_a).
+    """The position control of one bearing: G(s) = (k_p + k_d s / (1 + s T_d) + k_i / (1 + s T_i)) e^{-s tau}
+    / (1 + s / w_a).
 
-    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag reduces damping below
-    21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone is unstable; with -0.25 a static load is
-    released as in zero-power levitation: stiffness rises from its static value and damping is positive.
-    Delay: one sampling interval of 20 kHz for computation, half of one for the hold. Bandwidth and sign are a choice of this project.
-    A *controller* of blocks in series takes the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
+    Gains as printed by Lim et al. (2009), table 1, except for the sign of k_i. With the printed +0.25 the lag
+    reduces damping below 21 Hz for any other gains (c = -301 N.s/m per bearing at 2 Hz) and the rotor alone
+    is unstable; with -0.25 a static load is released as in zero-power levitation: stiffness rises from its
+    static value and damping is positive. Delay: one sampling interval of 20 kHz for computation, half of one
+    for the hold. Bandwidth and sign are a choice of this project. A *controller* of blocks in series takes
+    the place of the PID, any transfer function of s or z; *cross* makes it a matrix of x and y.
     """
 
     proportional: float = setting("value", "proportional gain k_p", unit="1", default=1.0)
     derivative: float = setting("value", "derivative gain k_d", unit="s", default=6.5e-4)
-    derivative_time: float = setting("value", "time constant T_d of the differentiator", unit="s", default=1e-4)
+    derivative_time: float = setting(
+        "value", "time constant T_d of the differentiator", unit="s", default=1e-4
+    )
     lag: float = setting("value", "gain k_i of the first-order lag", unit="1", default=-0.25)
     lag_time: float = setting("value", "time constant T_i of the lag", unit="s", default=0.0318)
     sensor: float = setting("value", "sensitivity of the position probe", unit="V/m", default=8000.0)
     amplifier: float = setting("value", "gain of the current amplifier", unit="A/V", default=1.0)
-    force_per_current: float = setting("value", "force-current factor of one bearing", unit="N/A", default=5.8)
-    bandwidth: float = setting("value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0)
+    force_per_current: float = setting(
+        "value", "force-current factor of one bearing", unit="N/A", default=5.8
+    )
+    bandwidth: float = setting(
+        "value", "-3 dB bandwidth w_a / 2 pi of the amplifier", unit="Hz", default=1000.0
+    )
     delay: float = setting("value", "delay tau of sampling and computing", unit="s", default=75e-6)
-    sensor_bandwidth: float | None = setting("value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None)
+    sensor_bandwidth: float | None = setting(
+        "value", "-3 dB bandwidth of the probe; without it, unlimited", unit="Hz", default=None
+    )
     controller: tuple[ControllerBlock, ...] = setting(
         "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
     )
-    cross: CrossControl | None = setting("section", "the other elements of a controller matrix", section=CrossControl, default=None)
+    cross: CrossControl | None = setting(
+        "section", "the other elements of a controller matrix", section=CrossControl, default=None
+    )
 
     def __post_init__(self) -> None:
         for name in ("derivative_time", "lag_time", "delay"):
@@ -62,18 +74,31 @@ class ControlLoop(Settings):
         self._check_blocks()
 
     def _check_blocks(self) -> None:
-        """ConfigError for gains of the PID beside blocks, a matrix without its first element, and blocks at two rates."""
+        """ConfigError for gains of the PID beside blocks, a matrix without its first element, and blocks at
+        two rates.
+        """
         if self.controller:
             for name in PID:
                 if getattr(self, name) != self.__dataclass_fields__[name].default:
                     hint = "leave it out, or put {form: pid, ...} among the blocks"
-                    raise ConfigError(f"{name}: belongs to the PID, and there is a controller of blocks", hint=hint, field=name)
+                    raise ConfigError(
+                        f"{name}: belongs to the PID, and there is a controller of blocks",
+                        hint=hint,
+                        field=name,
+                    )
         elif self.cross is not None:
-            raise ConfigError("cross: needs the element x by x as controller", hint="controller: [{form: ...}]", field="cross")
+            raise ConfigError(
+                "cross: needs the element x by x as controller",
+                hint="controller: [{form: ...}]",
+                field="cross",
+            )
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """The blocks of an element of the controller matrix; none for the PID, and for a coupling that is zero."""
+        """The blocks of an element of the controller matrix.
+
+        None for the PID, and for a coupling that is zero.
+        """
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -95,12 +120,17 @@ class ControlLoop(Settings):
     @property
     def corners(self) -> tuple[float, ...]:
         """Time constants of the amplifier's and, where it is limited, the probe's first-order lag [s]."""
-        limits = (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
+        limits = (
+            (self.bandwidth,) if self.sensor_bandwidth is None else (self.bandwidth, self.sensor_bandwidth)
+        )
         return tuple(1 / (2 * np.pi * limit) for limit in limits)
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]; a controller of blocks is one term."""
+    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1].
+
+    A controller of blocks is one term.
+    """
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s: ComplexArray = 1j * omega
@@ -126,7 +156,10 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation (mag-controller)."""
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop.
+
+    Equation (mag-controller).
+    """
     total: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -152,32 +185,45 @@ def loop_stiffness(loop: ControlLoop) -> float:
 
 
 def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
-    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError for an integrator.
+    """Negative stiffness of the bias field from the *static* stiffness, k_n = K G(0) - k_0 [N/m]; ConfigError
+    for an integrator.
 
     Equation (mag-static).
     """
     if not np.isfinite(loop.at_rest):
         hint = "give negative_stiffness"
-        raise ConfigError("static_stiffness: the controller integrates, so the loop is rigid at rest", hint=hint, field="static_stiffness")
+        raise ConfigError(
+            "static_stiffness: the controller integrates, so the loop is rigid at rest",
+            hint=hint,
+            field="static_stiffness",
+        )
     return loop_stiffness(loop) * loop.at_rest - static
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
+    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m].
+
+    Equation (mag-stiffness).
+    """
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
 def stiffness_matrix(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
     """K G(jw) - k_n I of both directions at *omega* [rad/s], (n_line, 2, 2) [N/m]."""
-    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(loop, omega) - negative_stiffness * np.eye(2)
+    matrix: ComplexArray = loop_stiffness(loop) * controller_matrix(
+        loop, omega
+    ) - negative_stiffness * np.eye(2)
     return matrix
 
 
-def stiffness_shares(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> dict[str, ComplexArray]:
-    """Contribution of each element to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is dynamic_stiffness.
+def stiffness_shares(
+    loop: ControlLoop, negative_stiffness: float, omega: FloatArray
+) -> dict[str, ComplexArray]:
+    """Contribution of each element to K_eq + j w C_eq, by name, each (n_line,) [N/m]; their sum is
+    dynamic_stiffness.
 
-    The terms of the PID with an ideal chain; then the change by each element of the chain, in the order delay, amplifier, probe; the
-    negative stiffness of the bias field, -k_n. Equation (mag-shares).
+    The terms of the PID with an ideal chain; then the change by each element of the chain, in the order
+    delay, amplifier, probe; the negative stiffness of the bias field, -k_n. Equation (mag-shares).
     """
     shares = {name: loop_stiffness(loop) * term for name, term in controller_terms(loop, omega).items()}
     total: ComplexArray = np.sum(list(shares.values()), axis=0)
@@ -197,10 +243,12 @@ LoopTransfer = Callable[[FloatArray], ComplexArray]
 
 @dataclass(frozen=True)
 class Margins:
-    """Factors of the gain (1) down to and up to the border of stability, phase [rad], delay [s], disk [1], peak of |S| [1], its place [Hz].
+    """Factors of the gain (1) down to and up to the border of stability, phase [rad], delay [s], disk [1],
+    peak of |S| [1], its place [Hz].
 
-    gain_lower 0 and gain_upper, phase, delay infinite where the loop never gets there. disk: the balanced (symmetric) disk margin
-    1 / max|S - 1/2|: gain and phase may change together within it (Seiler, Packard and Gahinet 2020, IEEE Control Systems 40:78).
+    gain_lower 0 and gain_upper, phase, delay infinite where the loop never gets there. disk: the balanced
+    (symmetric) disk margin 1 / max|S - 1/2|: gain and phase may change together within it (Seiler, Packard
+    and Gahinet 2020, IEEE Control Systems 40:78).
     """
 
     gain_lower: float
@@ -213,7 +261,8 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to *highest* [Hz].
+    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
+    *highest* [Hz].
 
     Equation (mag-margins).
     """
@@ -238,7 +287,10 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    """Factors that bring L onto -1, where it crosses the negative real axis; at rest it lies on the real axis."""
+    """Factors that bring L onto -1, where it crosses the negative real axis.
+
+    At rest it lies on the real axis.
+    """
     gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
     for place in _roots(lambda w: loop(w).imag, omega, values.imag):
         at = loop(np.array([place]))[0].real
@@ -248,7 +300,9 @@ def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:
-    """Distance of the phase from -180 deg to either side [rad], and the delay that takes it there [s], where |L| is 1."""
+    """Distance of the phase from -180 deg to either side [rad], and the delay that takes it there [s], where
+    |L| is 1.
+    """
     turns, delays = [], []
     for place in _roots(lambda w: np.log(np.abs(loop(w))), omega, np.log(np.abs(values))):
         angle = float(np.angle(-loop(np.array([place]))[0]))
@@ -257,17 +311,28 @@ def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tupl
     return turns, delays
 
 
-def _roots(function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray) -> list[float]:
+def _roots(
+    function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
+) -> list[float]:
     """Places where a function of frequency changes its sign, between lines and none at rest."""
     places = np.flatnonzero((values[:-1] * values[1:] < 0) & (omega[:-1] > 0))
-    return [float(optimize.brentq(lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12)) for n in places]
+    return [
+        float(
+            optimize.brentq(lambda w: float(function(np.array([w]))[0]), omega[n], omega[n + 1], rtol=1e-12)
+        )
+        for n in places
+    ]
 
 
-def _largest(function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray) -> tuple[float, float]:
+def _largest(
+    function: Callable[[FloatArray], FloatArray], omega: FloatArray, values: FloatArray
+) -> tuple[float, float]:
     """The largest value and its place [rad/s], between the lines."""
     top = int(np.argmax(values))
     if top in (0, omega.size - 1):
         return float(values[top]), float(omega[top])
     ends, accuracy = (omega[top - 1], omega[top + 1]), {"xatol": 1e-9 * omega[top]}
-    maximum = optimize.minimize_scalar(lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy)
+    maximum = optimize.minimize_scalar(
+        lambda w: -float(function(np.array([w]))[0]), bounds=ends, method="bounded", options=accuracy
+    )
     return float(-maximum.fun), float(maximum.x)

@@ -21,7 +21,8 @@ from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
 # The end of a loop's fit at the edge of what a bearing can have: an unknown that fits best at zero.
 
-# An unknown less than this share of its start value above zero stands at the edge where no bearing can have one below.
+# An unknown less than this share of its start value above zero stands at the edge where no bearing can have
+# one below.
 NEAR = 1e-2
 # The share of its start value that makes an unknown zero.
 ZERO = -1.0
@@ -29,7 +30,9 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,) [1]."""
+    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
+    [1].
+    """
 
     problem: LoopProblem
     u: FloatArray
@@ -54,12 +57,18 @@ class HeldProblem:
         return self.problem.jacobian(self.whole(values))[:, self.free]
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squares [1] at the free parameters (n_free,) [1]; infinite for values that no bearing can have."""
+        """Sum of squares [1] at the free parameters (n_free,) [1].
+
+        Infinite for values that no bearing can have.
+        """
         return self.problem.chi2(self.whole(values))
 
 
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
-    """(n_parameter,): the unknowns that would go below zero if a bearing could have that; u (n_parameter,) [1]."""
+    """(n_parameter,): the unknowns that would go below zero if a bearing could have that.
+
+    U (n_parameter,) [1].
+    """
     gradient = problem.jacobian(u).T @ problem.residual(u)
     at_zero = np.zeros(u.size, dtype=bool)
     for number in range(len(problem.unknowns)):
@@ -71,7 +80,10 @@ def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
 
 
 def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
-    """The minimum with the unknowns at zero that a descent stopped at; *minimum* as it is where it stopped for another reason."""
+    """The minimum with the unknowns at zero that a descent stopped at.
+
+    *minimum* as it is where it stopped for another reason.
+    """
     if minimum.converged:
         return minimum
     at_zero = at_edge(problem, minimum.values)
@@ -95,8 +107,8 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
 UNDETERMINED = 1e6
 # Second order is looked for so many combined standard errors away.
 REACH = 2.0
-# An end of an interval is known to this share of a combined standard error, in so many steps, each halved so often to stay possible.
-# It is approached in stages, so that none is far.
+# An end of an interval is known to this share of a combined standard error, in so many steps, each halved so
+# often to stay possible. It is approached in stages, so that none is far.
 CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
 
 
@@ -104,8 +116,8 @@ CLOSE, MOST_STEPS, MOST_HALVINGS, STAGES = 1e-2, 30, 12, 3
 class LoopMinimum:
     """The problem at the end *u* (n_parameter,) [1] of its descent.
 
-    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1] of J^T J; sources and
-    their changes (n_source, n_equation) [1] of the residual.
+    residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1]
+    of J^T J; sources and their changes (n_source, n_equation) [1] of the residual.
     """
 
     problem: LoopProblem
@@ -125,38 +137,52 @@ class LoopMinimum:
         _, singular, turn = np.linalg.svd(jacobian / length, full_matrices=False)
         # What the responses do not tell has no step.
         determined = singular > singular.max(initial=0.0) / UNDETERMINED
-        inverse = (turn[determined].T / singular[determined] ** 2) @ turn[determined] / np.outer(length, length)
+        inverse = (
+            (turn[determined].T / singular[determined] ** 2) @ turn[determined] / np.outer(length, length)
+        )
         return cls(problem, u, problem.residual(u), jacobian, inverse, *problem.changes(u))
 
     def chi2(self, excess: float) -> float:
-        """Chi-square for weights that are too large by *excess*, without what systematic errors explain of it."""
+        """Chi-square for weights that are too large by *excess*, without what systematic errors explain of
+        it.
+        """
         scale = np.sqrt(excess)
-        # At the edge of what a bearing can have, the residual still has a part that the unknowns would take away.
+        # At the edge of what a bearing can have, the residual still has a part that the unknowns would take
+        # away.
         across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
-        by_uncertainties = pulls_of(across / scale, Stated.of(self.changes / scale), self.jacobian, self.inverse).explained
+        by_uncertainties = pulls_of(
+            across / scale, Stated.of(self.changes / scale), self.jacobian, self.inverse
+        ).explained
         return float(self.residual @ self.residual) / excess - by_uncertainties
 
     @property
     def steps(self) -> FloatArray:
-        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source, those of the support the last."""
+        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source, those of the
+        support the last.
+        """
         n = len(self.problem.unknowns)
         return np.vstack([steps_by(self.changes, self.jacobian, self.inverse), self.inverse[n:]])
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the support's uncertainty adds."""
+        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
+        support's uncertainty adds.
+        """
         of_support = self.inverse[:, len(self.problem.unknowns) :]
         return np.asarray(inflation * (self.inverse - of_support @ of_support.T))
 
     def combined(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by all sources."""
+        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
+        all sources.
+        """
         steps = self.steps
         return self.random(inflation) + steps.T @ steps
 
     def end(self, column: int, distance: float, inflation: float) -> float | None:
-        """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance* combined standard errors away.
+        """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
+        combined standard errors away.
 
-        None where none is found. The step of Gauss-Newton from the truth to its estimate is normal whatever the course of the response
-        between the two. Equation (comp-end).
+        None where none is found. The step of Gauss-Newton from the truth to its estimate is normal whatever
+        the course of the response between the two. Equation (comp-end).
         """
         here: LoopMinimum = self
         for stage in range(1, STAGES + 1):
@@ -165,7 +191,8 @@ class LoopMinimum:
         return None if aside or not ended else float(here.u[column])
 
     def at_distance(self, column: int, distance: float, inflation: float) -> tuple[LoopMinimum, bool]:
-        """The problem where the step to its estimate is *distance* combined standard errors of a parameter long, begun from here.
+        """The problem where the step to its estimate is *distance* combined standard errors of a parameter
+        long, begun from here.
 
         At the edge of what a bearing can have, the problem there. False where the search did not end.
         """
@@ -173,7 +200,10 @@ class LoopMinimum:
         for _ in range(MOST_STEPS):
             covariance = here.combined(inflation)
             error = float(np.sqrt(covariance[column, column]))
-            move = steps_by(here.residual[None], here.jacobian, here.inverse)[0] + distance * covariance[:, column] / error
+            move = (
+                steps_by(here.residual[None], here.jacobian, here.inverse)[0]
+                + distance * covariance[:, column] / error
+            )
             there = here.moved(move)
             if there is None or abs(there.u[column] - here.u[column]) < CLOSE * error:
                 return here, True
@@ -190,7 +220,8 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors away.
+        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
+        away.
 
         covariance (n_parameter, n_parameter) [1] of u, combined. Equation (comp-bent).
         """
@@ -220,10 +251,11 @@ CURVED, BENT = 0.1, 0.25
 class LoopFit:
     """Unknowns with standard errors, goodness of fit, and identifiability.
 
-    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value) by noise and sources;
-    *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors explain; *condition_number* of the scaled
-    Jacobian; *alike*: unknowns that are not separately identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget:
-    of the unknowns, None where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best there.
+    *parameters*: unknowns, without standard errors unless *determined*; *correlations* (name, name, value) by
+    noise and sources; *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors
+    explain; *condition_number* of the scaled Jacobian; *alike*: unknowns that are not separately
+    identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget: of the unknowns, None
+    where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best there.
     """
 
     parameters: tuple[Parameter, ...]
@@ -258,28 +290,39 @@ class LoopFit:
 
 
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
-    """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its uncertainty.
+    """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its
+    uncertainty.
 
-    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for responses without noise
-    estimate. Equation (comp-loop).
+    Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for
+    responses without noise estimate. Equation (comp-loop).
     """
     if not all(has_noise(observation.measured) for observation in observations):
         hint = "average several periods or blocks"
-        raise FitError("the noise of the response is not known, so a loop cannot be compared with it", hint=hint)
+        raise FitError(
+            "the noise of the response is not known, so a loop cannot be compared with it", hint=hint
+        )
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support
     errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))
-    problem = LoopProblem(tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0))
+    problem = LoopProblem(
+        tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0)
+    )
     start = np.zeros(len(unknowns) + len(problem.support))
     # An unknown without influence on the response has no gradient.
     idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
-    return _loop_fit(problem, Minimum(start, True, 0) if idle else _settled(problem, along_the_edge(problem, minimise(problem, start))))
+    return _loop_fit(
+        problem,
+        Minimum(start, True, 0)
+        if idle
+        else _settled(problem, along_the_edge(problem, minimise(problem, start))),
+    )
 
 
 def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """Converged as well where the descent ended within SETTLED standard errors.
 
-    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square further.
+    The current sampled when a held command arrives has a kink over the delay, where no step lowers chi-square
+    further.
     """
     if minimum.converged:
         return minimum
@@ -291,11 +334,15 @@ def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
 def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
     """Unknowns without influence on the response."""
     lengths = np.linalg.norm(jacobian, axis=0)
-    return tuple(entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0)
+    return tuple(
+        entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0
+    )
 
 
 def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
-    equations = sum(observation.measured.n_equation - observation.nuisance for observation in problem.observations)
+    equations = sum(
+        observation.measured.n_equation - observation.nuisance for observation in problem.observations
+    )
     dof = equations - len(problem.unknowns)
     uncertainty = weight_uncertainty(_weighed(problem.observations[0]), dof)
     at_end = LoopMinimum.of(problem, minimum.values)
@@ -311,12 +358,18 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
         condition_number=identifiable[0],
         alike=identifiable[1],
         converged=minimum.converged,
-        at_zero=tuple(entry.name for entry, share in zip(problem.unknowns, minimum.values, strict=False) if share == ZERO),
+        at_zero=tuple(
+            entry.name
+            for entry, share in zip(problem.unknowns, minimum.values, strict=False)
+            if share == ZERO
+        ),
     )
     # What a model does not explain widens the intervals as if all noise were larger.
     misfit = max(reduced, 1.0) if whole.chi2_p < MISMATCH_P else 1.0
     return (
-        _with_errors(whole, at_end, misfit * uncertainty.inflation, dof, curved=misfit == 1.0 or bool(whole.at_zero))
+        _with_errors(
+            whole, at_end, misfit * uncertainty.inflation, dof, curved=misfit == 1.0 or bool(whole.at_zero)
+        )
         if whole.usable
         else whole
     )
@@ -329,14 +382,17 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
         return float("inf"), idle
     _, singular, turn = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
     condition = float(singular[0] / max(singular[-1], 1e-300))
-    return condition, tuple(entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3)
+    return condition, tuple(
+        entry.name for entry, part in zip(problem.unknowns, turn[-1], strict=False) if abs(part) > 0.3
+    )
 
 
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
-    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by both.
+    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
+    both.
 
-    *curved*: ends of intervals follow the response where it bends; of a model that the response rejects there is nothing to follow,
-    unless an unknown stands at zero, where its interval has one side only.
+    *curved*: ends of intervals follow the response where it bends; of a model that the response rejects there
+    is nothing to follow, unless an unknown stands at zero, where its interval has one side only.
     """
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
@@ -355,14 +411,21 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
     if curved and max(size for _, size in bent) > CURVED:
         parameters = tuple(
-            _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero)) for number, parameter in enumerate(parameters)
+            _curved(parameter, at_end, number, inflation, limit, bool(fit.at_zero))
+            for number, parameter in enumerate(parameters)
         )
     parameters = tuple(replace(one, at_bound=True) if one.name in fit.at_zero else one for one in parameters)
-    return replace(fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent)
+    return replace(
+        fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent
+    )
 
 
-def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool) -> Parameter:
-    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*: an unknown is held there."""
+def _curved(
+    parameter: Parameter, at_end: LoopMinimum, number: int, inflation: float, limit: float, at_zero: bool
+) -> Parameter:
+    """The unknown with an interval that follows the response; as it is where an end is not found. *at_zero*:
+    an unknown is held there.
+    """
     factor = parameter.coverage_factor or limit
     ends = [at_end.end(number, sign * factor, inflation) for sign in (-1.0, 1.0)]
     if ends[0] is None or ends[1] is None:
@@ -370,9 +433,13 @@ def _curved(parameter: Parameter, at_end: LoopMinimum, number: int, inflation: f
     start = at_end.problem.unknowns[number].value
     low, high = sorted(start * (1 + end) for end in ends if end is not None)
     if at_zero:
-        # Beyond what a bearing can have no truth gives such data, and the ends meet: no less is stated than to first order.
+        # Beyond what a bearing can have no truth gives such data, and the ends meet: no less is stated than
+        # to first order.
         reach = factor * (parameter.combined or parameter.full_error or 0.0)
-        low, high = min(low, parameter.value - reach if parameter.value else 0.0), max(high, parameter.value + reach)
+        low, high = (
+            min(low, parameter.value - reach if parameter.value else 0.0),
+            max(high, parameter.value + reach),
+        )
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
@@ -386,7 +453,11 @@ def _by_name(sources: Sequence[Uncertainty], changes: FloatArray) -> tuple[list[
 def _weighed(observation: LoopObservation) -> Measured:
     """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
     taken = observation.nuisance // (2 * observation.measured.omega.size)
-    return replace(observation.measured, matrix=observation.measured.matrix[:, taken:]) if taken else observation.measured
+    return (
+        replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
+        if taken
+        else observation.measured
+    )
 
 
 def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
@@ -400,24 +471,39 @@ def _last_step(problem: LoopProblem, minimum: Minimum) -> tuple[Parameter, ...]:
 def goodness(fit: LoopFit) -> list[Parameter]:
     """chi-square of all lines with its p-value, and the condition number of the unknowns."""
     amounts = [Parameter("chi2_reduced", fit.chi2_reduced, "1", derived=True), chance("chi2_p", fit.chi2_p)]
-    return [*amounts, Parameter("condition_number", fit.condition_number, "1", derived=True)] if fit.parameters else amounts
+    return (
+        [*amounts, Parameter("condition_number", fit.condition_number, "1", derived=True)]
+        if fit.parameters
+        else amounts
+    )
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or errors beyond first order."""
+    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
+    errors beyond first order.
+    """
     if not fit.parameters:
         return []
     together = " and ".join(fit.alike)
     if not fit.determined:
         what = (
-            f"{together} cannot be told apart by this response (condition number {fit.condition_number:.2g}): standard errors are omitted"
+            f"{together} cannot be told apart by this response (condition number "
+            f"{fit.condition_number:.2g}): standard errors are omitted"
         )
         return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
     if not fit.converged:
-        return [Finding("no-convergence", "the fit of the loop's unknowns did not converge; its values are those of the last step")]
+        return [
+            Finding(
+                "no-convergence",
+                "the fit of the loop's unknowns did not converge; its values are those of the last step",
+            )
+        ]
     findings = []
     if fit.condition_number > COLLINEAR_CONDITION:
-        what = f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit {COLLINEAR_CONDITION:g})"
+        what = (
+            f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit "
+            f"{COLLINEAR_CONDITION:g})"
+        )
         findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
     return [*findings, *_edge_findings(fit), *_bent_findings(fit)]
 
@@ -428,7 +514,9 @@ def _edge_findings(fit: LoopFit) -> list[Finding]:
         return []
     names = " and ".join(fit.at_zero)
     what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
-    return [Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their uncertainties")]
+    return [
+        Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their uncertainties")
+    ]
 
 
 def _bent_findings(fit: LoopFit) -> list[Finding]:
@@ -437,9 +525,14 @@ def _bent_findings(fit: LoopFit) -> list[Finding]:
     if not names:
         return []
     largest = max(size for _, size in fit.bent)
-    size = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else "since such values are none that a bearing can have"
+    size = (
+        f"by {100 * largest:.0f} % of the way"
+        if np.isfinite(largest)
+        else ("since such values are none that a bearing can have")
+    )
     what = (
-        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: standard errors, and what the fitted "
+        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: "
+        "standard errors, and what the fitted "
         "loop says, are rough; intervals of the unknowns follow the response as far as it tells their ends"
     )
     return [Finding("first-order", what)]
@@ -448,7 +541,10 @@ def _bent_findings(fit: LoopFit) -> list[Finding]:
 def fit_statement(fit: LoopFit) -> str:
     """Goodness of fit of all lines as a sentence."""
     chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
-    statement = f"All {fit.lines} lines against the loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
+    statement = (
+        f"All {fit.lines} lines against the "
+        f"loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
+    )
     if fit.parameters and not fit.determined:
         statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."
     return statement

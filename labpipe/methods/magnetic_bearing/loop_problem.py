@@ -11,7 +11,13 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.estimation.budget import across_ports, mass_uncertainty, matrix_errors, support_uncertainties, turned
+from labpipe.estimation.budget import (
+    across_ports,
+    mass_uncertainty,
+    matrix_errors,
+    support_uncertainties,
+    turned,
+)
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
@@ -37,7 +43,9 @@ _MAGNET = {name: entry.unit for name, (entry, _) in settings_of(Magnet).items() 
 
 # An entry of the controller's blocks, "controller.2.frequency"; they count from 1.
 BLOCK = "controller."
-_BLOCK_ENTRIES = {name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"}
+_BLOCK_ENTRIES = {
+    name: entry.unit for name, (entry, _) in settings_of(ControllerBlock).items() if entry.kind == "value"
+}
 
 
 @dataclass(frozen=True)
@@ -59,19 +67,34 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
         value_and_unit = None if file.static_stiffness is None else (file.static_stiffness, "N/m")
     elif field in FACTORS:
         plant = file.levitated()
-        value_and_unit = (plant.loop.force_per_current, "N/A") if field == "force_per_current" else (plant.negative_stiffness, "N/m")
+        value_and_unit = (
+            (plant.loop.force_per_current, "N/A")
+            if field == "force_per_current"
+            else (plant.negative_stiffness, "N/m")
+        )
     elif field in _LOOP:
         value_and_unit = (getattr(file.loop, field), _LOOP[field])
     elif field in _MAGNET:
         value_and_unit = None if file.magnet is None else (getattr(file.magnet, field), _MAGNET[field])
     else:
         entries = list(dict.fromkeys([*ALIASES, *FACTORS, *_LOOP, *_MAGNET]))
-        raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries))
+        raise ConfigError(
+            f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, entries)
+        )
     if value_and_unit is None or value_and_unit[0] is None:
-        where = "static_stiffness" if field == "static_stiffness" else f"magnet: {{{field}: ...}}" if field in _MAGNET else f"loop.{field}"
+        where = (
+            "static_stiffness"
+            if field == "static_stiffness"
+            else f"magnet: {{{field}: ...}}"
+            if field in _MAGNET
+            else f"loop.{field}"
+        )
         raise ConfigError(f"estimate: the bearing file has no '{name}'", hint=f"give it as {where}")
     if value_and_unit[0] == 0:
-        raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint="a value near the expected one is needed to start from")
+        raise ConfigError(
+            f"estimate: '{name}' is zero in the bearing file",
+            hint="a value near the expected one is needed to start from",
+        )
     return Unknown(name, float(value_and_unit[0]), value_and_unit[1])
 
 
@@ -83,7 +106,9 @@ def _block_entry(file: MagneticFile, name: str) -> tuple[float | None, str]:
         hint = f"controller.1 to controller.{count}" if count else ""
         raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
     if entry not in _BLOCK_ENTRIES:
-        raise ConfigError(f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES)))
+        raise ConfigError(
+            f"estimate: '{name}' is no number of a block", hint=nearest(entry, list(_BLOCK_ENTRIES))
+        )
     return getattr(file.loop.controller[int(place) - 1], entry), _BLOCK_ENTRIES[entry]
 
 
@@ -111,18 +136,23 @@ def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFi
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
     freed = {"static_stiffness": None} if "negative_stiffness" in factors else {}
     changed = replace(file, loop=replace(file.loop, **loop), **freed, **factors)  # type: ignore[arg-type]
-    return replace(changed, magnet=replace(file.magnet, **magnet)) if magnet and file.magnet is not None else changed  # type: ignore[arg-type]
+    if not magnet or file.magnet is None:
+        return changed
+    return replace(changed, magnet=replace(file.magnet, **magnet))  # type: ignore[arg-type]
 
 
-# Systematic errors of a recorded loop: what the uncertainties of its channels and of sums of channels do to its
-# responses.
+# Systematic errors of a recorded loop: what the uncertainties of its channels and of sums of channels do to
+# its responses.
 
 
-def response_errors(response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]) -> tuple[MatrixError, ...]:
-    """Changes (n_line, n_output, n_input) [unit of the response] of the chosen part by one standard uncertainty of every source.
+def response_errors(
+    response: FrequencyResponse, rows: Sequence[int], columns: Sequence[int]
+) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) [unit of the response] of the chosen part by one standard
+    uncertainty of every source.
 
-    Gain, delay and phase of the channels, and sums of channels; a direction, which another channel of the same quantity would have to
-    tell, is left out.
+    Gain, delay and phase of the channels, and sums of channels; a direction, which another channel of the
+    same quantity would have to tell, is left out.
     """
     part = np.ix_(range(response.n_frequency), rows, columns)
     return matrix_errors(
@@ -144,13 +174,21 @@ def merged(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     by_source: dict[str, MatrixError] = {}
     for error in errors:
         before = by_source.get(error.uncertainty.source)
-        by_source[error.uncertainty.source] = error if before is None else replace(before, change=before.change + error.change)
+        by_source[error.uncertainty.source] = (
+            error if before is None else replace(before, change=before.change + error.change)
+        )
     return tuple(by_source.values())
 
 
 def directions_left_out(ports: Iterable[Port]) -> list[str]:
     """Labels of the ports whose direction has an uncertainty."""
-    return list(dict.fromkeys(port.label for port in ports if any(calibration.effect == "direction" for calibration in port.uncertainties)))
+    return list(
+        dict.fromkeys(
+            port.label
+            for port in ports
+            if any(calibration.effect == "direction" for calibration in port.uncertainties)
+        )
+    )
 
 
 # Measured responses of a control loop beside the prediction of a bearing file: the residual over its
@@ -166,10 +204,11 @@ Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
 
 @dataclass(frozen=True)
 class LoopObservation:
-    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside the bearings.
+    """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside
+    the bearings.
 
-    *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of numbers that the prediction rests
-    on; the support is no part of them.
+    *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of channels, and of
+    numbers that the prediction rests on; the support is no part of them.
     """
 
     measured: Measured
@@ -182,9 +221,11 @@ class LoopObservation:
 
 @dataclass(frozen=True)
 class LoopProblem:
-    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's deviations in standard errors.
+    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's
+    deviations in standard errors.
 
-    *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that has one.
+    *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that
+    has one.
     """
 
     observations: tuple[LoopObservation, ...]
@@ -199,14 +240,21 @@ class LoopProblem:
     @property
     def size(self) -> float:
         pairs = zip(self.observations, self.weights, strict=True)
-        return float(np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs])))
+        return float(
+            np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs]))
+        )
 
     def file_values(self, u: FloatArray) -> dict[str, float]:
         """The unknowns by name at u (n_parameter,) [1]."""
-        return {entry.name: entry.value * (1 + float(share)) for entry, share in zip(self.unknowns, u, strict=False)}
+        return {
+            entry.name: entry.value * (1 + float(share))
+            for entry, share in zip(self.unknowns, u, strict=False)
+        }
 
     def residual(self, u: FloatArray) -> FloatArray:
-        """(n_equation,) [1]: measured minus predicted, then the support's deviations from its nominal values."""
+        """(n_equation,) [1]: measured minus predicted, then the support's deviations from its nominal
+        values.
+        """
         residuals = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
             predicted = observation.predict(*self._at(observation, u))
@@ -221,7 +269,8 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> tuple[tuple[Uncertainty, ...], FloatArray]:
-        """All sources but the support, and the change (n_source, n_equation) [1] of the residual by one standard uncertainty of each.
+        """All sources but the support, and the change (n_source, n_equation) [1] of the residual by one
+        standard uncertainty of each.
 
         A source of several responses changes all of them.
         """
@@ -229,14 +278,24 @@ class LoopProblem:
         parts: list[dict[str, FloatArray]] = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
             errors = merged(observation.errors(*self._at(observation, u)))
-            uncertainties = {**{error.uncertainty.source: error.uncertainty for error in errors}, **uncertainties}
+            uncertainties = {
+                **{error.uncertainty.source: error.uncertainty for error in errors},
+                **uncertainties,
+            }
             parts.append({error.uncertainty.source: whitened(weight, error.change) for error in errors})
         sizes = [observation.measured.n_equation for observation in self.observations]
         rows = [
-            np.concatenate([*(part.get(source, np.zeros(n)) for part, n in zip(parts, sizes, strict=True)), np.zeros(len(self.support))])
+            np.concatenate(
+                [
+                    *(part.get(source, np.zeros(n)) for part, n in zip(parts, sizes, strict=True)),
+                    np.zeros(len(self.support)),
+                ]
+            )
             for source in uncertainties
         ]
-        return tuple(uncertainties.values()), np.array(rows).reshape(len(uncertainties), sum(sizes) + len(self.support))
+        return tuple(uncertainties.values()), np.array(rows).reshape(
+            len(uncertainties), sum(sizes) + len(self.support)
+        )
 
     @property
     def support_sources(self) -> tuple[Uncertainty, ...]:
@@ -244,7 +303,9 @@ class LoopProblem:
         return tuple(uncertainty for _, uncertainty in support_uncertainties(self.observations[0].support))
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by one-sided ones."""
+        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
+        one-sided ones.
+        """
         if not u.size:
             return np.zeros((self.residual(u).size, 0))
         return np.column_stack([self._slope(u, step) for step in STEP * np.eye(u.size)])
@@ -253,11 +314,16 @@ class LoopProblem:
         ahead, behind = (self.residual_within(u + sign * step) for sign in (1.0, -1.0))
         if ahead is None or behind is None:
             middle = self.residual(u)
-            return (ahead - middle if ahead is not None else middle - behind if behind is not None else 0 * middle) / STEP
+            return (
+                ahead - middle if ahead is not None else middle - behind if behind is not None else 0 * middle
+            ) / STEP
         return (ahead - behind) / (2 * STEP)
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None for values that no bearing can have."""
+        """The residual (n_equation,) [1] at u (n_parameter,) [1].
+
+        None for values that no bearing can have.
+        """
         try:
             return self.residual(u)
         except ConfigError:
@@ -275,7 +341,9 @@ class LoopProblem:
 
 @dataclass(frozen=True)
 class View:
-    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass, support and share."""
+    """One test with its sliding fits: the measured *response*, the fits, and their settings with mass,
+    support and share.
+    """
 
     test: str
     response: FrequencyResponse
@@ -311,11 +379,17 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view; ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known mass."""
+    """The view.
+
+    ConfigError for fits whose coefficients are not those of one bearing in one direction, or without known
+    mass.
+    """
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
-        raise ConfigError(f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {able}")
+        raise ConfigError(
+            f"fit '{name}' is of the model {view.settings.model}", hint=f"a loop is predicted for {able}"
+        )
     if not isinstance(view.settings.mass, float):
         raise ConfigError(f"fit '{name}' has no known mass", hint="mass: 0.92 kg, as in the rig file")
     if view.file.loop.cross is not None:
@@ -326,9 +400,14 @@ def checked_view(view: View) -> View:
 
 
 def _directions(view: View) -> FloatArray:
-    """cos of the angle between output and force, (n_output, n_input): all directions are equal and uncoupled."""
+    """cos of the angle between output and force, (n_output, n_input): all directions are equal and
+    uncoupled.
+    """
     rows, columns = view.ports
-    outputs, inputs = [view.response.outputs[row] for row in rows], [view.response.inputs[column] for column in columns]
+    outputs, inputs = (
+        [view.response.outputs[row] for row in rows],
+        [view.response.inputs[column] for column in columns],
+    )
     return np.array([[_cosine(output, force) for force in inputs] for output in outputs])
 
 
@@ -341,8 +420,13 @@ def _cosine(output: Port, force: Port) -> float:
     return float(np.cos(output.angle - force.angle))
 
 
-def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None) -> ComplexArray:
-    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]; *support* (k_s, c_s), default: nominal."""
+def receptance(
+    view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None
+) -> ComplexArray:
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N].
+
+    *support* (k_s, c_s), default: nominal.
+    """
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
     matrix: ComplexArray = _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
     return matrix
@@ -351,33 +435,47 @@ def receptance(view: View, file: MagneticFile, omega: FloatArray, support: tuple
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
     """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
     plant = file.levitated()
-    bearings: ComplexArray = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
+    bearings: ComplexArray = view.settings.share * dynamic_stiffness(
+        plant.loop, plant.negative_stiffness, omega
+    )
     assert isinstance(view.settings.mass, float)
     total: ComplexArray = support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2
     return total
 
 
-def view_errors(view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]) -> tuple[MatrixError, ...]:
-    """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard uncertainty of every source.
+def view_errors(
+    view: View, measured: Measured, file: MagneticFile, support: tuple[float, float]
+) -> tuple[MatrixError, ...]:
+    """Changes (n_line, n_output, n_input) [m/N] of measured less predicted receptance by one standard
+    uncertainty of every source.
 
-    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction, unless other sensors tell
-    the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation (comp-loop-change).
+    Channels and sums change what is *measured*. A given mass changes the prediction, and so does a direction,
+    unless other sensors tell the motion across it. *support* (k_s, c_s) [N/m, N.s/m]. Equation
+    (comp-loop-change).
     """
     total = _total(view, file, measured.omega, support)[:, None, None]
     errors = [*matrix_errors(measured), *_direction_errors(measured, total)]
     mass = mass_uncertainty(view.settings)
     if mass is not None:
-        errors.append(MatrixError(mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2))
+        errors.append(
+            MatrixError(
+                mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2
+            )
+        )
     return merged(errors)
 
 
 def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[MatrixError]:
-    """What directions that are written too large do to measured less predicted cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
+    """What directions that are written too large do to measured less predicted cos(output - force) / *total*
+    (n_line, 1, 1) [N/m].
+    """
     across = across_ports(measured.outputs)
     for number, port in enumerate(measured.outputs):
         for error in _uncertainties_of_direction(port):
             if across is not None and np.any(across[number]):
-                yield MatrixError(error, error.std_error * turned(measured.matrix, number, across, of_forces=False))
+                yield MatrixError(
+                    error, error.std_error * turned(measured.matrix, number, across, of_forces=False)
+                )
             else:
                 yield MatrixError(error, error.std_error * _sines(measured, port) / total)
     for force in measured.inputs:
@@ -386,11 +484,17 @@ def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[Matri
 
 
 def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
-    return [calibration.uncertainty for calibration in port.uncertainties if calibration.effect == "direction" and port.angle is not None]
+    return [
+        calibration.uncertainty
+        for calibration in port.uncertainties
+        if calibration.effect == "direction" and port.angle is not None
+    ]
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
-    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are known; else zero."""
+    """sin(output - force) (n_output, n_input) in the row or the column of one port, where both directions are
+    known; else zero.
+    """
     sines = np.zeros((len(measured.outputs), len(measured.inputs)))
     for row, output in enumerate(measured.outputs):
         for column, force in enumerate(measured.inputs):
@@ -400,11 +504,15 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights, for comparison with the measured fits."""
+    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
+    the measured fits.
+    """
     frequency = view.response.frequency
     rows, columns = view.ports
     matrix = view.response.matrix.copy()
     form = receptance_factor(view.response.form, frequency)[:, None, None]
-    matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(view, file, 2 * np.pi * frequency)
+    matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(
+        view, file, 2 * np.pi * frequency
+    )
     plain = replace(view.settings, bootstrap=0, compare=False, eliminate=False)
     return identify(replace(view.response, matrix=matrix), plain, judging=False)

@@ -1,4 +1,6 @@
-"""Prediction of a control loop's stiffness and damping over frequency against sliding bands, with a fit of its unknowns."""
+"""Prediction of a control loop's stiffness and damping over frequency against sliding bands, with a fit of
+its unknowns.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ import numpy as np
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
-from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.methods.magnetic_bearing.loop_fit import (
+    LoopFit,
+    fit_statement,
+    goodness,
+    identifiability_findings,
+    loop_fit,
+)
 from labpipe.methods.magnetic_bearing.loop_problem import View, predicted_fits, with_unknowns
 from labpipe.records.comparison import ComparedBand, Comparison, Curve
 from labpipe.records.finding import Finding, Parameter, note
@@ -18,7 +26,8 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.settings import CompareSettings
 
-# Least share of bands whose interval holds the prediction: 95 % are expected, and neighbouring bands share lines.
+# Least share of bands whose interval holds the prediction: 95 % are expected, and neighbouring bands share
+# lines.
 ENOUGH = 0.9
 LETTERS = ("k", "c")
 
@@ -27,7 +36,8 @@ MagneticTheory = Callable[[float | None, str], MagneticFile]
 
 
 def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
-    """k and c of every band with the same fit of the predicted response, the share of bands that hold it, and fitted unknowns.
+    """k and c of every band with the same fit of the predicted response, the share of bands that hold it, and
+    fitted unknowns.
 
     Raises ConfigError for unknown parameters or unknowns, FitError for responses without noise estimate.
     """
@@ -35,8 +45,16 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
     bands = [band for view in views for band in _bands(view, view.file, names)]
     fitted = loop_fit([view.observation for view in views], settings.estimate)
     changed = [with_unknowns(view.file, fitted.values()) for view in views] if fitted.usable else None
-    after = [] if changed is None else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
-    findings = (*_unstable(views), *identifiability_findings(fitted), note("assumptions", views[0].file.assumptions()))
+    after = (
+        []
+        if changed is None
+        else [band for view, file in zip(views, changed, strict=True) for band in _bands(view, file, names)]
+    )
+    findings = (
+        *_unstable(views),
+        *identifiability_findings(fitted),
+        note("assumptions", views[0].file.assumptions()),
+    )
     unstable = any(verdict(view.file.levitated()).unstable for view in views)
     shares = [_share(bands, name) for name in names]
     word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
@@ -51,7 +69,11 @@ def prediction(settings: CompareSettings, views: Sequence[View]) -> Comparison:
         statement=_statement(bands, after, names, fitted, word, views),
         condition=settings.condition,
         bands=tuple(bands),
-        curves=tuple(_curve(view, letter, None if changed is None else changed[n]) for n, view in enumerate(views) for letter in LETTERS),
+        curves=tuple(
+            _curve(view, letter, None if changed is None else changed[n])
+            for n, view in enumerate(views)
+            for letter in LETTERS
+        ),
         correlations=fitted.correlations,
         findings=findings,
         budgets=() if fitted.budget is None else (fitted.budget,),
@@ -67,21 +89,37 @@ def _names(settings: CompareSettings, fit: Fit) -> tuple[str, str]:
     pair = (stiffness, "c" + stiffness[1:])
     missing = next((name for name in pair if name not in names), None)
     if missing is not None or not stiffness.startswith("k"):
-        raise ConfigError(f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping", hint=nearest(stiffness, names))
+        raise ConfigError(
+            f"fit '{fit.name}' has no '{missing or stiffness}' as stiffness and damping",
+            hint=nearest(stiffness, names),
+        )
     return pair
 
 
 def _bands(view: View, file: MagneticFile, names: tuple[str, str]) -> list[ComparedBand]:
     predicted = predicted_fits(view, file)
-    return [_band(view.test, fit, theory, name) for fit, theory in zip(view.fits, predicted, strict=True) for name in names]
+    return [
+        _band(view.test, fit, theory, name)
+        for fit, theory in zip(view.fits, predicted, strict=True)
+        for name in names
+    ]
 
 
 def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
     measured, predicted = fit.parameter(name).as_fitted, theory.parameter(name).value
-    # A fit without convergence has no interval and does not hold the prediction. What the model lacks it lacks on both sides.
+    # A fit without convergence has no interval and does not hold the prediction. What the model lacks it
+    # lacks on both sides.
     low, high = measured.measured_ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))
-    band = ComparedBand(test, name, measured.unit, band_hz=fit.band_hz, value=measured.value, ci95=(low, high), other=predicted)
+    band = ComparedBand(
+        test,
+        name,
+        measured.unit,
+        band_hz=fit.band_hz,
+        value=measured.value,
+        ci95=(low, high),
+        other=predicted,
+    )
     return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))
 
 
@@ -89,12 +127,20 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
     return float(np.mean([band.holds for band in bands if band.parameter == name]))
 
 
-def _amounts(bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]) -> list[Parameter]:
+def _amounts(
+    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str]
+) -> list[Parameter]:
     """Shares of bands, of the loop as it is and with its fitted unknowns, and the number of bands."""
-    amounts = [Parameter(f"share_{letter}", _share(bands, name), "1", derived=True) for letter, name in zip(LETTERS, names, strict=True)]
+    amounts = [
+        Parameter(f"share_{letter}", _share(bands, name), "1", derived=True)
+        for letter, name in zip(LETTERS, names, strict=True)
+    ]
     if after:
         pairs = zip(LETTERS, names, strict=True)
-        amounts += [Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True) for letter, name in pairs]
+        amounts += [
+            Parameter(f"share_{letter}_fitted", _share(after, name), "1", derived=True)
+            for letter, name in pairs
+        ]
     return [*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)]
 
 
@@ -102,7 +148,9 @@ def _stability(views: Sequence[View]) -> list[Parameter]:
     """Number of unstable poles, and the largest sensitivity of the stable settings."""
     verdicts = [verdict(view.file.levitated()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
-    unstable = Parameter("unstable_poles", float(max(stability.unstable for stability in verdicts)), "1", derived=True)
+    unstable = Parameter(
+        "unstable_poles", float(max(stability.unstable for stability in verdicts)), "1", derived=True
+    )
     return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
 
 
@@ -111,20 +159,41 @@ def _unstable(views: Sequence[View]) -> list[Finding]:
     findings = []
     for view in views:
         plant = view.file.levitated()
-        prefix = f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the bearing file: "
-        findings += [replace(finding, message=prefix + finding.message) for finding in stability_findings(verdict(plant))]
+        prefix = (
+            f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the "
+            "bearing file: "
+        )
+        findings += [
+            replace(finding, message=prefix + finding.message)
+            for finding in stability_findings(verdict(plant))
+        ]
     return findings
 
 
 def _statement(
-    bands: Sequence[ComparedBand], after: Sequence[ComparedBand], names: tuple[str, str], fitted: LoopFit, word: str, views: Sequence[View]
+    bands: Sequence[ComparedBand],
+    after: Sequence[ComparedBand],
+    names: tuple[str, str],
+    fitted: LoopFit,
+    word: str,
+    views: Sequence[View],
 ) -> str:
-    counts = [(sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands)) for name in names]
-    shares = " and ".join(f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True))
+    counts = [
+        (sum(b.holds for b in bands if b.parameter == name), sum(b.parameter == name for b in bands))
+        for name in names
+    ]
+    shares = " and ".join(
+        f"{name} in {holding} of {whole}" for name, (holding, whole) in zip(names, counts, strict=True)
+    )
     sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
-        tests = ", ".join(view.test or "the test" for view in views if verdict(view.file.levitated()).unstable)
-        sentences.append(f"The loop as stated is unstable on the mass of the bearing file ({tests}), whatever the bands show.")
+        tests = ", ".join(
+            view.test or "the test" for view in views if verdict(view.file.levitated()).unstable
+        )
+        sentences.append(
+            f"The loop as stated is unstable on the mass of the bearing file ({tests}), "
+            "whatever the bands show."
+        )
     sentences.append(fit_statement(fitted))
     if after:
         shares_after = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
@@ -136,11 +205,16 @@ def _curve(view: View, letter: str, changed: MagneticFile | None) -> Curve:
     """K_eq or C_eq of one bearing at the lines from the first to the last band."""
     frequency = view.measured.omega / (2 * np.pi)
     unit = "N/m" if letter == "k" else "N.s/m"
-    theory, matched = _values(view.file, letter, frequency), () if changed is None else _values(changed, letter, frequency)
+    theory, matched = (
+        _values(view.file, letter, frequency),
+        () if changed is None else _values(changed, letter, frequency),
+    )
     return Curve(view.test, letter, unit, frequency=tuple(frequency.tolist()), theory=theory, matched=matched)
 
 
-def _values(file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]) -> tuple[float, ...]:
+def _values(
+    file: MagneticFile, letter: str, frequency: np.ndarray[tuple[int], np.dtype[np.floating]]
+) -> tuple[float, ...]:
     plant, omega = file.levitated(), 2 * np.pi * frequency
     total = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     return tuple((total.real if letter == "k" else total.imag / omega).tolist())

@@ -1,4 +1,6 @@
-"""All recorded signals of a loop beside their prediction, and the sign, unit or place that would make them fit."""
+"""All recorded signals of a loop beside their prediction, and the sign, unit or place that would make them
+fit.
+"""
 
 from __future__ import annotations
 
@@ -26,22 +28,40 @@ POWERS = (-9, -6, -3, -2, -1, 1, 2, 3, 6, 9)
 FITTED_CAUSES = 4
 
 
-def recorded_loop(own: CertificateSettings, response: FrequencyResponse, file: MagneticFile) -> LoopObservation:
+def recorded_loop(
+    own: CertificateSettings, response: FrequencyResponse, file: MagneticFile
+) -> LoopObservation:
     """All recorded signals and their prediction.
 
-    With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so that neither gain nor delay
-    of the recorded excitation counts; a quotient by the noisy difference of both sides would be biased.
+    With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so
+    that neither gain nor delay of the recorded excitation counts; a quotient by the noisy difference of both
+    sides would be biased.
     """
     rate = own.rate or file.loop.rate
-    named = {"after": own.after[0], "output": own.output, "displacement": own.displacement, "current": own.current}
+    named = {
+        "after": own.after[0],
+        "output": own.output,
+        "displacement": own.displacement,
+        "current": own.current,
+    }
     named |= {"before": own.before[0]} if own.before else {}
-    signals = {signal: chosen_ports(response.outputs, (name,), "response")[0] for signal, name in named.items() if name}
+    signals = {
+        signal: chosen_ports(response.outputs, (name,), "response")[0]
+        for signal, name in named.items()
+        if name
+    }
     if len(response.inputs) != 1:
-        raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint="role: input for the excitation alone")
+        raise ConfigError(
+            f"one loop has one excitation, not {len(response.inputs)}",
+            hint="role: input for the excitation alone",
+        )
     lines = np.ones(response.frequency.size, bool)
     measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
     if measured.covariance is None:
-        raise FitError("the noise of the response is not known, so nothing has an interval", hint="average several periods or blocks")
+        raise FitError(
+            "the noise of the response is not known, so nothing has an interval",
+            hint="average several periods or blocks",
+        )
     weights = np.linalg.inv(measured.covariance)
 
     def per_added(changed: MagneticFile) -> ComplexArray:
@@ -61,19 +81,29 @@ def recorded_loop(own: CertificateSettings, response: FrequencyResponse, file: M
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         if not own.before:
             return matrix_errors(measured)
-        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the last digit.
+        # Changes of the predicted signals: what is common to all of them is added then, and cancels to the
+        # last digit.
         uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
         per = per_added(changed)
-        return [replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None]) for error in uncertainties]
+        return [
+            replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None])
+            for error in uncertainties
+        ]
 
-    return LoopObservation(measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors)
+    return LoopObservation(
+        measured, predict, file, nuisance=2 * measured.omega.size if own.before else 0, errors=errors
+    )
 
 
-# What makes a rejected fit good: a sign, a power of ten, or the side of the controller where the excitation is added.
+# What makes a rejected fit good: a sign, a power of ten, or the side of the controller where the excitation
+# is added.
 
 
-def cause_of(own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]) -> str:
-    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good; empty without one.
+def cause_of(
+    own: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
+) -> str:
+    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
+    empty without one.
 
     Of all changes those that leave the least chi-square by the file as it stands are fitted.
     """
@@ -93,17 +123,27 @@ def sound(fit: LoopFit) -> bool:
     return fit.chi2_p >= MISMATCH_P and (fit.usable or not fit.parameters)
 
 
-def _changes(own: CertificateSettings, response: FrequencyResponse) -> Iterator[tuple[str, CertificateSettings, FrequencyResponse]]:
+def _changes(
+    own: CertificateSettings, response: FrequencyResponse
+) -> Iterator[tuple[str, CertificateSettings, FrequencyResponse]]:
     """Words, settings and response of every change."""
     place = INPUT if own.injection == OUTPUT else OUTPUT
     yield f"with injection: {place}", replace(own, injection=place), response
     signals = list(dict.fromkeys(own.recorded))
     excitation = [] if own.before else [response.inputs[0].label]
     for name in (*signals, *excitation):
-        rows = [chosen_ports(response.outputs, (name,), "response")[0]] if name in signals else list(range(len(response.outputs)))
+        rows = (
+            [chosen_ports(response.outputs, (name,), "response")[0]]
+            if name in signals
+            else list(range(len(response.outputs)))
+        )
         for factor in (-1.0, *(sign * 10.0**power for power in POWERS for sign in (1, -1))):
             # More of the excitation is less of all responses to it.
-            yield _words(name, factor), own, _scaled(response, rows, factor if name in signals else 1 / factor)
+            yield (
+                _words(name, factor),
+                own,
+                _scaled(response, rows, factor if name in signals else 1 / factor),
+            )
 
 
 def _words(name: str, factor: float) -> str:

@@ -1,4 +1,6 @@
-"""The plant for robust control design: nominal response with the band that holds the true one, and the weight."""
+"""The plant for robust control design: nominal response with the band that holds the true one, and the
+weight.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
         label, colour = f"{plant.outputs[o]}/{plant.inputs[i]}", number % PALETTE_SIZE
         nominal, radius = 1e6 * np.abs(plant.nominal[:, o, i]), 1e6 * plant.radius[:, o, i]
         low = np.maximum(nominal - radius, 1e-2 * nominal)
-        size.append(curve(label, plant.frequency, nominal, colour, band=(low, nominal + radius), opacity=0.25))
+        size.append(
+            curve(label, plant.frequency, nominal, colour, band=(low, nominal + radius), opacity=0.25)
+        )
         gain, zero, pole = plant.overbound[o, i]
         bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
         weights.append(curve(f"{label} weight", plant.frequency, plant.weight[:, o, i], colour))
@@ -31,13 +35,19 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
         over_frequency(Axis("weight", "1", logarithmic=True), weights, 2.0),
     )
     confidence = f"{100 * plant.confidence:g} %"
-    caption = f"{fit_title(fit)}: nominal plant and the band that holds the true one at all lines ({confidence}); weight: radius / |G|."
-    sentence = (
-        f"For robust control design: the true plant lies within the radius around the nominal one at all lines together with {confidence}, "
-        "the smallest band that covers the measured scatter. `labpipe export` writes it as `band` (CSV) and with the state space as "
-        "`plant` (MATLAB file)."
+    caption = (
+        f"{fit_title(fit)}: nominal plant and the band that holds the true one at all lines "
+        f"({confidence}); weight: radius / |G|."
     )
-    return [Paragraph(sentence, "note"), Figure(stacked(panels, 5.0), caption, f"Nominal plant of {fit_title(fit)} with its band")]
+    sentence = (
+        "For robust control design: the true plant lies within the radius around the nominal one at all "
+        f"lines together with {confidence}, the smallest band that covers the measured scatter. `labpipe "
+        "export` writes it as `band` (CSV) and with the state space as `plant` (MATLAB file)."
+    )
+    return [
+        Paragraph(sentence, "note"),
+        Figure(stacked(panels, 5.0), caption, f"Nominal plant of {fit_title(fit)} with its band"),
+    ]
 
 
 ROBUST_DETAIL = FitDetailKind(RobustPlant, robust_blocks)

@@ -1,6 +1,8 @@
-"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that samples, computes and holds.
+"""One direction of a levitated rotor in the time domain: mass, springs and bias field under a controller that
+samples, computes and holds.
 
-The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a sampling interval of delay.
+The frequency-domain twin is bearings/magnetic_loop: K_eq + j w C_eq = K G(jw) - k_n with the hold as half a
+sampling interval of delay.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ OUTPUTS = ("reading", "before", "after", "output", "current")
 
 @dataclass(frozen=True)
 class Suspended:
-    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides [N.s/m] in parallel."""
+    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides
+    [N.s/m] in parallel.
+    """
 
     loop: ControlLoop
     negative_stiffness: float
@@ -40,10 +44,11 @@ class Suspended:
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m, V, V, V, A].
+    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m,
+    V, V, V, A].
 
-    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples, *injection* is added between the
-    probe ("before") and the controller ("after").
+    a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between samples,
+    *injection* is added between the probe ("before") and the controller ("after").
     """
 
     a: FloatArray
@@ -53,21 +58,30 @@ class SampledLoop:
     rate: float
 
     def run(self, inputs: FloatArray) -> FloatArray:
-        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m, V], from rest.
+        """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
+        V], from rest.
 
         ConfigError for an unstable loop.
         """
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
-            message = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there is no recording of it"
+            message = (
+                f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there "
+                "is no recording of it"
+            )
             raise ConfigError(message, hint="`labpipe bearing` shows the poles of its bearing file")
         driven = inputs @ self.b.T
-        states = np.stack([linear_states(self.a, driven[:, direction]) for direction in range(inputs.shape[1])], axis=1)
+        states = np.stack(
+            [linear_states(self.a, driven[:, direction]) for direction in range(inputs.shape[1])], axis=1
+        )
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3); the force as `straight` feeds it."""
+        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3).
+
+        The force as `straight` feeds it.
+        """
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -77,9 +91,11 @@ class SampledLoop:
 
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
-    """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A = *step* (n_state, n_state).
+    """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A =
+    *step* (n_state, n_state).
 
-    All pieces at once from rest, then what each inherits from the one before: as many products as a piece has steps and there are pieces.
+    All pieces at once from rest, then what each inherits from the one before: as many products as a piece has
+    steps and there are pieces.
     """
     n_sample, n = driven.shape
     n_piece = -(-n_sample // PIECE)
@@ -100,7 +116,10 @@ def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:
-    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-]; samples are divided by it."""
+    """Amplitude of a sampled wave with linear interpolation, sinc^2(w T / 2), (n_line,) [-].
+
+    Samples are divided by it.
+    """
     shape: FloatArray = np.sinc(omega / (2 * np.pi * rate)) ** 2
     return shape
 
@@ -109,8 +128,9 @@ def straight(omega: FloatArray, rate: float) -> FloatArray:
 class SampledPlant:
     """Motion, current and probe over one sampling interval, exact for a held voltage and a straight force.
 
-    step (n, n), hold and ramp (n, 2) [SI units of the states m, m/s, A, m, per V and per N];
-    hold: of the voltage from before and of the newest one (they change over within the interval); ramp: of the force at both ends.
+    step (n, n), hold and ramp (n, 2) [SI units of the states m, m/s, A, m, per V and per N]; hold: of the
+    voltage from before and of the newest one (they change over within the interval); ramp: of the force at
+    both ends.
     """
 
     step: FloatArray
@@ -119,9 +139,14 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices; ConfigError for what cannot be sampled, see `sampled_matrix`."""
+    """The closed loop of one direction as matrices.
+
+    ConfigError for what cannot be sampled, see `sampled_matrix`.
+    """
     if plant.loop.cross is not None:
-        raise ConfigError("a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross")
+        raise ConfigError(
+            "a cross-coupled controller has no loop of one direction", hint="leave cross out", field="cross"
+        )
     law = sampled_law(plant.loop, rate, plant.loop.blocks())
     motion, whole = sampled_plant(plant, rate)
 
@@ -132,7 +157,8 @@ def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
 
 
 def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
-    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its eigenvalues are z of the closed loop.
+    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its
+    eigenvalues are z of the closed loop.
 
     ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
     """
@@ -163,7 +189,10 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class SampledLaw:
-    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples; a (n, n), b and c (n,), d [1]."""
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples.
+
+    A (n, n), b and c (n,), d [1].
+    """
 
     a: FloatArray
     b: FloatArray
@@ -171,26 +200,36 @@ class SampledLaw:
     d: float
 
 
-def sampled_law(loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False) -> SampledLaw:
-    """The PID or *blocks* at *rate* [Hz]: those of s by the bilinear transform, those of z as they are; *zero*: no PID without blocks.
+def sampled_law(
+    loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False
+) -> SampledLaw:
+    """The PID or *blocks* at *rate* [Hz]: those of s by the bilinear transform, those of z as they are;
+    *zero*: no PID without blocks.
 
     ConfigError for a PID without time constants, blocks at another rate, and more zeros than poles.
     """
     if not blocks:
-        return SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
+        return (
+            SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
+        )
     continuous, discrete = in_series(blocks)
     if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
-        raise ConfigError(f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller")
+        raise ConfigError(
+            f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz", field="controller"
+        )
     if len(continuous.zeros) > len(continuous.poles) or len(discrete.zeros) > len(discrete.poles):
         hint = "add a low-pass, or a derivative_time"
-        raise ConfigError("controller: more zeros than poles cannot be sampled", hint=hint, field="controller")
+        raise ConfigError(
+            "controller: more zeros than poles cannot be sampled", hint=hint, field="controller"
+        )
     # A second of imports that few runs need.
     from scipy import signal
 
     zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, rate)
     zeros, poles = np.append(zeros, discrete.zeros), np.append(poles, discrete.poles)
     sections = signal.zpk2sos(zeros, poles, float(np.real(gain)) * discrete.gain)
-    # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of delay away: [z^-1] each.
+    # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of
+    # delay away: [z^-1] each.
     late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))
     return _in_sections(np.vstack([sections, *late]))
 
@@ -199,29 +238,45 @@ def _in_sections(sections: FloatArray) -> SampledLaw:
     """Sections of second order (n, 6) in series: y = b0 u + m1, m1' = b1 u - a1 y + m2, m2' = b2 u - a2 y."""
     law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
     for b0, b1, b2, _, a1, a2 in sections:
-        section = SampledLaw(np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0]), np.array([1.0, 0.0]), float(b0))
+        section = SampledLaw(
+            np.array([[-a1, 1.0], [-a2, 0.0]]),
+            np.array([b1 - a1 * b0, b2 - a2 * b0]),
+            np.array([1.0, 0.0]),
+            float(b0),
+        )
         n = len(law.a)
         a = np.zeros((n + 2, n + 2))
         a[:n, :n], a[n:, n:], a[n:, :n] = law.a, section.a, np.outer(section.b, law.c)
-        law = SampledLaw(a, np.append(law.b, section.b * law.d), np.append(section.d * law.c, section.c), section.d * law.d)
+        law = SampledLaw(
+            a, np.append(law.b, section.b * law.d), np.append(section.d * law.c, section.c), section.d * law.d
+        )
     return law
 
 
 def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     if loop.derivative_time <= 0 or loop.lag_time <= 0:
         raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
-    terms = [tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate), tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]
+    terms = [
+        tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate),
+        tustin(0.0, loop.lag, loop.lag_time, 1 / rate),
+    ]
     b0, b1, a1 = np.array(terms).T
     return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
 
 
 @lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
-    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]; ConfigError for one shorter than the hold."""
+    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz].
+
+    ConfigError for one shorter than the hold.
+    """
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
-        message = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller, which it holds"
+        message = (
+            f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the "
+            "controller, which it holds"
+        )
         raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
     whole = int(np.floor(intervals + 1e-9))
     motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
@@ -231,7 +286,9 @@ def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
     return motion, whole
 
 
-def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _step(
+    loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
     n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
     motion, memory, waiting = state[:n], state[n:end], state[end:]
@@ -243,17 +300,24 @@ def _step(loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatA
     # The voltage that arrives within this interval takes over from the one before it.
     line = np.append(waiting, output)
     moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
-    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array([reading, before, after, output, motion[2]])
+    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array(
+        [reading, before, after, output, motion[2]]
+    )
 
 
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
-    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear transform; *time*, *interval* [s].
+    """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
+    transform; *time*, *interval* [s].
 
     Equation (mag-tustin).
     """
     fast = 2 / interval
     whole = 1 + fast * time
-    return (constant + fast * derivative) / whole, (constant - fast * derivative) / whole, (1 - fast * time) / whole
+    return (
+        (constant + fast * derivative) / whole,
+        (constant - fast * derivative) / whole,
+        (1 - fast * time) / whole,
+    )
 
 
 def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
@@ -261,7 +325,11 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
     loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
     slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     slope[0, 1] = 1.0
-    slope[1, :3] = -plant.stiffness + plant.bearings * plant.negative_stiffness, -plant.damping, -plant.bearings * loop.force_per_current
+    slope[1, :3] = (
+        -plant.stiffness + plant.bearings * plant.negative_stiffness,
+        -plant.damping,
+        -plant.bearings * loop.force_per_current,
+    )
     slope[1] /= plant.mass
     slope[2, 2], voltage[2] = -1 / loop.corners[0], loop.amplifier / loop.corners[0]
     if n == 4:
@@ -271,11 +339,16 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
     rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
     _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
     _, constant, rising = integrals(slope, force[:, None], interval)
-    return SampledPlant(step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval]))
+    return SampledPlant(
+        step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval])
+    )
 
 
-def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time* [s] (Van Loan, 1978).
+def integrals(
+    slope: FloatArray, inputs: FloatArray, time: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time*
+    [s] (Van Loan, 1978).
 
     *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
     """
@@ -289,7 +362,9 @@ def integrals(slope: FloatArray, inputs: FloatArray, time: float) -> tuple[Float
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column: (n_state, n_state), ..."""
+    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
+    (n_state, n_state), ...
+    """
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

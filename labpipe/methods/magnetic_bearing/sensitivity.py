@@ -1,4 +1,6 @@
-"""Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3, margins without a model."""
+"""Sensitivity of a control loop from an excitation added in the loop: its peak, the zone of ISO 14839-3,
+margins without a model.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.measured import Measured, select_ports
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
-from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, fit_statement, goodness, identifiability_findings, loop_fit
+from labpipe.methods.magnetic_bearing.loop_fit import (
+    LoopFit,
+    fit_statement,
+    goodness,
+    identifiability_findings,
+    loop_fit,
+)
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, response_errors, with_unknowns
 from labpipe.methods.magnetic_bearing.stability import ZONES, sensitivity, zone_of
 from labpipe.records.comparison import Comparison, Curve
@@ -30,7 +38,8 @@ Margin = Callable[[ComplexArray, FloatArray], float]
 STEP = 1e-4
 # Lines of one local parabola.
 LOCAL = 11
-# Standard errors within which a function is zero all the way from one crossing to the next: both are one, crossed by noise.
+# Standard errors within which a function is zero all the way from one crossing to the next: both are one,
+# crossed by noise.
 SURE = 3.0
 
 
@@ -39,16 +48,22 @@ Found = tuple[float, float, FloatArray]
 
 
 def measured_margins(
-    frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], changes: ComplexArray, quantile: float, suffix: str = ""
+    frequency: FloatArray,
+    transfer: tuple[ComplexArray, FloatArray],
+    changes: ComplexArray,
+    quantile: float,
+    suffix: str = "",
 ) -> list[tuple[Parameter, FloatArray]]:
-    """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1], as far as it crosses.
+    """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1],
+    as far as it crosses.
 
-    Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that changes L by *changes*
-    (n_source, n_line) [1].
+    Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that
+    changes L by *changes* (n_source, n_line) [1].
 
-    L follows a parabola over LOCAL lines, since noise makes it cross several times; where it does so all the same, one parabola over all
-    these crossings and as much again, since the least of several would be too small. Intervals of 95 %, *quantile* standard errors to
-    either side, hold the noise of these lines. *frequency* (n_line,) [Hz]. Equations (comp-margins) and (comp-margins-change).
+    L follows a parabola over LOCAL lines, since noise makes it cross several times; where it does so all the
+    same, one parabola over all these crossings and as much again, since the least of several would be too
+    small. Intervals of 95 %, *quantile* standard errors to either side, hold the noise of these lines.
+    *frequency* (n_line,) [Hz]. Equations (comp-margins) and (comp-margins-change).
     """
     plain, variance = transfer
     if frequency.size < LOCAL:
@@ -59,12 +74,17 @@ def measured_margins(
     for near, n in lines.crossings(np.imag):
         if near.values[n].real + near.values[n + 1].real < 0:
             gain = _with_error(_gain, near, n)
-            candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(gain)
+            candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(
+                gain
+            )
     for near, n in lines.crossings(lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(_with_error(margin, near, n))
     units = {"phase_margin": "rad", "delay_margin": "s"}
-    chosen = {name: (max if name == "gain_margin_lower" else min)(margins, key=_value) for name, margins in candidates.items()}
+    chosen = {
+        name: (max if name == "gain_margin_lower" else min)(margins, key=_value)
+        for name, margins in candidates.items()
+    }
     return [
         (with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile), moved)
         for name, (value, error, moved) in chosen.items()
@@ -77,7 +97,8 @@ def _value(found: Found) -> float:
 
 @dataclass(frozen=True)
 class _Lines:
-    """L at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every source (n_source, n_line), all [1].
+    """L at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every source
+    (n_source, n_line), all [1].
 
     smoother (n_line, n_line) [1]: from these to smoothed values.
     """
@@ -116,7 +137,9 @@ class _Lines:
                 yield from ((self, n) for n in _changes(signed) if first <= n <= last)
 
     def _over(self, first: int, last: int) -> _Lines:
-        """The lines from *first* to *last* and half as many to either side, L by one parabola through them."""
+        """The lines from *first* to *last* and half as many to either side, L by one parabola through
+        them.
+        """
         reach = max(LOCAL // 2, (last - first + 1) // 2)
         part = slice(max(first - reach, 0), last + 2 + reach)
         omega = self.omega[part]
@@ -186,7 +209,12 @@ def _with_error(margin: Margin, lines: _Lines, n: int) -> Found:
     moved = np.zeros(len(changes))
     for direction, part in ((1.0, changes.real), (1.0j, changes.imag)):
         steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
-        slopes = np.array([(margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max()) for step in steps])
+        slopes = np.array(
+            [
+                (margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max())
+                for step in steps
+            ]
+        )
         total += float(slopes @ lines.covariance[n : n + 2, n : n + 2] @ slopes) / 2
         moved += part @ slopes
     return margin(pair, places), float(np.sqrt(total)), moved
@@ -203,9 +231,11 @@ COMPLEX_PARTS = 2
 
 @dataclass(frozen=True)
 class MeasuredSensitivity:
-    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S| by noise; *quantile*: errors to either side of 95 %.
+    """S over *frequency* [Hz], complex (n_line,), with the standard error of |S| by noise; *quantile*: errors
+    to either side of 95 %.
 
-    *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S by one standard uncertainty of every source.
+    *response*: the FRF it is computed from. errors: changes (n_line, 1, 1) [1] of S by one standard
+    uncertainty of every source.
     """
 
     frequency: FloatArray
@@ -224,7 +254,9 @@ class MeasuredSensitivity:
     def size_changes(self) -> FloatArray:
         """Changes of |S| by one standard uncertainty of every source, (n_source, n_line) [1]."""
         along = self.values.conj() / np.maximum(self.size, 1e-300)
-        changes = np.array([error.change[:, 0, 0] for error in self.errors]).reshape(len(self.errors), self.values.size)
+        changes = np.array([error.change[:, 0, 0] for error in self.errors]).reshape(
+            len(self.errors), self.values.size
+        )
         return np.asarray((changes * along).real)
 
     @property
@@ -247,16 +279,20 @@ class MeasuredSensitivity:
             inputs=self.response.inputs[:1],
         )
         return LoopObservation(
-            measured, lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None], file, errors=lambda *_: self.errors
+            measured,
+            lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None],
+            file,
+            errors=lambda *_: self.errors,
         )
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest |S| with its standard error by noise and its frequency [Hz]; *at_edge*: at the edge of the measured band.
+    """The largest |S| with its standard error by noise and its frequency [Hz]; *at_edge*: at the edge of the
+    measured band.
 
-    frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes (n_source,) [1] and [Hz]: by one standard
-    uncertainty of every source.
+    frequency_error [Hz] by noise, None for that of a line. changes, frequency_changes (n_source,) [1] and
+    [Hz]: by one standard uncertainty of every source.
     """
 
     value: float
@@ -285,14 +321,18 @@ class Peak:
 def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -> MeasuredSensitivity:
     """S = H_after / (H_after - H_before), both against the excitation that is added between them.
 
-    after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain nor delay of the recorded
-    excitation. To first order dS = (H_after dH_before - H_before dH_after) / (H_after - H_before)^2; half of E|dS|^2 is along |S|.
-    Systematic errors of both go the same way, so that what they have in common cancels.
-    ConfigError for unknown points, FitError without a covariance or where both points are the same. Equation (mag-measured-sensitivity).
+    after = before + e and before = -L after give S = 1 / (1 + L) = after / e; the quotient needs neither gain
+    nor delay of the recorded excitation. To first order dS = (H_after dH_before - H_before dH_after) /
+    (H_after - H_before)^2; half of E|dS|^2 is along |S|. Systematic errors of both go the same way, so that
+    what they have in common cancels. ConfigError for unknown points, FitError without a covariance or where
+    both points are the same. Equation (mag-measured-sensitivity).
     """
     rows, columns = select_ports(response, (), (before, after))
     if len(rows) != 2 or len(columns) != 1:
-        raise ConfigError(f"'{before}' and '{after}' under one excitation are needed", hint="role: input for the excitation alone")
+        raise ConfigError(
+            f"'{before}' and '{after}' under one excitation are needed",
+            hint="role: input for the excitation alone",
+        )
     if response.covariance is None:
         hint = "average several periods or blocks"
         raise FitError("the noise of the response is not known, so the peak has no interval", hint=hint)
@@ -300,7 +340,10 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
     ahead, behind = response.matrix[:, rows, columns[0]].T
     added = behind - ahead
     if np.any(np.abs(added) < 1e-9 * np.abs(behind)):
-        raise FitError(f"'{before}' and '{after}' are the same signal", hint="record one ahead of the sum and one behind it")
+        raise FitError(
+            f"'{before}' and '{after}' are the same signal",
+            hint="record one ahead of the sum and one behind it",
+        )
     slopes = np.stack([behind, -ahead], axis=1) / added[:, None] ** 2
     covariance = response.covariance[:, index][:, :, index]
     variance = np.einsum("fi,fij,fj->f", slopes, covariance, slopes.conj()).real
@@ -310,14 +353,18 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
         replace(error, change=np.einsum("fi,fic->fc", slopes, error.change)[:, :, None])
         for error in response_errors(response, rows, columns)
     )
-    return MeasuredSensitivity(response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response, errors)
+    return MeasuredSensitivity(
+        response.frequency, behind / added, np.sqrt(np.maximum(variance, 0.0) / 2), quantile, response, errors
+    )
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of a parabola through the lines around the highest line; at an edge of the band the line itself.
+    """The maximum of a parabola through the lines around the highest line; at an edge of the band the line
+    itself.
 
-    The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's residual exceeds the noise.
-    Systematic changes of the lines go through the same parabola, to first order. Equations (comp-peak) and (comp-peak-change).
+    The highest line alone would be biased upwards by its noise. Errors are enlarged where the parabola's
+    residual exceeds the noise. Systematic changes of the lines go through the same parabola, to first order.
+    Equations (comp-peak) and (comp-peak-change).
     """
     frequency, size, error, changes = measured.frequency, measured.size, measured.error, measured.size_changes
     top = int(np.argmax(size))
@@ -326,7 +373,15 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
         low -= 1
     while high < size.size - 1 and (size[high + 1] >= CREST * size[top] or high - low + 1 < FEWEST):
         high += 1
-    edge = Peak(float(size[top]), float(error[top]), float(frequency[top]), True, changes[:, top], None, np.zeros(len(changes)))
+    edge = Peak(
+        float(size[top]),
+        float(error[top]),
+        float(frequency[top]),
+        True,
+        changes[:, top],
+        None,
+        np.zeros(len(changes)),
+    )
     if top in (0, size.size - 1) or high - low + 1 < FEWEST:
         return edge
     width = float(frequency[high] - frequency[low])
@@ -345,20 +400,32 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     spread = np.linalg.norm(slopes @ solution * error[crest], axis=1) * np.sqrt(max(excess, 1.0))
     moved = changes[:, crest] @ (slopes @ solution).T
     at = float(frequency[top] + place * width)
-    return Peak(float(a - b**2 / (4 * c)), float(spread[0]), at, False, moved[:, 0], float(spread[1]), moved[:, 1])
+    return Peak(
+        float(a - b**2 / (4 * c)), float(spread[0]), at, False, moved[:, 0], float(spread[1]), moved[:, 1]
+    )
 
 
-def loop_sensitivity(settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None) -> Comparison:
-    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be fitted to S."""
+def loop_sensitivity(
+    settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
+) -> Comparison:
+    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be
+    fitted to S.
+    """
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
-    theory = None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
+    theory = (
+        None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
+    )
     predicted = None if theory is None else theory.size(theory.file, measured.frequency)
     measured_amounts, budget = _measured_amounts(measured, peak, predicted)
     amounts, budgets = list(measured_amounts), [budget]
     if theory is not None and predicted is not None:
-        amounts += [*_predicted_amounts(measured, predicted), *goodness(theory.fitted), *theory.fitted.parameters]
+        amounts += [
+            *_predicted_amounts(measured, predicted),
+            *goodness(theory.fitted),
+            *theory.fitted.parameters,
+        ]
         budgets.append(theory.fitted.budget)
     return Comparison(
         name=settings.name,
@@ -392,7 +459,9 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
     reach = measured.quantile * measured.combined
     matched: tuple[float, ...] = ()
     if theory is not None and theory.fitted.usable:
-        matched = tuple(theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist())
+        matched = tuple(
+            theory.size(with_unknowns(theory.file, theory.fitted.values()), measured.frequency).tolist()
+        )
     return Curve(
         measured.response.name,
         "sensitivity",
@@ -413,31 +482,50 @@ def _measured_amounts(
     amounts, changes = peak.amounts(measured.quantile), [peak.changes, peak.frequency_changes]
     if predicted is not None:
         highest = float(np.max(predicted))
-        amounts.append(with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile))
+        amounts.append(
+            with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile)
+        )
         changes.append(peak.changes / highest)
     dof = COMPLEX_PARTS * measured.response.covariance_dof
-    return with_budget(amounts, [error.uncertainty for error in measured.errors], np.array(changes).T, dof if np.isfinite(dof) else None)
+    return with_budget(
+        amounts,
+        [error.uncertainty for error in measured.errors],
+        np.array(changes).T,
+        dof if np.isfinite(dof) else None,
+    )
 
 
 def _predicted_amounts(measured: MeasuredSensitivity, predicted: FloatArray) -> tuple[Parameter, ...]:
-    """The predicted peak within the measured band, and the share of lines whose interval holds the prediction."""
+    """The predicted peak within the measured band, and the share of lines whose interval holds the
+    prediction.
+    """
     holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
     pairs = {"predicted_peak": float(np.max(predicted)), "share": float(np.mean(holds))}
     return tuple(Parameter(name, value, "1", derived=True) for name, value in pairs.items())
 
 
-def _statement(peak: Peak, top: Parameter, zone: str, predicted: FloatArray | None, theory: _Theory | None) -> str:
+def _statement(
+    peak: Peak, top: Parameter, zone: str, predicted: FloatArray | None, theory: _Theory | None
+) -> str:
     assert top.ci95 is not None
     low, high = top.ci95
-    peak_text = f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: zone {zone} of ISO 14839-3"
+    peak_text = (
+        f"|S| reaches {peak.value:.3f} (95 %: {low:.3f} to {high:.3f}) at {peak.frequency:.4g} Hz: "
+        f"zone {zone} of ISO 14839-3"
+    )
     ends = [zone_of(low), zone_of(high)]
-    confidence = "." if ends[0] == ends[1] else f"; its interval reaches from zone {ends[0]} to zone {ends[1]}."
+    confidence = (
+        "." if ends[0] == ends[1] else (f"; its interval reaches from zone {ends[0]} to zone {ends[1]}.")
+    )
     limits = f" Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
     if theory is None or predicted is None:
         return peak_text + confidence + limits
     stability = verdict(theory.file.levitated())
     if stability.unstable:
-        return f"{peak_text}{confidence}{limits} The loop of the bearing file is unstable, so it cannot be the recorded one."
+        return (
+            f"{peak_text}{confidence}{limits} The loop of the bearing file is unstable, so it cannot be "
+            "the recorded one."
+        )
     prediction_text = f" Predicted in this band: {float(np.max(predicted)):.3f}."
     if stability.peak.value > 1.01 * float(np.max(predicted)):
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
@@ -448,9 +536,17 @@ def _statement(peak: Peak, top: Parameter, zone: str, predicted: FloatArray | No
 def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
     findings = []
     if zone in ("C", "D"):
-        findings.append(Finding("sensitivity", f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"))
+        findings.append(
+            Finding(
+                "sensitivity",
+                f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation",
+            )
+        )
     if peak.at_edge:
-        what = f"the largest sensitivity is at the edge of the band, {peak.frequency:.4g} Hz; it may be larger beyond"
+        what = (
+            f"the largest sensitivity is at the edge of the band, {peak.frequency:.4g} Hz; it may be "
+            "larger beyond"
+        )
         findings.append(Finding("sensitivity-edge", what))
     if theory is not None:
         predicted = stability_findings(verdict(theory.file.levitated()))

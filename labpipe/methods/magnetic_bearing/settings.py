@@ -22,29 +22,49 @@ ORDERS = (AUTO, "0", "1", "2", "3")
 
 @dataclass(frozen=True)
 class MagnetSettings(Settings):
-    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between samples."""
+    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between
+    samples.
+    """
 
     coupling: str = setting(
-        "choice", "terms of K_i and K_s: all; those of one bearing; none but direct ones", choices=(BEARING, FULL, DIRECT), default=BEARING
+        "choice",
+        "terms of K_i and K_s: all; those of one bearing; none but direct ones",
+        choices=(BEARING, FULL, DIRECT),
+        default=BEARING,
     )
     _: KW_ONLY
     passive_damping: bool = setting("flag", "estimate the damping at the magnets as well", default=False)
     inertia: Uncertain | None = setting(
-        "uncertain", "rigid rotor on two bearings: transverse moment of inertia about its centre of gravity", unit="kg.m^2", default=None
+        "uncertain",
+        "rigid rotor on two bearings: transverse moment of inertia about its centre of gravity",
+        unit="kg.m^2",
+        default=None,
     )
-    centre: float = setting("value", "place of the centre of gravity, from where the channels' positions are", unit="m", default=0.0)
+    centre: float = setting(
+        "value",
+        "place of the centre of gravity, from where the channels' positions are",
+        unit="m",
+        default=0.0,
+    )
     hold: float | None = setting(
         "value",
-        "rate of the recording, where no filter stands between the held output of a controller and the samples; default: a smooth current",
+        "rate of the recording, where no filter stands between the held output of a controller and the "
+        "samples; default: a smooth current",
         unit="Hz",
         default=None,
     )
     amplifier_bandwidth: float | None = setting(
-        "value", "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited", unit="Hz", default=None
+        "value",
+        "with hold: -3 dB bandwidth of the amplifier behind the held output; default: unlimited",
+        unit="Hz",
+        default=None,
     )
 
     band_confidence: float = setting(
-        "value", "probability that the band for robust control design holds the true plant at all lines", unit="1", default=0.95
+        "value",
+        "probability that the band for robust control design holds the true plant at all lines",
+        unit="1",
+        default=0.95,
     )
 
     def __post_init__(self) -> None:
@@ -55,7 +75,9 @@ class MagnetSettings(Settings):
             if value is not None and not value > 0:
                 raise ConfigError(f"'{name}' must be above zero", field=name)
         if self.amplifier_bandwidth is not None and self.hold is None:
-            raise ConfigError("'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth")
+            raise ConfigError(
+                "'amplifier_bandwidth' goes with hold", hint="hold: 20 kHz", field="amplifier_bandwidth"
+            )
         if self.inertia is not None and not self.inertia.value > 0:
             raise ConfigError("'inertia' must be above zero", field="inertia")
 
@@ -64,7 +86,9 @@ class MagnetSettings(Settings):
 class BlockSettings(Settings):
     """The order of the low-pass: of one real pole (1), a pair (2), both (3)."""
 
-    order: str = setting("choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO)
+    order: str = setting(
+        "choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO
+    )
 
 
 # The models magnet and block as entries of the table of models. What fits is imported by the first fit.
@@ -92,5 +116,11 @@ MAGNET = ModelKind(
     estimators=("ml",),
 )
 BLOCK = ModelKind(
-    _fit_block, "block", BlockSettings, "block: {order: auto}", optional=True, keys=("input", "output", "bands"), estimators=("ml",)
+    _fit_block,
+    "block",
+    BlockSettings,
+    "block: {order: auto}",
+    optional=True,
+    keys=("input", "output", "bands"),
+    estimators=("ml",),
 )

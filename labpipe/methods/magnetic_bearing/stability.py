@@ -1,4 +1,6 @@
-"""Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the loop cut open."""
+"""Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the loop cut
+open.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,14 @@ from labpipe.methods.magnetic_bearing.loop import (
     loop_stiffness,
     stiffness_matrix,
 )
-from labpipe.methods.magnetic_bearing.sampled_loop import SampledLaw, Suspended, sampled_law, sampled_loop, sampled_matrix, sampled_plant
+from labpipe.methods.magnetic_bearing.sampled_loop import (
+    SampledLaw,
+    Suspended,
+    sampled_law,
+    sampled_loop,
+    sampled_matrix,
+    sampled_plant,
+)
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
 
 # Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the sensitivity
@@ -33,7 +42,8 @@ PADE_ORDER = 4
 EMPTY, MARGINAL = 1e-6, 1e-9
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
-# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed or 2 kHz.
+# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed
+# or 2 kHz.
 SEARCH = (1e-3, 2000.0, 20_001)
 TURNING = (1e-5, 1e7, 400_001)
 
@@ -49,7 +59,10 @@ class Levitated:
 
 @dataclass(frozen=True)
 class SensitivityPeak:
-    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3; at 0 Hz where the static value is the largest."""
+    """The largest |S| (1), its frequency [Hz], and the zone of ISO 14839-3.
+
+    At 0 Hz where the static value is the largest.
+    """
 
     value: float
     frequency: float
@@ -57,19 +70,24 @@ class SensitivityPeak:
 
 
 def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
-    """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! / ((2n)! k! (n-k)!) (s tau)^k.
+    """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! /
+    ((2n)! k! (n-k)!) (s tau)^k.
 
     Equation (mag-pade).
     """
     terms = [
-        factorial(2 * order - k) * factorial(order) / (factorial(2 * order) * factorial(k) * factorial(order - k)) * delay**k
+        factorial(2 * order - k)
+        * factorial(order)
+        / (factorial(2 * order) * factorial(k) * factorial(order - k))
+        * delay**k
         for k in range(order + 1)
     ]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
 def characteristic_polynomial(plant: Levitated, time: float, order: int = PADE_ORDER) -> Polynomial:
-    """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the coefficients are of equal magnitude.
+    """det((m s^2 - k_n) I + K G) times all denominators, the delay by Pade, in s * *time* so that the
+    coefficients are of equal magnitude.
 
     Of one direction unless the controller is a matrix. Equation (mag-characteristic).
     """
@@ -94,8 +112,15 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
     """Numerator and denominator of the controller x by x in s * *time*."""
     if loop.controller:
         return _polynomials(loop.controller, time)
-    differentiator, lag = Polynomial([1.0, loop.derivative_time / time]), Polynomial([1.0, loop.lag_time / time])
-    pid = loop.proportional * differentiator * lag + Polynomial([0.0, loop.derivative / time]) * lag + loop.lag * differentiator
+    differentiator, lag = (
+        Polynomial([1.0, loop.derivative_time / time]),
+        Polynomial([1.0, loop.lag_time / time]),
+    )
+    pid = (
+        loop.proportional * differentiator * lag
+        + Polynomial([0.0, loop.derivative / time]) * lag
+        + loop.lag * differentiator
+    )
     return pid, differentiator * lag
 
 
@@ -104,7 +129,9 @@ def _polynomials(blocks: Sequence[ControllerBlock], time: float) -> tuple[Polyno
     if not blocks:
         return Polynomial([0.0]), Polynomial([1.0])
     continuous, _ = in_series(blocks)
-    above, below = (Polynomial(_from_roots(np.array(roots) * time)) for roots in (continuous.zeros, continuous.poles))
+    above, below = (
+        Polynomial(_from_roots(np.array(roots) * time)) for roots in (continuous.zeros, continuous.poles)
+    )
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
 
 
@@ -114,13 +141,16 @@ def _from_roots(roots: NDArray[Any]) -> FloatArray:
 
 
 def sampled(plant: Levitated, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the controller is a matrix."""
+    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
+    controller is a matrix.
+    """
     suspended = Suspended(plant.loop, plant.negative_stiffness, plant.mass)
     return sampled_loop(suspended, rate).a if plant.loop.cross is None else sampled_matrix(suspended, rate)
 
 
 def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray:
-    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of *order*.
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation of
+    *order*.
 
     With discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
@@ -128,11 +158,14 @@ def closed_loop_poles(plant: Levitated, order: int = PADE_ORDER) -> ComplexArray
     if rate is not None:
         return ordered_poles(sampled_poles(sampled(plant, rate), rate))
     time = 1e-3
-    return ordered_poles(np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time)
+    return ordered_poles(
+        np.asarray(characteristic_polynomial(plant, time, order).roots(), np.complex128) / time
+    )
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty memory, are left out.
+    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
+    memory, are left out.
 
     Equation (mag-sampled).
     """
@@ -147,20 +180,26 @@ def ordered_poles(poles: ComplexArray) -> ComplexArray:
 
 
 def unstable_poles(plant: Levitated) -> int:
-    """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w = 0 ... inf) / pi.
+    """Number of poles in the right half-plane with the exact delay, Z = n / 2 - (phase change of D(jw) over w
+    = 0 ... inf) / pi.
 
-    Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the controller, n = 2 + d per
-    direction (the lags of amplifier and probe are stable and cancel). Of discrete blocks the eigenvalues z beyond the unit circle.
-    Equation (mag-unstable).
+    Argument principle for D(s) = det((m s^2 - k_n) I + K G(s)) times the denominator of degree d of the
+    controller, n = 2 + d per direction (the lags of amplifier and probe are stable and cancel). Of discrete
+    blocks the eigenvalues z beyond the unit circle. Equation (mag-unstable).
     """
     loop = plant.loop
     if loop.rate is not None:
         return int(np.sum(np.abs(np.linalg.eigvals(sampled(plant, loop.rate))) > 1 + MARGINAL))
     omega = 2 * np.pi * np.geomspace(*TURNING)
-    dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[:, None, None] ** 2 * np.eye(2)
+    dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega) - plant.mass * omega[
+        :, None, None
+    ] ** 2 * np.eye(2)
     curve: ComplexArray = dynamic[:, 0, 0] if loop.cross is None else np.asarray(np.linalg.det(dynamic))
-    poles = np.array([pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128)
-    # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones of a damped loop.
+    poles = np.array(
+        [pole for blocks in _elements(loop) for pole in in_series(blocks)[0].poles], np.complex128
+    )
+    # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
+    # of a damped loop.
     turned = curve
     for pole in poles:
         turned = turned * (1j * omega - pole)
@@ -179,7 +218,10 @@ def _elements(loop: ControlLoop) -> list[tuple[ControllerBlock, ...]]:
 
 
 def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3. Of a controller matrix that of x."""
+    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3.
+
+    Of a controller matrix that of x.
+    """
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor: ComplexArray = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
@@ -192,7 +234,8 @@ def sensitivity(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
-    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes the largest |S_ii|.
+    """S(jw) = (I + L)^-1 of both directions, L = K G / (-m w^2 - k_n), (n_line, 2, 2) [1]; ISO 14839-3 takes
+    the largest |S_ii|.
 
     Equation (mag-sensitivity).
     """
@@ -204,7 +247,10 @@ def sensitivity_matrix(plant: Levitated, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above. Equation (mag-zone)."""
+    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
+
+    Equation (mag-zone).
+    """
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
@@ -232,10 +278,11 @@ AT_A_POLE = 1e-12
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command, (n_line,) each.
+    """Controller C [1] with the probe's sensitivity k [V/m], motion X [m/V] and current I [A/V] per command,
+    (n_line,) each.
 
-    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign. recorded_motion: what a logger
-    with a filter sees of X, None where it is X.
+    L = -k X C is the loop, S = 1 / (1 + L); the force on the rotor is -k_i i, so that X has a minus sign.
+    recorded_motion: what a logger with a filter sees of X, None where it is X.
     """
 
     sensor: float
@@ -257,7 +304,8 @@ class OpenLoop:
         return np.asarray(1 / (1 + self.loop))
 
     def signals(self, place: str) -> dict[str, ComplexArray]:
-        """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it (output).
+        """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it
+        (output).
 
         before and after are the two sides of the sum where it is added; output is the command behind it.
         """
@@ -265,14 +313,22 @@ class OpenLoop:
         command = self.controller * s if place == INPUT else s
         motion = self.motion if self.recorded_motion is None else self.recorded_motion
         sides = {"before": s - 1, "after": s}
-        return {**sides, "output": command, "displacement": motion * command, "current": self.current * command}
+        return {
+            **sides,
+            "output": command,
+            "displacement": motion * command,
+            "current": self.current * command,
+        }
 
 
-def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False) -> OpenLoop:
-    """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time, the hold as delay.
+def open_loop(
+    plant: Levitated, omega: FloatArray, rate: float | None = None, filtered: bool = False
+) -> OpenLoop:
+    """The loop at *omega* [rad/s] (n_line,), sampled and held at *rate* [Hz]; without one in continuous time,
+    the hold as delay.
 
-    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller samples them. ConfigError for
-    what cannot be sampled.
+    *filtered*: current and motion are recorded through a filter against aliasing, not as the controller
+    samples them. ConfigError for what cannot be sampled.
     """
     loop = plant.loop
     if rate is None:
@@ -287,10 +343,15 @@ def open_loop(plant: Levitated, omega: FloatArray, rate: float | None = None, fi
         return OpenLoop(loop.sensor, law_at, motion, current)
     # The delay holds half an interval for the hold already.
     delayed = (
-        loop.amplifier * chain_factors(loop, omega)["amplifier"] * np.exp(-1j * omega * loop.delay) * np.sinc(omega / (2 * np.pi * rate))
+        loop.amplifier
+        * chain_factors(loop, omega)["amplifier"]
+        * np.exp(-1j * omega * loop.delay)
+        * np.sinc(omega / (2 * np.pi * rate))
     )
     moved = -loop.force_per_current * delayed / (-plant.mass * omega**2 - plant.negative_stiffness)
-    return OpenLoop(loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0))
+    return OpenLoop(
+        loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0)
+    )
 
 
 @lru_cache(maxsize=16)
@@ -299,7 +360,10 @@ def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole, as of an integrator at rest."""
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s].
+
+    Infinite at a pole, as of an integrator at rest.
+    """
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
     z = np.exp(1j * np.asarray(omega) / rate)
@@ -315,7 +379,9 @@ def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[C
     """Reading of the probe and current per command, with computing delay and hold."""
     motion, whole = sampled_plant(plant, rate)
     z = np.exp(1j * np.asarray(omega) / rate)
-    late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (-float(whole))
+    late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (
+        -float(whole)
+    )
     n = motion.step.shape[0]
     states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
     return states[:, 3 if n == 4 else 0], states[:, 2]

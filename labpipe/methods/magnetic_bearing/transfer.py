@@ -20,13 +20,16 @@ from labpipe.records.settings import Settings, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
-# Markov parameter over the largest one, in units of the poles, below which it is rounding; accuracy of a converted state space.
+# Markov parameter over the largest one, in units of the poles, below which it is rounding; accuracy of a
+# converted state space.
 VANISHED, SAME = 1e-10, 1e-6
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z = e^{s / rate} [1]."""
+    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
+    e^{s / rate} [1].
+    """
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
@@ -60,7 +63,11 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
     """From coefficients in descending powers of s or z; ConfigError for a denominator that is zero."""
     above, below = _trimmed(numerator), _trimmed(denominator)
     if not below.size:
-        raise ConfigError("denominator: is zero", hint="coefficients in descending powers, for example [1, 20, 100]", field="denominator")
+        raise ConfigError(
+            "denominator: is zero",
+            hint="coefficients in descending powers, for example [1, 20, 100]",
+            field="denominator",
+        )
     poles = np.roots(below)
     above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
@@ -74,7 +81,9 @@ def _trimmed(coefficients: ArrayLike) -> FloatArray:
 
 
 def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
-    """Without leading coefficients that make zeros far beyond the *largest* pole: what rounding has left of a power that is not there."""
+    """Without leading coefficients that make zeros far beyond the *largest* pole: what rounding has left of a
+    power that is not there.
+    """
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
     return coefficients
@@ -99,7 +108,9 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width* 2 D of it at -3 dB."""
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
+    2 D of it at -3 dB.
+    """
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -119,22 +130,32 @@ def _pair(omega: float, damping: float) -> tuple[complex, complex]:
 
 
 def matrix_of(system: Any) -> list[list[Transfer]]:
-    """Elements [output][input] of a system of another package, known by its attributes: num and den, zeros, poles and gain, or A, B, C, D.
+    """Elements [output][input] of a system of another package, known by its attributes: num and den, zeros,
+    poles and gain, or A, B, C, D.
 
-    Takes what python-control and scipy.signal call TransferFunction, StateSpace and ZerosPolesGain. ConfigError for other objects, and for
-    a discrete system whose sampling time is not known.
+    Takes what python-control and scipy.signal call TransferFunction, StateSpace and ZerosPolesGain.
+    ConfigError for other objects, and for a discrete system whose sampling time is not known.
     """
     rate = _rate_of(getattr(system, "dt", None))
     if all(hasattr(system, name) for name in ("num", "den")):
         above, below = _nested(system.num), _nested(system.den)
-        return [[of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)] for pair in zip(above, below, strict=True)]
+        return [
+            [of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)]
+            for pair in zip(above, below, strict=True)
+        ]
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
         return _of_states(a, b, c, d, rate)
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain")) and not callable(system.zeros):
-        zeros, poles = (tuple(complex(root) for root in np.atleast_1d(getattr(system, name))) for name in ("zeros", "poles"))
+        zeros, poles = (
+            tuple(complex(root) for root in np.atleast_1d(getattr(system, name)))
+            for name in ("zeros", "poles")
+        )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
-    raise ConfigError(f"a {type(system).__name__} is no transfer function", hint="num and den, zeros, poles and gain, or A, B, C and D")
+    raise ConfigError(
+        f"a {type(system).__name__} is no transfer function",
+        hint="num and den, zeros, poles and gain, or A, B, C and D",
+    )
 
 
 def _rate_of(interval: Any) -> float | None:
@@ -152,15 +173,22 @@ def _nested(polynomials: Any) -> list[list[ArrayLike]]:
     return [[polynomials]] if single else [list(row) for row in polynomials]
 
 
-def _of_states(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> list[list[Transfer]]:
+def _of_states(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None
+) -> list[list[Transfer]]:
     columns = range(d.shape[1])
-    return [[_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns] for row in range(d.shape[0])]
+    return [
+        [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
+        for row in range(d.shape[0])
+    ]
 
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
-    """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the first Markov parameter D, C B, C A B, ... that is none.
+    """Zeros by the pencil [[A - z I, B], [C, D]], poles of A, and the gain by the first Markov parameter D, C
+    B, C A B, ... that is none.
 
-    As many zeros are infinite as parameters vanish before it; ConfigError where rounding does not let the others be told.
+    As many zeros are infinite as parameters vanish before it; ConfigError where rounding does not let the
+    others be told.
     """
     n = len(a)
     if not n:
@@ -171,28 +199,53 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
     unit, size = float(np.max(np.abs(poles))) or 1.0, float(np.linalg.norm(inward) * np.linalg.norm(outward))
     if size == 0:
         return Transfer(gain=float(d[0, 0]), rate=rate)
-    scaled, inward, outward = balanced / unit, inward / np.linalg.norm(inward), outward / np.linalg.norm(outward)
+    scaled, inward, outward = (
+        balanced / unit,
+        inward / np.linalg.norm(inward),
+        outward / np.linalg.norm(outward),
+    )
     through = d * unit / size
-    markov = [float(through[0, 0]), *(float((outward @ np.linalg.matrix_power(scaled, k) @ inward)[0, 0]) for k in range(n))]
+    markov = [
+        float(through[0, 0]),
+        *(float((outward @ np.linalg.matrix_power(scaled, k) @ inward)[0, 0]) for k in range(n)),
+    ]
     first = next(k for k, value in enumerate(markov) if abs(value) > VANISHED * max(map(abs, markov)))
     shift = np.zeros((n + 1, n + 1))
     shift[:n, :n] = np.eye(n)
-    above, below = linalg.eigvals(np.block([[scaled, inward], [outward, through]]), shift, homogeneous_eigvals=True)
-    nearest = np.argsort(-np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny))[: n - first]
+    above, below = linalg.eigvals(
+        np.block([[scaled, inward], [outward, through]]), shift, homogeneous_eigvals=True
+    )
+    nearest = np.argsort(
+        -np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny)
+    )[: n - first]
     zeros = unit * above[nearest] / below[nearest]
-    transfer = Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), markov[first] * size * unit ** (first - 1), rate)
+    transfer = Transfer(
+        tuple(map(complex, zeros)),
+        tuple(map(complex, poles)),
+        markov[first] * size * unit ** (first - 1),
+        rate,
+    )
     return _confirmed(transfer, (a, b, c, d), unit)
 
 
-def _confirmed(found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float) -> Transfer:
+def _confirmed(
+    found: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
+) -> Transfer:
     """The transfer function where it is that of the state space; ConfigError otherwise."""
     a, b, c, d = system
     for share in (0.01, 0.3, 3.0):
         point = share * unit * (0.3 + 1j)
         exact = complex((c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d)[0, 0])
-        ours = found.gain * np.prod([point - zero for zero in found.zeros]) / np.prod([point - pole for pole in found.poles])
+        ours = (
+            found.gain
+            * np.prod([point - zero for zero in found.zeros])
+            / np.prod([point - pole for pole in found.poles])
+        )
         if abs(ours - exact) > SAME * abs(exact):
-            raise ConfigError("the zeros of a state space cannot be told from rounding", hint="give zeros, poles and gain, or filters")
+            raise ConfigError(
+                "the zeros of a state space cannot be told from rounding",
+                hint="give zeros, poles and gain, or filters",
+            )
     return found
 
 
@@ -205,7 +258,9 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer function."""
+    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
+    function.
+    """
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
@@ -215,7 +270,11 @@ class Form:
 def _checked_roots(block: ControllerBlock) -> Transfer:
     for name in ("zeros", "poles"):
         roots = np.array(getattr(block, name), np.complex128)
-        lonely = [root for root in roots if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300)]
+        lonely = [
+            root
+            for root in roots
+            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300)
+        ]
         if lonely:
             root = lonely[0]
             hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
@@ -226,7 +285,9 @@ def _checked_roots(block: ControllerBlock) -> Transfer:
 FORMS: dict[str, Form] = {
     "roots": Form((), ("zeros", "poles", "gain", "rate"), _checked_roots),
     "polynomial": Form(
-        ("numerator", "denominator"), ("rate",), lambda block: of_polynomials(block.numerator, block.denominator, block.rate)
+        ("numerator", "denominator"),
+        ("rate",),
+        lambda block: of_polynomials(block.numerator, block.denominator, block.rate),
     ),
     "pid": Form(
         (),
@@ -234,8 +295,14 @@ FORMS: dict[str, Form] = {
         lambda block: pid(block.proportional, block.integral, block.derivative, block.derivative_time),
     ),
     "lead-lag": Form(("zero", "pole"), (), lambda block: lead_lag(block.zero, block.pole)),
-    "low-pass": Form(("frequency",), ("order", "damping"), lambda block: low_pass(block.frequency, block.order, block.damping)),
-    "notch": Form(("frequency",), ("depth", "width"), lambda block: notch(block.frequency, block.depth, block.width)),
+    "low-pass": Form(
+        ("frequency",),
+        ("order", "damping"),
+        lambda block: low_pass(block.frequency, block.order, block.damping),
+    ),
+    "notch": Form(
+        ("frequency",), ("depth", "width"), lambda block: notch(block.frequency, block.depth, block.width)
+    ),
     "gain": Form((), ("gain",), lambda block: Transfer(gain=block.gain)),
 }
 
@@ -245,18 +312,36 @@ class ControllerBlock(Settings):
     """One block of a controller in series with the others; which entries it has depends on its form."""
 
     form: str = setting("choice", "what the block is given by", choices=tuple(FORMS))
-    zeros: tuple[complex, ...] = setting("roots", "roots: of the numerator, [rad/s]; with a rate of z, [1]", default=())
-    poles: tuple[complex, ...] = setting("roots", "roots: of the denominator, [rad/s]; with a rate of z, [1]", default=())
-    gain: float = setting("value", "roots: factor before (s - zeros) / (s - poles); gain: the gain", unit="1", default=1.0)
-    numerator: tuple[float, ...] = setting("values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=())
-    denominator: tuple[float, ...] = setting("values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=())
-    rate: float | None = setting("value", "roots, polynomial: sampling rate, which makes them functions of z", unit="Hz", default=None)
+    zeros: tuple[complex, ...] = setting(
+        "roots", "roots: of the numerator, [rad/s]; with a rate of z, [1]", default=()
+    )
+    poles: tuple[complex, ...] = setting(
+        "roots", "roots: of the denominator, [rad/s]; with a rate of z, [1]", default=()
+    )
+    gain: float = setting(
+        "value", "roots: factor before (s - zeros) / (s - poles); gain: the gain", unit="1", default=1.0
+    )
+    numerator: tuple[float, ...] = setting(
+        "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
+    )
+    denominator: tuple[float, ...] = setting(
+        "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
+    )
+    rate: float | None = setting(
+        "value", "roots, polynomial: sampling rate, which makes them functions of z", unit="Hz", default=None
+    )
     proportional: float = setting("value", "pid: proportional gain", unit="1", default=0.0)
     integral: float = setting("value", "pid: gain of the integral", unit="1/s", default=0.0)
     derivative: float = setting("value", "pid: gain of the derivative", unit="s", default=0.0)
-    derivative_time: float = setting("value", "pid: time constant of the differentiator", unit="s", default=0.0)
-    zero: float | None = setting("value", "lead-lag: corner frequency of the numerator", unit="Hz", default=None)
-    pole: float | None = setting("value", "lead-lag: corner frequency of the denominator", unit="Hz", default=None)
+    derivative_time: float = setting(
+        "value", "pid: time constant of the differentiator", unit="s", default=0.0
+    )
+    zero: float | None = setting(
+        "value", "lead-lag: corner frequency of the numerator", unit="Hz", default=None
+    )
+    pole: float | None = setting(
+        "value", "lead-lag: corner frequency of the denominator", unit="Hz", default=None
+    )
     frequency: float | None = setting("value", "low-pass: corner; notch: centre", unit="Hz", default=None)
     order: int = setting("integer", "low-pass: 1 or 2", default=1)
     damping: float = setting("value", "low-pass of order 2: damping ratio", unit="1", default=2**-0.5)
@@ -268,7 +353,9 @@ class ControllerBlock(Settings):
         for name, declared in self.__dataclass_fields__.items():
             given = getattr(self, name) != declared.default
             if name in form.needs and not given:
-                raise ConfigError(f"{name}: is missing for the form {self.form}", hint=declared.metadata["setting"].help)
+                raise ConfigError(
+                    f"{name}: is missing for the form {self.form}", hint=declared.metadata["setting"].help
+                )
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
                 raise ConfigError(f"{name}: is not for the form {self.form}", hint=hint, field=name)
@@ -280,7 +367,11 @@ class ControllerBlock(Settings):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name}: must not be negative", field=name)
         if self.order not in (1, 2):
-            raise ConfigError(f"order: a low-pass has order 1 or 2, not {self.order}", hint="two blocks for more", field="order")
+            raise ConfigError(
+                f"order: a low-pass has order 1 or 2, not {self.order}",
+                hint="two blocks for more",
+                field="order",
+            )
         _ = self.transfer
 
     @property
@@ -290,7 +381,9 @@ class ControllerBlock(Settings):
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks as they are, or from a system with one input and one output of python-control or scipy.signal."""
+        """Blocks as they are, or from a system with one input and one output of python-control or
+        scipy.signal.
+        """
         if isinstance(value, (str, Sequence)):
             return value
         try:
@@ -305,38 +398,58 @@ class ControllerBlock(Settings):
 
 def block_of(transfer: Transfer) -> ControllerBlock:
     """The transfer function as a block of zeros and poles."""
-    return ControllerBlock(form="roots", zeros=transfer.zeros, poles=transfer.poles, gain=transfer.gain, rate=transfer.rate)
+    return ControllerBlock(
+        form="roots", zeros=transfer.zeros, poles=transfer.poles, gain=transfer.gain, rate=transfer.rate
+    )
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two outputs; ConfigError for others."""
+    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
+    outputs; ConfigError for others.
+    """
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")
-    return {f"{o}{i}": (block_of(elements[row][column]),) for row, o in enumerate("xy") for column, i in enumerate("xy")}
+    return {
+        f"{o}{i}": (block_of(elements[row][column]),)
+        for row, o in enumerate("xy")
+        for column, i in enumerate("xy")
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossControl(Settings):
     """Elements of a controller matrix beside that of x by x: *xy* is output x by input y."""
 
-    xy: tuple[ControllerBlock, ...] = setting("entries", "output x by input y", section=ControllerBlock, default=())
-    yx: tuple[ControllerBlock, ...] = setting("entries", "output y by input x", section=ControllerBlock, default=())
-    yy: tuple[ControllerBlock, ...] = setting("entries", "output y by input y; default: as x by x", section=ControllerBlock, default=())
+    xy: tuple[ControllerBlock, ...] = setting(
+        "entries", "output x by input y", section=ControllerBlock, default=()
+    )
+    yx: tuple[ControllerBlock, ...] = setting(
+        "entries", "output y by input x", section=ControllerBlock, default=()
+    )
+    yy: tuple[ControllerBlock, ...] = setting(
+        "entries", "output y by input y; default: as x by x", section=ControllerBlock, default=()
+    )
 
 
 def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
     """The sampling rate [Hz] of the discrete blocks, None without one; ConfigError for two rates."""
     rates = sorted({block.rate for block in blocks if block.rate is not None})
     if len(rates) > 1:
-        raise ConfigError(f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop", field="controller")
+        raise ConfigError(
+            f"controller: blocks at {rates[0]:g} Hz and {rates[1]:g} Hz cannot be in one loop",
+            field="controller",
+        )
     return rates[0] if rates else None
 
 
 def in_series(blocks: Iterable[ControllerBlock]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     parts = [block.transfer for block in blocks]
-    continuous, discrete = Transfer(), Transfer(rate=next((part.rate for part in parts if part.rate is not None), None))
+    continuous, discrete = (
+        Transfer(),
+        Transfer(rate=next((part.rate for part in parts if part.rate is not None), None)),
+    )
     for part in parts:
         if part.rate is None:
             continuous = continuous.times(part)

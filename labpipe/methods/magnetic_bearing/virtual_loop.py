@@ -1,4 +1,6 @@
-"""Runs on the virtual magnetic-bearing rig closed by its loop in the time domain: recordings that hold the loop. LOOP_RUNS by name."""
+"""Runs on the virtual magnetic-bearing rig closed by its loop in the time domain: recordings that hold the
+loop. LOOP_RUNS by name.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
-from labpipe.methods.magnetic_bearing.sampled_loop import CONTROL_RATE, OUTPUTS, Suspended, sampled_loop, straight
+from labpipe.methods.magnetic_bearing.sampled_loop import (
+    CONTROL_RATE,
+    OUTPUTS,
+    Suspended,
+    sampled_loop,
+    straight,
+)
 from labpipe.methods.magnetic_bearing.virtual_mechanics import PERIODS, VirtualMagneticRig, negative_stiffness
 from labpipe.raw_files.excitation import Multisine, design_multisine
 from labpipe.records.recording import Channel, Recording
@@ -25,27 +33,45 @@ MARGIN = 0.05
 SETTLING = 3.0
 GAINS = {"gain-1.0": 1.0, "gain-1.1": 1.1, "gain-1.2": 1.2}
 INJECTION = 0.05  # rms [V]
-# Run-up: speeds [Hz], time [s]; mass eccentricity [m] and its angle [rad] at both ends; axial force per radial one.
+# Run-up: speeds [Hz], time [s]; mass eccentricity [m] and its angle [rad] at both ends; axial force per
+# radial one.
 RUN_UP = (20.0, 8000 / 60, 10.0)
 UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
 
 
 def suspended(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
-    """Pedestal and rotor on all bearings in one direction; the bias field is that of the rig's own loop, whatever gains *loop* has."""
+    """Pedestal and rotor on all bearings in one direction.
+
+    The bias field is that of the rig's own loop, whatever gains *loop* has.
+    """
     levitation = rig.levitation
     pull = negative_stiffness(levitation)
-    return Suspended(loop or levitation.loop, pull, rig.rotor_mass, levitation.bearings, rig.pedestal_stiffness, rig.pedestal_damping)
+    return Suspended(
+        loop or levitation.loop,
+        pull,
+        rig.rotor_mass,
+        levitation.bearings,
+        rig.pedestal_stiffness,
+        rig.pedestal_damping,
+    )
 
 
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
     levitation = rig.levitation
-    return Suspended(levitation.loop, negative_stiffness(levitation), (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings)
+    return Suspended(
+        levitation.loop,
+        negative_stiffness(levitation),
+        (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings,
+    )
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods; x, y, current and controller output."""
+    """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods.
+
+    X, y, current and controller output.
+    """
     loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
     plant = suspended(rig, loop)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -64,9 +90,16 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
         columns.append(signals[:, number, READING])
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
-        channels += [Channel(f"i{dof}", "current", "reference", f"i{dof}"), Channel(f"u{dof}", "voltage", "reference", f"u{dof}")]
+        channels += [
+            Channel(f"i{dof}", "current", "reference", f"i{dof}"),
+            Channel(f"u{dof}", "voltage", "reference", f"u{dof}"),
+        ]
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
-    return SimulatedRun(name, _radial_truth(rig, plant, force), Recording(tuple(channels), np.column_stack(columns), rate, name))
+    return SimulatedRun(
+        name,
+        _radial_truth(rig, plant, force),
+        Recording(tuple(channels), np.column_stack(columns), rate, name),
+    )
 
 
 def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -> dict[str, Any]:
@@ -85,25 +118,37 @@ def _radial_truth(rig: VirtualMagneticRig, plant: Suspended, force: Multisine) -
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The rotor alone; a multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5 periods."""
+    """The rotor alone.
+
+    A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides recorded; 1 + 5
+    periods.
+    """
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
     periods, rate = 1 + PERIODS, 5000.0
     n_sample = round(periods / added.spacing * rate)
     settling = round(SETTLING * added.spacing) / added.spacing
     length = _length(settling + periods / added.spacing)
-    inputs = _inputs(_hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng))
+    inputs = _inputs(
+        _hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng)
+    )
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
     signals = _logged(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
     reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
     samples = np.column_stack([reference, signals[:, BEFORE], signals[:, AFTER]])
-    return SimulatedRun(name, {"mass": plant.mass, "injection_rms": INJECTION}, Recording(tuple(channels), samples, rate, name))
+    return SimulatedRun(
+        name,
+        {"mass": plant.mass, "injection_rms": INJECTION},
+        Recording(tuple(channels), samples, rate, name),
+    )
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z, tacho."""
+    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z,
+    tacho.
+    """
     low, high, duration = RUN_UP
     rate, length = 2000.0, _length(duration)
     t = np.arange(length + 1) / CONTROL_RATE
@@ -111,24 +156,37 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * duration))
     plant = rotor_alone(rig)
     radial_forces = [
-        _unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter) for end in UNBALANCE for quarter in (0.0, np.pi / 2)
+        _unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter)
+        for end in UNBALANCE
+        for quarter in (0.0, np.pi / 2)
     ]
     force = np.column_stack(radial_forces) + _hover_force(rig, plant, (length + 1, 4), rng)
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
     axial = Suspended(plant.loop, 0.0, rig.axial_mass, 0, rig.axial_stiffness, rig.axial_damping)
     axial_force = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
-    axial_motion = sampled_loop(axial).run(_inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng)))
+    axial_motion = sampled_loop(axial).run(
+        _inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng))
+    )
     n_sample = round(duration * rate)
-    displacements = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
+    displacements = _logged(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[
+        :, :, READING
+    ]
     tacho = pulses(angle[: length : round(CONTROL_RATE / rate)][:n_sample])
     labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
     channels = [Channel(label, "displacement", "output", label) for label in labels]
     channels.append(TACHO)
-    truth = {"mass": plant.mass, "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()}}
-    return SimulatedRun(name, truth, Recording(tuple(channels), np.column_stack([displacements, tacho]), rate, name))
+    truth = {
+        "mass": plant.mass,
+        "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()},
+    }
+    return SimulatedRun(
+        name, truth, Recording(tuple(channels), np.column_stack([displacements, tacho]), rate, name)
+    )
 
 
-def _unbalance_force(mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float) -> FloatArray:
+def _unbalance_force(
+    mass: float, speed: FloatArray, angle: FloatArray, eccentricity: float, place: float, quarter: float
+) -> FloatArray:
     """m e (2 pi n)^2 cos(theta + place - quarter) [N]."""
     force: FloatArray = mass * eccentricity * (2 * np.pi * speed) ** 2 * np.cos(angle + place - quarter)
     return force
@@ -146,25 +204,39 @@ def _straight_force(force: Multisine) -> FloatArray:
 
 
 def _inputs(force: FloatArray, noise: FloatArray) -> FloatArray:
-    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise; nothing injected."""
+    """(n_sample, n_direction, 4) of the force (n_sample + 1, n_direction) and the probe's noise.
+
+    Nothing injected.
+    """
     return np.stack([force[:-1], force[1:], noise, np.zeros_like(noise)], axis=2)
 
 
-def _probe_noise(rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
+def _probe_noise(
+    rig: VirtualMagneticRig, rate: float, shape: tuple[int, int], rng: np.random.Generator
+) -> FloatArray:
     """White noise in the loop that has the rig's standard deviation in a recording at *rate* [Hz]."""
     return rng.normal(0.0, rig.noise.displacement * np.sqrt(CONTROL_RATE / rate), shape)
 
 
-def _hover_force(rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-    """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low pass."""
+def _hover_force(
+    rig: VirtualMagneticRig, plant: Suspended, shape: tuple[int, int], rng: np.random.Generator
+) -> FloatArray:
+    """A slow force that makes the rotor wander by the stated rms: white noise through a first-order low
+    pass.
+    """
     wander = slow_noise(shape, CONTROL_RATE, rng)
-    static = plant.stiffness + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    static = (
+        plant.stiffness
+        + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    )
     force: FloatArray = static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
     return force
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
-    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how a levitated rotor wanders."""
+    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how a levitated rotor
+    wanders.
+    """
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 
@@ -173,7 +245,9 @@ def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) ->
 
 
 def _logged(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
-    """The loop's signals as a logger with its filter stores them: every channel by the same filter without delay."""
+    """The loop's signals as a logger with its filter stores them: every channel by the same filter without
+    delay.
+    """
     # Loading scipy.signal takes longer than most runs.
     from scipy import signal
 

@@ -24,9 +24,10 @@ LAWS = ("relaxation", "control-loop")
 class Levitation(Settings):
     """One magnetic bearing: static stiffness k_0, and the law by which it changes with frequency.
 
-    relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive, and like the measured
-    bearings soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and eddy currents together.
-    control-loop: the loop alone, k_0 + K (G(jw) - G(0)); K = probe * amplifier * force-current factor [N/m].
+    relaxation: k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau), tau = 1 / (2 pi f_c): causal and passive,
+    and like the measured bearings soft at 2 Hz and stiffer by far at 250 Hz. It stands for control loop and
+    eddy currents together. control-loop: the loop alone, k_0 + K (G(jw) - G(0)); K = probe * amplifier *
+    force-current factor [N/m].
     """
 
     law: str = setting("choice", "how stiffness changes with frequency", choices=LAWS, default="relaxation")
@@ -34,7 +35,9 @@ class Levitation(Settings):
     dynamic: float = setting("value", "stiffness gained far above the corner, k_1", unit="N/m", default=110e3)
     corner: float = setting("value", "corner frequency f_c", unit="Hz", default=150.0)
     bearings: int = setting("integer", "equal bearings in parallel", default=2)
-    loop: ControlLoop = setting("section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop())
+    loop: ControlLoop = setting(
+        "section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop()
+    )
 
     def __post_init__(self) -> None:
         if not self.bearings > 0:
@@ -59,21 +62,29 @@ class VirtualMagneticRig(Settings):
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual magnetic-bearing rig")
     pedestal_mass: float = setting("value", "mass of the pedestal alone", unit="kg", default=0.79)
-    rotor_mass: float = setting("value", "mass of pedestal and rotor, moving radially", unit="kg", default=0.92)
+    rotor_mass: float = setting(
+        "value", "mass of pedestal and rotor, moving radially", unit="kg", default=0.92
+    )
     axial_mass: float = setting("value", "mass moving axially", unit="kg", default=0.13)
     pedestal_stiffness: float = setting("value", "springs of the pedestal", unit="N/m", default=134.5e3)
     pedestal_damping: float = setting("value", "guides of the pedestal", unit="N.s/m", default=3.682)
     axial_stiffness: float = setting("value", "passive axial stiffness", unit="N/m", default=2471.0)
     axial_damping: float = setting("value", "axial damping", unit="N.s/m", default=3.108)
-    actuator_gain: float = setting("value", "force per control voltage at the centre", unit="N/V", default=5.8)
+    actuator_gain: float = setting(
+        "value", "force per control voltage at the centre", unit="N/V", default=5.8
+    )
     speed: float = setting("value", "shaft speed of the rotating run", unit="Hz", default=8000 / 60)
     unbalance: float = setting("value", "1x amplitude of the rotating run", unit="m", default=4e-6)
     radial_force: float = setting("value", "rms force of the shaker in radial runs", unit="N", default=2.0)
-    levitation: Levitation = setting("section", "the magnetic bearings", section=Levitation, default=Levitation())
+    levitation: Levitation = setting(
+        "section", "the magnetic bearings", section=Levitation, default=Levitation()
+    )
     noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
 
     def __post_init__(self) -> None:
-        require_positive(self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness")
+        require_positive(
+            self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"
+        )
 
 
 # Truth of the virtual rig: dynamic stiffness over frequency.
@@ -106,15 +117,19 @@ class Timing:
 
 
 def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-relaxation)."""
+    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m].
+    Equation (sim-relaxation).
+    """
     relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
 
 def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,) [N/m].
+    """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,)
+    [N/m].
 
-    Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0 at rest.
+    Lim et al. (2009), eq. 7 and table 1; the negative stiffness k_n is what leaves the static stiffness k_0
+    at rest.
     """
     return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
 
@@ -136,7 +151,9 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
 
 
 def levitated(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-levitated)."""
+    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m].
+    Equation (sim-levitated).
+    """
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 

@@ -56,25 +56,31 @@ class OneDofRun:
 def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
     """The pedestal alone: 1-100 Hz every 0.5 Hz."""
     force = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE)
-    return OneDofRun(force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping)
+    return OneDofRun(
+        force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping
+    )
 
 
 def axial(rig: VirtualMagneticRig) -> OneDofRun:
     """The axial direction: 1-50 Hz every 0.5 Hz."""
     force = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE)
-    return OneDofRun(force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping)
+    return OneDofRun(
+        force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping
+    )
 
 
 ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
 
 
 def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, float]) -> dict[str, float]:
-    """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz], mass known.
+    """Cramer-Rao standard errors of k [N/m] and c [N.s/m] from the lines of run *name* within *band* [Hz],
+    mass known.
 
-    With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 = 4 sigma^2 / n over
-    n averaged samples is the variance of a complex amplitude. Information: 2 sum Re(dH^* dH^T) |F|^2 / variance, with
-    dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's force is small beside the force. ConfigError for a run that is
-    not of one degree of freedom, a band without lines, or a rig without noise. Equation (sim-bound).
+    With both channels noisy, the residual Y - H F of a line has the variance s_y^2 + |H|^2 s_f^2, where s^2 =
+    4 sigma^2 / n over n averaged samples is the variance of a complex amplitude. Information: 2 sum Re(dH^*
+    dH^T) |F|^2 / variance, with dH/dk = -H^2, dH/dc = -j w H^2. Holds while the noise of a line's force is
+    small beside the force. ConfigError for a run that is not of one degree of freedom, a band without lines,
+    or a rig without noise. Equation (sim-bound).
     """
     if name not in ONE_DOF:
         raise ConfigError(f"run '{name}' has no single k and c", hint=nearest(name, ONE_DOF))
@@ -94,7 +100,8 @@ def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, fl
     return {"k": float(std_error[0]), "c": float(std_error[1])}
 
 
-# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the probe's voltage.
+# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the
+# probe's voltage.
 RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
 TEXT_RUNS = ("pedestal", "axial")
 ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
@@ -102,14 +109,22 @@ GAIN_CORNER = 0.4
 STATIC_BEND = 300e-6
 
 
-def simulate(rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
-    """The named runs, all of `run_names` unless named; the same rig and seed give the same samples, whatever other runs are made."""
+def simulate(
+    rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None
+) -> tuple[SimulatedRun, ...]:
+    """The named runs, all of `run_names` unless named.
+
+    The same rig and seed give the same samples, whatever other runs are made.
+    """
     by_name = {**RUNS, **_loop_runs(rig)}
     return tuple(by_name[name](rig, name, generator(seed, name)) for name in chosen_runs(rig, runs))
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    """All of RUNS; of a rig under its control loop also those that close the loop in the time domain, LOOP_RUNS."""
+    """All of RUNS.
+
+    Of a rig under its control loop also those that close the loop in the time domain, LOOP_RUNS.
+    """
     return tuple({**RUNS, **_loop_runs(rig)})
 
 
@@ -118,7 +133,9 @@ def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
     return tuple(_loop_runs(rig) or RUNS)
 
 
-def _loop_runs(rig: VirtualMagneticRig) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]]:
+def _loop_runs(
+    rig: VirtualMagneticRig,
+) -> dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]]:
     return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
 
 
@@ -126,7 +143,9 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
     return clean + rng.normal(0.0, std, clean.shape)
 
 
-def _recording(name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float) -> Recording:
+def _recording(
+    name: str, channels: list[Channel], samples: list[FloatArray], sample_rate: float
+) -> Recording:
     return Recording(tuple(channels), np.column_stack(samples), sample_rate, name)
 
 
@@ -142,7 +161,9 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
     """One force and one displacement that starts at rest: the runs of ONE_DOF."""
     run = ONE_DOF[name](rig)
     timing = run.timing
-    receptance = 1 / linear.dynamic_stiffness(run.mass, run.stiffness, run.damping, linear.line_frequencies(run.force))
+    receptance = 1 / linear.dynamic_stiffness(
+        run.mass, run.stiffness, run.damping, linear.line_frequencies(run.force)
+    )
     steady = linear.steady_state(run.force, receptance, timing.n_sample, timing.periods)
     clean = steady + linear.free_decay(steady, timing.sample_rate, run.truth["f_n"], run.truth["zeta"])
     samples = [
@@ -154,7 +175,10 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> Simu
 
 
 def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric; 1-250 Hz every 1 Hz."""
+    """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric.
+
+    1-250 Hz every 1 Hz.
+    """
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = linear.line_frequencies(force)
@@ -199,7 +223,9 @@ def _rotation(rig: VirtualMagneticRig, timing: Timing, quarter: float) -> FloatA
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs together."""
+    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs
+    together.
+    """
     dof = name[-1]
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -213,13 +239,18 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     matrices = (("k", mechanics.COUPLED_STIFFNESS), ("c", mechanics.COUPLED_DAMPING))
     truth: dict[str, Any] = {"mass": rig.rotor_mass}
     for letter, matrix in matrices:
-        truth.update({f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)})
+        truth.update(
+            {f"{letter}_{'xy'[r]}{'xy'[c]}": float(matrix[r, c]) for r in range(2) for c in range(2)}
+        )
     channels = [_force_channel(dof, AXIS_ANGLES[dof]), _displacement_channel("x"), _displacement_channel("y")]
     return SimulatedRun(name, truth, _recording(name, channels, samples, timing.sample_rate))
 
 
 def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """Force over control voltage at seven levels and seven eccentricities; the gain falls as 1 / (1 + (e / 0.4)^4)."""
+    """Force over control voltage at seven levels and seven eccentricities.
+
+    The gain falls as 1 / (1 + (e / 0.4)^4).
+    """
     levels = np.linspace(0.08, 0.56, 7)
     gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
     eccentricity = np.repeat(ECCENTRICITIES, levels.size)
@@ -232,11 +263,15 @@ def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) 
 
 
 def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> SimulatedRun:
-    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45 um."""
+    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45
+    um.
+    """
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
-    return SimulatedRun(name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force})
+    return SimulatedRun(
+        name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force}
+    )
 
 
 RUNS: dict[str, Callable[[VirtualMagneticRig, str, np.random.Generator], SimulatedRun]] = {

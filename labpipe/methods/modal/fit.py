@@ -1,4 +1,6 @@
-"""Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum likelihood."""
+"""Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
+likelihood.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,37 @@ from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
 from labpipe.methods.modal.model_error import model_errors, with_model_errors
-from labpipe.methods.modal.number import Completed, LineNoise, completed, kept_modes, refine_with_terms, with_real_modes
-from labpipe.methods.modal.poles import Diagram, NormalEquations, Poles, damping_ratio, nearest_modes, normal_equations, stabilisation
+from labpipe.methods.modal.number import (
+    Completed,
+    LineNoise,
+    completed,
+    kept_modes,
+    refine_with_terms,
+    with_real_modes,
+)
+from labpipe.methods.modal.poles import (
+    Diagram,
+    NormalEquations,
+    Poles,
+    damping_ratio,
+    nearest_modes,
+    normal_equations,
+    stabilisation,
+)
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.shapes import DrivingPoint, frequency_correlation, modal_parameters, shape_record, strongest_points
-from labpipe.methods.modal.whole_covariance import MOST_ENTRIES, ModalEstimate, ModalReceptance, whole_covariance_fit
+from labpipe.methods.modal.shapes import (
+    DrivingPoint,
+    frequency_correlation,
+    modal_parameters,
+    shape_record,
+    strongest_points,
+)
+from labpipe.methods.modal.whole_covariance import (
+    MOST_ENTRIES,
+    ModalEstimate,
+    ModalReceptance,
+    whole_covariance_fit,
+)
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -45,12 +73,14 @@ def modal_sources(
     *,
     real: bool = False,
 ) -> list[Source]:
-    """Changes of the *parameters* of refined modes by every source in the FRFs' sensors and sums, (n_parameter,) [parameter units] each.
+    """Changes of the *parameters* of refined modes by every source in the FRFs' sensors and sums,
+    (n_parameter,) [parameter units] each.
 
-    Directions count where two points or more of known direction tell the motion in their plane, likewise two forces.
+    Directions count where two points or more of known direction tell the motion in their plane, likewise two
+    forces.
 
-    One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is repeated. None where the
-    Jacobian is too large to be held in memory.
+    One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is
+    repeated. None where the Jacobian is too large to be held in memory.
     """
     errors = matrix_errors(measured, directions=True)
     model = ModalReceptance.of(terms, refined, measured, real=real)
@@ -95,27 +125,40 @@ def mismatch(estimate: ModalEstimate) -> float | None:
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
-    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval would be."""
+    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval
+    would be.
+    """
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
-def modal_findings(estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
-    """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on neighbouring lines."""
+def modal_findings(
+    estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError]
+) -> tuple[Finding, ...]:
+    """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on
+    neighbouring lines.
+    """
     warnings = []
     if not estimate.refined.converged:
-        message = f"the refinement of the modes did not converge in {estimate.refined.steps} steps; its numbers are not a result"
+        message = (
+            f"the refinement of the modes did not converge in {estimate.refined.steps} steps; its "
+            "numbers are not a result"
+        )
         warnings.append(Finding("no-convergence", message))
     unstable = estimate.refined.poles[estimate.refined.poles.real >= 0]
     if unstable.size:
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in unstable)
         warnings.append(
-            Finding("unphysical", f"the mode at {where} has a negative damping ratio: it is noise, or energy enters the structure")
+            Finding(
+                "unphysical",
+                f"the mode at {where} has a negative damping ratio: it is noise, or "
+                "energy enters the structure",
+            )
         )
     factor, said = mismatch(estimate), ""
     if factor is not None:
         said = (
-            f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of freedom "
-            f"{estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g})"
+            f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
+            f"freedom {estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g})"
         )
     elif unexplained(estimate, p_noise):
         said = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
@@ -123,7 +166,8 @@ def modal_findings(estimate: ModalEstimate, p_noise: float, errors: Mapping[int,
         reasons = dict.fromkeys(f"mode {number}: {error.likely}" for number, error in errors.items())
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
         message = (
-            f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained in its band; a mode without an "
+            f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained "
+            "in its band; a mode without an "
             "interval has no line of its own there. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
@@ -136,53 +180,80 @@ def width_findings(refined: Refined, lines: Lines, *, window_known: bool) -> tup
     Half-power width -2 Re lambda over the distance of the lines [1].
     """
     width = -2 * refined.poles.real / float(np.mean(np.diff(lines.omega)))
-    narrow = [] if window_known else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
+    narrow = (
+        []
+        if window_known
+        else [mode for mode in np.argsort(np.abs(refined.poles)) if width[mode] < LEAST_LINES]
+    )
     if not narrow:
         return ()
-    places = ", ".join(f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow)
+    places = ", ".join(
+        f"{abs(refined.poles[mode]) / (2 * np.pi):.6g} Hz ({width[mode]:.2g})" for mode in narrow
+    )
     message = (
-        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how much leaked, decide such a "
-        "peak: its damping, and whether a second mode seems to stand beside it. No standard error shows that. Say `window:` in the entry "
-        "under frfs:, or measure with finer lines"
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
+        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
+        "No standard error shows that. Say `window:` in the entry under frfs:, or measure with finer lines"
     )
     return (Finding("leakage", message),)
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
-    """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no structure has one."""
+    """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no
+    structure has one.
+    """
     negative = [
         parameter
         for parameter in parameters
-        if parameter.name.startswith("m_") and parameter.std_error is not None and parameter.value < -SURE * parameter.std_error
+        if parameter.name.startswith("m_")
+        and parameter.std_error is not None
+        and parameter.value < -SURE * parameter.std_error
     ]
     modes = [mode.name.removeprefix("m_") for mode in negative]
     if not modes:
         return ()
     named = f"mode {modes[0]} has" if len(modes) == 1 else f"modes {', '.join(modes)} have"
     message = (
-        f"{named} a negative mass at the driving point: force and response are not at one place and in one direction, a sign is wrong, or "
-        "the pole stands for a part of its neighbours"
+        f"{named} a negative mass at the driving point: force and response are not at one place and in one "
+        "direction, a sign is wrong, or the pole stands for a part of its neighbours"
     )
     return (Finding("unphysical", message),)
 
 
-def modal_notes(estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool) -> tuple[str, ...]:
-    """What a reader must know: where the noise comes from, residual terms, a single reference, moved forces."""
+def modal_notes(
+    estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool
+) -> tuple[str, ...]:
+    """What a reader must know: where the noise comes from, residual terms, a single reference, moved
+    forces.
+    """
     terms = whole.terms
-    notes = [f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} for modes above it, by AIC."]
+    notes = [
+        f"modal: residual terms of every FRF: {terms.lower} for modes below the band, {terms.upper} "
+        "for modes above it, by AIC."
+    ]
     if estimate.unused:
         notes.append(f"modal: the measured covariance is not used: {estimate.unused}.")
     if estimate.chi2_reduced is None:
         notes.append(
-            "modal: the size of the noise comes from the residual of every FRF, its course along the lines from a measured covariance "
+            "modal: the size of the noise comes from the residual of every FRF, its course along the lines "
+            "from a measured covariance "
             "(without one it is the same at all lines); the chi-square test of the model is not possible."
         )
     if whole.added:
-        notes.append(f"modal: {whole.added} mode(s) were added that the diagram did not show, since the residual was not noise.")
+        notes.append(
+            f"modal: {whole.added} mode(s) were added that the diagram did not show, since the "
+            "residual was not noise."
+        )
     if n_reference == 1:
-        notes.append("modal: with one reference a mode with a node there is not seen, and modes of the same frequency are one.")
+        notes.append(
+            "modal: with one reference a mode with a node there is not seen, and modes of the same "
+            "frequency are one."
+        )
     if forces_move:
-        notes.append("modal: the forces are the points of the shapes, the responses the references (reciprocity is assumed).")
+        notes.append(
+            "modal: the forces are the points of the shapes, the responses the references "
+            "(reciprocity is assumed)."
+        )
     return tuple(notes)
 
 
@@ -195,7 +266,8 @@ LINES_PER_ORDER = 4
 
 @dataclass(frozen=True)
 class _Sides:
-    """The FRFs with the smaller side, the references, as columns: as receptance, and in the measured form, whose noise is the more even.
+    """The FRFs with the smaller side, the references, as columns: as receptance, and in the measured form,
+    whose noise is the more even.
 
     forces_move: the larger side are the forces (a roving hammer).
     """
@@ -216,13 +288,18 @@ class _Sides:
     def driving_points(self) -> tuple[DrivingPoint, ...]:
         """The points that are references as well."""
         dofs = [port.dof for port in self.references]
-        return tuple(DrivingPoint(row, dofs.index(port.dof), port.dof) for row, port in enumerate(self.points) if port.dof in dofs)
+        return tuple(
+            DrivingPoint(row, dofs.index(port.dof), port.dof)
+            for row, port in enumerate(self.points)
+            if port.dof in dofs
+        )
 
 
 def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     """The modes of the settings' band as one Fit.
 
-    ConfigError where settings and response do not fit together, FitError where no mode is found or the lines are too few.
+    ConfigError where settings and response do not fit together, FitError where no mode is found or the lines
+    are too few.
     """
     if not isinstance(settings.mass, float | str):
         raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
@@ -230,7 +307,11 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
-    sides = _sides(measured_part(response, rows, columns, chosen), response.form, hysteretic=_is_hysteretic(settings, modal))
+    sides = _sides(
+        measured_part(response, rows, columns, chosen),
+        response.form,
+        hysteretic=_is_hysteretic(settings, modal),
+    )
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
     highest = _highest_order(sides.lines, modal)
@@ -241,7 +322,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     _check_start(start, sides.lines, highest)
     refined, terms = refine_with_terms(sides.lines, start.values, start.participation)
     refined, terms, dropped = kept_modes(sides.lines, refined, terms)
-    # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would need.
+    # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
+    # need.
     line_noise = LineNoise(response.line_correlation)
     whole = completed(sides.lines, refined, terms, line_noise, adding=not modal.poles)
     real = modal.shapes == "real"
@@ -255,7 +337,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
     quality = quality_findings(response, rows, columns, chosen)
-    modes = shape_record(estimate.refined, terms, sides.points, sides.references, sides.forces_move, _diagram_record(sides.lines, diagram))
+    modes = shape_record(
+        estimate.refined,
+        terms,
+        sides.points,
+        sides.references,
+        sides.forces_move,
+        _diagram_record(sides.lines, diagram),
+    )
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
     modes = replace(modes, driving_points=driving, geometry=modal.structure)
     curve = _curve(response.form, sides, estimate)
@@ -268,7 +357,9 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
         return False
     if modal.shapes == "real":
         hint = "leave one of `shapes` and `damping` out"
-        raise ConfigError(f"'shapes: real' cannot be combined with {settings.damping} damping", hint=hint, field="shapes")
+        raise ConfigError(
+            f"'shapes: real' cannot be combined with {settings.damping} damping", hint=hint, field="shapes"
+        )
     return True
 
 
@@ -282,7 +373,9 @@ def _sides(measured: Measured, form: str, *, hysteretic: bool) -> _Sides:
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
-    """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each relative to its mean; else 1."""
+    """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each
+    relative to its mean; else 1.
+    """
     if not has_noise(measured):
         return np.ones(measured.omega.size)
     assert measured.variance is not None
@@ -320,7 +413,9 @@ def _highest_order(lines: Lines, modal: ModalSettings) -> int:
     return highest
 
 
-def _by_hand(equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int) -> Poles:
+def _by_hand(
+    equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
+) -> Poles:
     """The poles nearest to the named frequencies; ConfigError for one outside the band."""
     frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
     outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
@@ -334,28 +429,41 @@ def _by_hand(equations: NormalEquations, modal: ModalSettings, edges: tuple[floa
 def _check_start(start: Poles, lines: Lines, highest: int) -> None:
     if not start.values.size:
         raise FitError(
-            f"no pole returns in a quarter of the orders up to {highest}: no mode stands out of the noise of this band",
+            f"no pole returns in a quarter of the orders up to {highest}: no mode stands out of the noise "
+            "of this band",
             hint="choose another band, or name `poles` by hand",
         )
     if np.unique(start.values).size < start.values.size:
-        raise FitError("two of the named poles are one and the same pole of the data", hint="name each mode once")
+        raise FitError(
+            "two of the named poles are one and the same pole of the data", hint="name each mode once"
+        )
     if lines.omega.size < LINES_PER_ORDER * start.values.size:
-        raise FitError(f"{lines.omega.size} lines cannot hold {start.values.size} modes", hint="widen the band")
+        raise FitError(
+            f"{lines.omega.size} lines cannot hold {start.values.size} modes", hint="widen the band"
+        )
 
 
-def _parameters(settings: FitSettings, sides: _Sides, estimate: ModalEstimate, refined: Refined) -> tuple[Parameter, ...]:
+def _parameters(
+    settings: FitSettings, sides: _Sides, estimate: ModalEstimate, refined: Refined
+) -> tuple[Parameter, ...]:
     mass = settings.mass if isinstance(settings.mass, float) else None
     return modal_parameters(refined, estimate.dof, mass, sides.driving_points, mismatch(estimate))
 
 
-def _sources(settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate) -> list[Source]:
+def _sources(
+    settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
+) -> list[Source]:
     """What the sensors, sums of channels and a given mass make uncertain."""
     parameters = partial(_parameters, settings, sides, estimate)
-    of_matrix = modal_sources(sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real")
+    of_matrix = modal_sources(
+        sides.measured, terms, estimate.refined, parameters, real=settings.model_settings.shapes == "real"
+    )
     return [*of_matrix, *mass_source(parameters(estimate.refined), settings)]
 
 
-def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate) -> Fit:
+def _reported(
+    settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate
+) -> Fit:
     """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
@@ -363,8 +471,12 @@ def _reported(settings: FitSettings, band: tuple[float, float], sides: _Sides, w
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
     errors = model_errors(measured, estimate, parameters) if misfit else {}
     if misfit:
-        parameters = with_model_errors(without_intervals(parameters) if estimate.chi2_reduced is None else parameters, errors)
-    r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof)
+        parameters = with_model_errors(
+            without_intervals(parameters) if estimate.chi2_reduced is None else parameters, errors
+        )
+    r2, adjusted = determination(
+        measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof
+    )
     return Fit(
         name=settings.name,
         model=settings.model,

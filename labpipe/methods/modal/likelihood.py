@@ -1,14 +1,17 @@
 """Maximum-likelihood refinement of poles and participation, with shapes and residual terms eliminated.
 
-H(s) = s^p (sum over modes of psi l^T / (s - lambda) + conj. + sum over terms of C rho(s)), p = 0, 1, 2 for receptance, mobility and
-accelerance. Given lambda and l everything else is linear, separately for each output, and is eliminated; the Gram matrix of
-u = a + b, v = j (a - b) with a = s^p / (s - lambda), b = s^p / (s - conj lambda), of their derivatives and of the residual terms, and
-its products with the data are all that an iteration needs of the lines.
+H(s) = s^p (sum over modes of psi l^T / (s - lambda) + conj. + sum over terms of C rho(s)), p = 0, 1, 2 for
+receptance, mobility and accelerance. Given lambda and l everything else is linear, separately for each
+output, and is eliminated; the Gram matrix of u = a + b, v = j (a - b) with a = s^p / (s - lambda), b = s^p /
+(s - conj lambda), of their derivatives and of the residual terms, and its products with the data are all that
+an iteration needs of the lines.
 
-With a loss factor of each mode, w_r^2 (1 + j eta) - w^2 = s^2 - lambda^2: in place of the conjugate pair stands psi l^T (1 / (s - lambda)
+With a loss factor of each mode, w_r^2 (1 + j eta) - w^2 = s^2 - lambda^2: in place of the conjugate pair
+  stands psi l^T (1 / (s - lambda)
 - 1 / (s + lambda)), so u = a - b, v = j u with b = s^p / (s + lambda).
 
-Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is psi_real l^T / (2 j w_d).
+Real modes (damping in proportion to mass and stiffness) have imaginary psi and real l: R = psi l^T then is
+psi_real l^T / (2 j w_d).
 """
 
 from __future__ import annotations
@@ -25,10 +28,11 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Lines:
-    """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF], *power* p of s of their form.
+    """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF],
+    *power* p of s of their form.
 
-    weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over lines are weighted with it.
-    hysteretic: whether modes are damped by a loss factor, else viscously.
+    weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over
+    lines are weighted with it. hysteretic: whether modes are damped by a loss factor, else viscously.
     """
 
     omega: FloatArray
@@ -56,10 +60,12 @@ class Lines:
 class ResidualTerms:
     """Smooth terms and the FRFs that they are taken out of, both times the weight of the *lines*:
 
-    *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times s^power.
+    *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times
+    s^power.
 
-    The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers' likeness. Their error falls
-    like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the band is [-1, 1]. Equation (modal-terms).
+    The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers'
+    likeness. Their error falls like q^-K with K terms, q = x + sqrt(x^2 - 1), x the mode's omega^2 where the
+    band is [-1, 1]. Equation (modal-terms).
     """
 
     lines: Lines
@@ -76,7 +82,9 @@ class ResidualTerms:
         omega, power = self.lines.omega, self.lines.power
         square = omega**2
         middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
-        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))[:, : self.upper]
+        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))[
+            :, : self.upper
+        ]
         lower = (square[0] / square)[:, None] ** np.arange(1, self.lower + 1)
         columns = np.hstack([lower, upper]) * ((1j * omega / omega[-1]) ** power * self.lines.weight)[:, None]
         return np.asarray(np.linalg.qr(columns)[0])
@@ -102,7 +110,8 @@ class ResidualTerms:
 MOST_STEPS = 40
 # A step below this part of every standard error ends the descent.
 NEGLIGIBLE = 1e-3
-# Part of a standard error within which a point counts as the minimum where rounding lets no step lower the misfit.
+# Part of a standard error within which a point counts as the minimum where rounding lets no step lower the
+# misfit.
 NEAR = 0.1
 # Relative size of eigenvalues of scaled normal matrices that rounding leaves of zero.
 ROUNDING = 1e-13
@@ -111,13 +120,13 @@ MOST_HALVINGS = 12
 
 @dataclass(frozen=True)
 class Refined:
-    """Modes with covariance: *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) with largest entry 1, *shapes* (n_output,
-    n_mode) such that psi l^T is the residue.
+    """Modes with covariance: *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) with largest entry
+    1, *shapes* (n_output, n_mode) such that psi l^T is the residue.
 
-    covariance (n, n) of the parameters: Re and Im of the poles in turn, then those of the participation other than the largest entry.
-    shape_covariance (n_output, 2 n_mode, 2 n_mode) of Re and Im of psi in turn; crossed (n_output, 2 n_mode, n) of both.
-    noise (n_output, n_input): variance E|n|^2 of an element. information: 2 n_line times the sum of ln(residual) over the elements.
-    Equation (modal-likelihood).
+    covariance (n, n) of the parameters: Re and Im of the poles in turn, then those of the participation other
+    than the largest entry. shape_covariance (n_output, 2 n_mode, 2 n_mode) of Re and Im of psi in turn;
+    crossed (n_output, 2 n_mode, n) of both. noise (n_output, n_input): variance E|n|^2 of an element.
+    information: 2 n_line times the sum of ln(residual) over the elements. Equation (modal-likelihood).
     """
 
     poles: ComplexArray
@@ -133,7 +142,10 @@ class Refined:
     hysteretic: bool = False
 
     def place(self, mode: int, reference: int) -> int | None:
-        """Place of the real part of an entry of the participation among the parameters; None for the fixed one."""
+        """Place of the real part of an entry of the participation among the parameters.
+
+        None for the fixed one.
+        """
         rows, columns = _free(self.participation)
         match = np.flatnonzero((rows == mode) & (columns == reference))
         return 2 * self.poles.size + 2 * int(match[0]) if match.size else None
@@ -141,8 +153,9 @@ class Refined:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Gram matrix (f, f) of the pole functions and their derivatives and its products (f, n_output, n_input) with the data, both after
-    elimination of the residual terms; *size* (n_output, n_input): sum of squares of the data after it.
+    """Gram matrix (f, f) of the pole functions and their derivatives and its products (f, n_output, n_input)
+    with the data, both after elimination of the residual terms; *size* (n_output, n_input): sum of squares of
+    the data after it.
     """
 
     gram: FloatArray
@@ -159,9 +172,11 @@ def refine(
     *,
     real: bool = False,
 ) -> Refined:
-    """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1]; *real*: real modes.
+    """Gauss-Newton from *poles* (n_mode,) [rad/s] and *participation* (n_mode, n_input) [1]; *real*: real
+    modes.
 
-    The noise of every element, the same at all lines, is estimated from its residual after each step. Equation (modal-model).
+    The noise of every element, the same at all lines, is estimated from its residual after each step.
+    Equation (modal-model).
     """
     start = _normalised(participation)
     state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
@@ -203,16 +218,28 @@ class _State:
         return int(self.poles.size)
 
     @classmethod
-    def at(cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool) -> _State:
+    def at(
+        cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
+    ) -> _State:
         """The state at start values; shapes of equal weights give the first estimate of the noise."""
         even = np.ones(lines.matrix.shape[1:])
-        return cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real).with_noise().with_noise()
+        return (
+            cls(lines, terms, _sums(lines, terms, poles), poles, participation, even, real)
+            .with_noise()
+            .with_noise()
+        )
 
     def with_noise(self) -> _State:
-        """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that it has for itself."""
+        """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
+        it has for itself.
+        """
         psi, _ = self._shapes()
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
-        return replace(self, variance=_rss(self.sums, self.participation, psi) / max(self.lines.omega.size - n_per_element, 1.0))
+        return replace(
+            self,
+            variance=_rss(self.sums, self.participation, psi)
+            / max(self.lines.omega.size - n_per_element, 1.0),
+        )
 
     def after(self, step: FloatArray) -> _State | None:
         """The state at the parameters moved by *step* (n,); None with an unstable pole."""
@@ -242,7 +269,9 @@ class _State:
         return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
 
     def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
-        """Normal matrix (n, n) and gradient (n,) with the shapes eliminated, A^-1 and A^-1 B of the outputs, and the shapes."""
+        """Normal matrix (n, n) and gradient (n,) with the shapes eliminated, A^-1 and A^-1 B of the outputs,
+        and the shapes.
+        """
         psi, inverse = self._shapes()
         of_shapes = _shape_columns(self.participation)
         weight = 1 / self.variance[:, :, None, None]
@@ -273,11 +302,16 @@ class _State:
 def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
     pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
-    return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes)))
+    return np.asarray(
+        terms.remainder
+        - np.einsum("lf,oif->loi", pairs, _coefficients(refined.participation, refined.shapes))
+    )
 
 
 def _pseudo_inverse(normal: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix (n, n) without the directions that rounding alone determines (two modes on one place)."""
+    """Inverse of a normal matrix (n, n) without the directions that rounding alone determines (two modes on
+    one place).
+    """
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
@@ -307,8 +341,11 @@ def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
     return np.asarray(np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None])
 
 
-def pole_functions(s: ComplexArray, poles: ComplexArray, hysteretic: bool) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
-    """a, b (n_line, n_mode) [s] with H = sum over modes of R a + conj(R) b, and the same of dH / d lambda [s^2]; *s* (n_line,) [rad/s].
+def pole_functions(
+    s: ComplexArray, poles: ComplexArray, hysteretic: bool
+) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
+    """a, b (n_line, n_mode) [s] with H = sum over modes of R a + conj(R) b, and the same of dH / d lambda
+    [s^2]; *s* (n_line,) [rad/s].
 
     b = 1 / (s - conj lambda); hysteretic modes have a = 1 / (s - lambda) - 1 / (s + lambda) and no b.
     """
@@ -363,11 +400,14 @@ def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray
     return values
 
 
-def shapes_of(sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False) -> tuple[ComplexArray, FloatArray]:
-    """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2 n_mode, 2 n_mode).
+def shapes_of(
+    sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False
+) -> tuple[ComplexArray, FloatArray]:
+    """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2
+    n_mode, 2 n_mode).
 
-    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real* modes: shapes are
-    imaginary, and the inverse is zero for their real parts.
+    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real*
+    modes: shapes are imaginary, and the inverse is zero for their real parts.
     """
     k = 2 * participation.shape[0]
     chosen = slice(1, None, 2) if real else slice(None)

@@ -1,4 +1,6 @@
-"""Modes whose residual is not noise: every mode alone on a line filtered from all FRFs, with an interval that includes the model error."""
+"""Modes whose residual is not noise: every mode alone on a line filtered from all FRFs, with an interval that
+includes the model error.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,25 @@ from labpipe.methods.modal.likelihood import Refined, pole_functions
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 
-# Half-power widths of a mode's band on either side, its least number of lines, and widths within which neighbours share the filter.
+# Half-power widths of a mode's band on either side, its least number of lines, and widths within which
+# neighbours share the filter.
 REACH, FEWEST, NEAR = 8.0, 60, 16.0
 # Residual terms of a filtered line: constant and slope.
 TERMS = 2
-# A point sees a mode whose frequency it tells to this share of its half-width, and its damping to this share; so many points are
-# compared, and disagree below this chance.
+# A point sees a mode whose frequency it tells to this share of its half-width, and its damping to this share;
+# so many points are compared, and disagree below this chance.
 SEEN, FEWEST_POINTS, DISAGREE = 0.3, 3, 1e-3
 
 
-def model_errors(measured: Measured, estimate: ModalEstimate, parameters: Sequence[Parameter]) -> dict[int, ModelError]:
-    """The model error of every mode by its number in ascending frequency; a mode that has none in its band is left out.
+def model_errors(
+    measured: Measured, estimate: ModalEstimate, parameters: Sequence[Parameter]
+) -> dict[int, ModelError]:
+    """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
+    left out.
 
-    y_r = W_r y with W = (A^H n A)^-1 A^H n over the FRFs, A (n_frf, n_mode) their residues and n the reciprocal of their mean variance:
-    what all FRFs have in common does not average down, what each has for itself does. Equation (modal-filter).
+    y_r = W_r y with W = (A^H n A)^-1 A^H n over the FRFs, A (n_frf, n_mode) their residues and n the
+    reciprocal of their mean variance: what all FRFs have in common does not average down, what each has for
+    itself does. Equation (modal-filter).
     """
     refined = estimate.refined
     order = np.argsort(np.abs(refined.poles))
@@ -49,16 +56,22 @@ def model_errors(measured: Measured, estimate: ModalEstimate, parameters: Sequen
     return found
 
 
-def with_model_errors(parameters: Sequence[Parameter], errors: dict[int, ModelError]) -> tuple[Parameter, ...]:
+def with_model_errors(
+    parameters: Sequence[Parameter], errors: dict[int, ModelError]
+) -> tuple[Parameter, ...]:
     """The parameters of each mode as its model error states them; of a mode without one as they are."""
     by_mode = [errors.get(int(parameter.name.rpartition("_")[2])) for parameter in parameters]
-    return tuple(parameter if error is None else error.stated([parameter])[0] for parameter, error in zip(parameters, by_mode, strict=True))
+    return tuple(
+        parameter if error is None else error.stated([parameter])[0]
+        for parameter, error in zip(parameters, by_mode, strict=True)
+    )
 
 
 @dataclass(frozen=True)
 class _Band:
-    """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], data and std (n_line, n_output, n_input) [m/N],
-    *columns* (n_output, n_input, n): residues of the mode and of its neighbours, the mode first.
+    """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], data and std
+    (n_line, n_output, n_input) [m/N], *columns* (n_output, n_input, n): residues of the mode and of its
+    neighbours, the mode first.
     """
 
     pole: complex
@@ -77,12 +90,24 @@ class _Band:
         if np.count_nonzero(near) < FEWEST:
             near = np.zeros(frequency.size, np.bool_)
             near[np.sort(np.argsort(np.abs(frequency - f_r))[:FEWEST])] = True
-        residues = (refined.shapes[:, None, :] * refined.participation.T[None]).reshape(-1, refined.poles.size)
-        data = measured.matrix[near].reshape(-1, residues.shape[0]) - _others(refined, mode, 1j * measured.omega[near], residues)
-        neighbours = np.flatnonzero((np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode))
+        residues = (refined.shapes[:, None, :] * refined.participation.T[None]).reshape(
+            -1, refined.poles.size
+        )
+        data = measured.matrix[near].reshape(-1, residues.shape[0]) - _others(
+            refined, mode, 1j * measured.omega[near], residues
+        )
+        neighbours = np.flatnonzero(
+            (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
+        )
         columns = residues[:, np.concatenate([[mode], neighbours])]
         std = _noise(measured, estimate)[near]
-        return cls(pole, frequency[near], data.reshape(-1, *shape), std.reshape(-1, *shape), columns.reshape(*shape, -1))
+        return cls(
+            pole,
+            frequency[near],
+            data.reshape(-1, *shape),
+            std.reshape(-1, *shape),
+            columns.reshape(*shape, -1),
+        )
 
     def curve(self, outputs: slice) -> Curve:
         """The line of the mode, of unit amplitude, from some of the outputs, and the noise on it."""
@@ -94,9 +119,11 @@ class _Band:
         return Curve(self.frequency, data @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
 
     def apart(self) -> dict[str, tuple[float, float, float]]:
-        """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from point to point loads it.
+        """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves
+        from point to point loads it.
 
-        mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode. Empty where all agree, or too few see it.
+        mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode. Empty where all agree, or
+        too few see it.
         """
         seen = []
         zeta = -self.pole.real / abs(self.pole)
@@ -129,7 +156,9 @@ def _others(refined: Refined, mode: int, s: ComplexArray, residues: ComplexArray
 
 
 def _noise(measured: Measured, estimate: ModalEstimate) -> FloatArray:
-    """sqrt(E|n|^2) of every FRF on every line, (n_line, n_frf) [m/N]: the measured one, else that of neighbouring lines of the residual."""
+    """sqrt(E|n|^2) of every FRF on every line, (n_line, n_frf) [m/N]: the measured one, else that of
+    neighbouring lines of the residual.
+    """
     n_line = measured.omega.size
     if measured.covariance is not None and not estimate.unused:
         variance = np.einsum("lii->li", measured.covariance).real
@@ -152,7 +181,10 @@ def _ordinary(curve: Curve, pole: complex) -> Fitted:
 
 
 def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, StatedRow]:
-    """f_n and zeta of the filtered line; m ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude."""
+    """f_n and zeta of the filtered line.
+
+    M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude.
+    """
     kept = base.theta[base.model.kept]
     unit = np.eye(kept.size)
     amplitude = -(kept[2] * unit[2] + kept[3] * unit[3]) / float(kept[2] ** 2 + kept[3] ** 2)

@@ -23,7 +23,9 @@ AROUND = 31
 
 @dataclass(frozen=True)
 class LineNoise:
-    """The noise along the lines: correlation (n,) [1] with the next lines that a window gives it, and 1 + 2 sum of their squares."""
+    """The noise along the lines: correlation (n,) [1] with the next lines that a window gives it, and 1 + 2
+    sum of their squares.
+    """
 
     correlation: tuple[complex, ...] = ()
 
@@ -33,11 +35,13 @@ class LineNoise:
 
 
 def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
-    """Probability [1] of so much likeness of neighbouring lines in noise: the least p-value of the elements, times their number.
+    """Probability [1] of so much likeness of neighbouring lines in noise: the least p-value of the elements,
+    times their number.
 
-    residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has the variance 1 / n_line, so
-    that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of freedom (portmanteau test of Box and Pierce 1970, complex
-    form). Each line counts relative to the noise around it, which need not be the same everywhere. Equation (modal-whiteness).
+    residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
+    the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
+    freedom (portmanteau test of Box and Pierce 1970, complex form). Each line counts relative to the noise
+    around it, which need not be the same everywhere. Equation (modal-whiteness).
     """
     n_line = residual.shape[0]
     flat = _even(residual.reshape(n_line, -1))
@@ -54,12 +58,16 @@ def _even(flat: ComplexArray) -> ComplexArray:
     """Residuals (n_line, n) relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
-    around = np.stack([np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T], axis=1) / counts[:, None]
+    around = (
+        np.stack([np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T], axis=1)
+        / counts[:, None]
+    )
     return np.asarray(flat / np.sqrt(np.maximum(around, np.finfo(float).tiny)))
 
 
 def loudest_line(residual: ComplexArray, noise: FloatArray, width: int) -> int:
-    """The line around which the residual (n_line, n_output, n_input) [unit of the FRF] is largest over *width* lines.
+    """The line around which the residual (n_line, n_output, n_input) [unit of the FRF] is largest over
+    *width* lines.
 
     It is taken relative to its noise (n_output, n_input) [square of the FRF's unit].
 
@@ -78,7 +86,9 @@ MOST_LOWER, MOST_UPPER = 3, 8
 TRIAL_STEPS = 1
 
 
-def refine_with_terms(lines: Lines, poles: ComplexArray, participation: ComplexArray) -> tuple[Refined, ResidualTerms]:
+def refine_with_terms(
+    lines: Lines, poles: ComplexArray, participation: ComplexArray
+) -> tuple[Refined, ResidualTerms]:
     """The refined modes and the residual terms of least AIC = 2 n_line sum ln(residual) + 2 parameters.
 
     *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) [1].
@@ -101,7 +111,8 @@ def refine_with_terms(lines: Lines, poles: ComplexArray, participation: ComplexA
 
 
 def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
-    """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which one entry is given.
+    """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which
+    one entry is given.
 
     Equation (modal-aic).
     """
@@ -112,7 +123,11 @@ def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
 
 def _larger(terms: ResidualTerms) -> list[ResidualTerms]:
     sizes = [(terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1)]
-    return [ResidualTerms(terms.lines, lower, upper) for lower, upper in sizes if lower <= MOST_LOWER and upper <= MOST_UPPER]
+    return [
+        ResidualTerms(terms.lines, lower, upper)
+        for lower, upper in sizes
+        if lower <= MOST_LOWER and upper <= MOST_UPPER
+    ]
 
 
 # Modes after the refinement: those that noise explains are left out, and one is added where the residual of
@@ -125,7 +140,8 @@ SUPPORT = 10.0
 SHARPEST = 0.01
 # Largest half-power width as part of the band: a broader mode is what the residual terms are, a smooth curve.
 BROADEST = 0.5
-# Two poles of like participation closer than this part of their decay rate are one pole that differs from point to point.
+# Two poles of like participation closer than this part of their decay rate are one pole that differs from
+# point to point.
 DISTINCT, ALIKE = 0.25, 0.9
 # Probability by noise alone below which a mode counts as seen.
 SEEN_P = 1e-3
@@ -133,7 +149,9 @@ SEEN_P = 1e-3
 
 @dataclass(frozen=True)
 class Completed:
-    """Refined modes with the terms of their residual, the probability of that residual as noise, and the number of modes added."""
+    """Refined modes with the terms of their residual, the probability of that residual as noise, and the
+    number of modes added.
+    """
 
     refined: Refined
     terms: ResidualTerms
@@ -141,8 +159,11 @@ class Completed:
     added: int = 0
 
 
-def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
-    """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the others; notes name these.
+def kept_modes(
+    lines: Lines, refined: Refined, terms: ResidualTerms
+) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
+    """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the
+    others; notes name these.
 
     FitError where none stays.
     """
@@ -158,9 +179,15 @@ def kept_modes(lines: Lines, refined: Refined, terms: ResidualTerms) -> tuple[Re
         (inside & narrow & ~seen, "does not stand out of the noise"),
     ):
         if np.any(chosen):
-            notes.append(f"modal: the pole at {', '.join(f'{value / (2 * np.pi):.4g}' for value in frequency[chosen])} Hz {why}.")
+            notes.append(
+                "modal: the pole at "
+                f"{', '.join(f'{value / (2 * np.pi):.4g}' for value in frequency[chosen])} Hz {why}."
+            )
     if not np.any(keep):
-        raise FitError(f"no mode stays in the refinement: {' '.join(notes)}", hint="widen the band to where the response peaks")
+        raise FitError(
+            f"no mode stays in the refinement: {' '.join(notes)}",
+            hint="widen the band to where the response peaks",
+        )
     again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
     again, more, further = kept_modes(lines, again, more)
     return again, more, (*notes, *further)
@@ -184,7 +211,8 @@ def _seen(lines: Lines, refined: Refined) -> BoolArray:
 
 
 def shape_p(refined: Refined) -> FloatArray:
-    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of freedom each.
+    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of
+    freedom each.
 
     Equation (modal-seen).
     """
@@ -197,11 +225,14 @@ def shape_p(refined: Refined) -> FloatArray:
     return np.array(probabilities)
 
 
-def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool) -> Completed:
-    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports them.
+def completed(
+    lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool
+) -> Completed:
+    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
+    them.
 
-    They are kept only if the residual then is noise. If it is not, as where every point loads the structure otherwise, a further mode
-    would be the poles' scatter by another name.
+    They are kept only if the residual then is noise. If it is not, as where every point loads the structure
+    otherwise, a further mode would be the poles' scatter by another name.
     """
     first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
@@ -213,13 +244,18 @@ def completed(lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineN
 
 
 def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Completed:
-    """The same modes with real shapes and participation, and the probability of the residual that they leave as noise."""
+    """The same modes with real shapes and participation, and the probability of the residual that they leave
+    as noise.
+    """
     refined = refine(lines, done.terms, done.refined.poles, done.refined.participation, real=True)
     return replace(done, refined=refined, p_noise=whiteness(remaining(lines, done.terms, refined), noise))
 
 
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
-    """With a mode where the residual is loudest; None where AIC does not support it, or it leaves the band."""
+    """With a mode where the residual is loudest.
+
+    None where AIC does not support it, or it leaves the band.
+    """
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
     spacing = float(np.mean(np.diff(lines.omega)))
@@ -233,14 +269,20 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     participation = _strongest(residual, refined, line, max(3, round(2 * decay / spacing)))
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-    sound = again.converged and _distinct(again) and np.all(_inside(lines, again) & _narrow(lines, again) & _seen(lines, again))
+    sound = (
+        again.converged
+        and _distinct(again)
+        and np.all(_inside(lines, again) & _narrow(lines, again) & _seen(lines, again))
+    )
     if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
         return None
     return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
 
 
 def _distinct(refined: Refined) -> bool:
-    """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close to lambda."""
+    """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close
+    to lambda.
+    """
     apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
     is_same = (apart < DISTINCT) & (similarity(refined.participation, refined.participation) > ALIKE)
     return bool(np.count_nonzero(is_same) == refined.poles.size)

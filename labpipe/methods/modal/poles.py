@@ -1,10 +1,12 @@
 """Poles of all orders by p-LSCF, and the choice of the physical ones by stabilisation.
 
-Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of sums over the lines.
+Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set of
+sums over the lines.
 
-H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input, n_input): Guillaume, Verboven,
-Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are Toeplitz in the powers of z, so that the sums of z^m, z^m H
-and z^m H^H H over the lines are all that the data contribute.
+H A(z) = B(z) with real polynomials of z = e^(-s T) and a common right denominator A of size (n_input,
+n_input): Guillaume, Verboven, Vanlanduit, Van der Auweraer and Peeters, IMAC 2003. All normal equations are
+Toeplitz in the powers of z, so that the sums of z^m, z^m H and z^m H^H H over the lines are all that the data
+contribute.
 """
 
 from __future__ import annotations
@@ -19,19 +21,23 @@ from labpipe.errors import FitError
 # Polyreference least-squares complex frequency-domain estimator (p-LSCF): poles of all orders from one set
 # of sums over the lines.
 
-# Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay apart.
+# Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
+# apart.
 TOP_OF_PERIOD = 0.95
 # Largest part of the frequencies that may lie below the band without a new origin.
 MOST_BELOW = 0.2
 # Distance of a new origin from the band, as part of its width.
 BELOW_BAND = 0.1
-# Relative size of eigenvalues of the normal matrix that rounding leaves of zero (noise-free FRFs of few modes).
+# Relative size of eigenvalues of the normal matrix that rounding leaves of zero (noise-free FRFs of few
+# modes).
 ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
 class Poles:
-    """Stable poles: *values* (n,) [rad/s] with positive imaginary part, *participation* (n, n_input) [1] of length 1, *orders* (n,)."""
+    """Stable poles: *values* (n,) [rad/s] with positive imaginary part, *participation* (n, n_input) [1] of
+    length 1, *orders* (n,).
+    """
 
     values: ComplexArray
     participation: ComplexArray
@@ -40,8 +46,9 @@ class Poles:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal matrices M of the denominator for every order, from order 1 up to the highest: (n_order, blocks, blocks), blocks = (order +
-    1) n_input filled. z = exp(-(s - j origin) T): *origin* [rad/s], *period* T [s]; *scale* (n_input,) of the references.
+    """Normal matrices M of the denominator for every order, from order 1 up to the highest: (n_order, blocks,
+    blocks), blocks = (order + 1) n_input filled. z = exp(-(s - j origin) T): *origin* [rad/s], *period* T
+    [s]; *scale* (n_input,) of the references.
     """
 
     matrices: tuple[FloatArray, ...]
@@ -56,8 +63,8 @@ class NormalEquations:
     def poles(self, order: int, *, stable_noise: bool = False) -> Poles:
         """Poles of a model of *order*; *stable_noise*: constraint A_0 = I in place of A_n = I.
 
-        With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias is least, and poles of
-        noise are stable too. Equation (modal-poles).
+        With A_n = I poles of noise are unstable and the poles of the structure biased; with A_0 = I the bias
+        is least, and poles of noise are stable too. Equation (modal-poles).
         """
         n = self.n_input
         matrix = self.matrices[order - 1]
@@ -71,21 +78,25 @@ class NormalEquations:
         keep = (values.real < 0) & (values.imag > 0)
         participation = vectors[:, keep].T / self.scale
         lengths = np.linalg.norm(participation, axis=1, keepdims=True)
-        return Poles(values[keep] + 1j * self.origin, participation / lengths, np.full(int(np.sum(keep)), order))
+        return Poles(
+            values[keep] + 1j * self.origin, participation / lengths, np.full(int(np.sum(keep)), order)
+        )
 
 
 def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> NormalEquations:
-    """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega* (n_line,) [rad/s].
+    """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega*
+    (n_line,) [rad/s].
 
-    Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T of the highest order, order
-    n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that one factor serves all orders. Equation (modal-lscf).
+    Every output and every reference has the weight of the reciprocal of its root mean square. With R = L L^T
+    of the highest order, order n is the leading block of T - sum over the first n + 1 rows of L^-1 S, so that
+    one factor serves all orders. Equation (modal-lscf).
     """
     n_line, _n_output, n_input = matrix.shape
     scale = 1 / np.sqrt(np.mean(np.abs(matrix) ** 2, axis=(0, 1)))
     scaled = matrix * scale
     scaled = scaled / np.sqrt(np.mean(np.abs(scaled) ** 2, axis=(0, 2)))[None, :, None]
-    # From a band far above 0 Hz z would see an arc only, and its powers be alike; a new origin makes the band half the circle again. It
-    # lies below the band, since real coefficients make the FRF real there.
+    # From a band far above 0 Hz z would see an arc only, and its powers be alike; a new origin makes the band
+    # half the circle again. It lies below the band, since real coefficients make the FRF real there.
     lowest, top = float(omega[0]), float(omega[-1])
     origin = lowest - BELOW_BAND * (top - lowest) if lowest > MOST_BELOW * top else 0.0
     period = TOP_OF_PERIOD * np.pi / (top - origin)
@@ -108,14 +119,19 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
 
 
 def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
-    """Real part of the sums over lines of z^m *values* (n_line, n) for m = -highest ... highest, (2 highest + 1, n)."""
+    """Real part of the sums over lines of z^m *values* (n_line, n) for m = -highest ...
+
+    highest, (2 highest + 1, n).
+    """
     forward = (lags.T @ values).real
     backward = (lags.conj().T @ values).real
     return np.concatenate([backward[:0:-1], forward])
 
 
 def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix singular."""
+    """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix
+    singular.
+    """
     try:
         factor = np.linalg.cholesky(matrix)
         diagonal = np.diag(factor)
@@ -129,10 +145,11 @@ def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
 
 
 def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Roots (n,) of det(I z^order + sum A_k z^k) and the left null vectors (n_input, n) of the matrix polynomial there.
+    """Roots (n,) of det(I z^order + sum A_k z^k) and the left null vectors (n_input, n) of the matrix
+    polynomial there.
 
-    *coefficients* (order, n_input, n_input), A_0 first: eigenvalues of the block companion matrix of the A_k^T, whose eigenvectors begin
-    with the null vector.
+    *coefficients* (order, n_input, n_input), A_0 first: eigenvalues of the block companion matrix of the
+    A_k^T, whose eigenvectors begin with the null vector.
     """
     order, n, _ = coefficients.shape
     companion = np.zeros((order * n, order * n))
@@ -148,10 +165,11 @@ def _roots(coefficients: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 # Choice of the physical poles from those of all orders: the poles of the structure return at every order,
 # those of noise do not.
 
-# Two poles of different orders are one mode where they differ by less than half the decay rate and a share of the frequency, and act on
-# the references alike.
+# Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
+# the frequency, and act on the references alike.
 SHARE_OF_DECAY, SHARE_OF_FREQUENCY, ALIKE = 0.5, 2e-4, 0.7
-# A mode returns in this share of the orders from FIRST_ORDER on; lower orders cannot hold all modes of the band.
+# A mode returns in this share of the orders from FIRST_ORDER on; lower orders cannot hold all modes of the
+# band.
 LEAST_SHARE, FIRST_ORDER = 0.25, 10
 # Damping ratio above which a pole describes the background of the band.
 MOST_DAMPING = 0.5
@@ -163,9 +181,11 @@ HIGH_ORDERS = 8
 
 @dataclass(frozen=True)
 class Diagram:
-    """Poles of all orders [rad/s], and the modes chosen from them: *poles*; *group* (n_pole,): index of the mode, -1 for none.
+    """Poles of all orders [rad/s], and the modes chosen from them: *poles*; *group* (n_pole,): index of the
+    mode, -1 for none.
 
-    *modes*: one row per mode, ascending in frequency; *share* (n_mode,): share of the orders in which the mode appears.
+    *modes*: one row per mode, ascending in frequency; *share* (n_mode,): share of the orders in which the
+    mode appears.
     """
 
     poles: Poles
@@ -175,7 +195,8 @@ class Diagram:
 
 
 def stabilisation(equations: NormalEquations, band: tuple[float, float], highest: int) -> Diagram:
-    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many orders every second one.
+    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many
+    orders every second one.
 
     Equation (modal-stable).
     """
@@ -188,14 +209,18 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
 
 
 def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: int) -> Poles:
-    """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower order where that has none.
+    """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower
+    order where that has none.
 
     FitError where no order has a pole.
     """
     of_orders = (equations.poles(lower) for lower in range(order, 0, -1))
     poles = next((poles for poles in of_orders if poles.values.size), None)
     if poles is None:
-        raise FitError(f"no order up to {order} has a pole: no mode stands out of the noise of this band", hint="choose another band")
+        raise FitError(
+            f"no order up to {order} has a pole: no mode stands out of the noise of this band",
+            hint="choose another band",
+        )
     index = [int(np.argmin(np.abs(np.abs(poles.values) - frequency))) for frequency in frequencies]
     return Poles(poles.values[index], poles.participation[index], poles.orders[index])
 
@@ -206,7 +231,8 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
 
 
 def similarity(a: ComplexArray, b: ComplexArray) -> FloatArray:
-    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1] (Allemang and Brown 1982).
+    """Modal assurance criterion |a^H b|^2 / (|a|^2 |b|^2) of rows of *a* (n, k) and *b* (m, k), (n, m) [1]
+    (Allemang and Brown 1982).
 
     Equation (modal-mac).
     """
@@ -231,11 +257,15 @@ def _joined(parts: list[Poles]) -> Poles:
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
     """Whether each of *values* (n,) is the mode of each pole, (n, n_pole)."""
     limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
-    return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (similarity(participation, poles.participation) > ALIKE)
+    return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (
+        similarity(participation, poles.participation) > ALIKE
+    )
 
 
 def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
-    """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough orders."""
+    """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough
+    orders.
+    """
     group = np.full(poles.values.size, -1)
     near = _near(poles, poles.values, poles.participation)
     position = {order: n for n, order in enumerate(counted)}
@@ -264,12 +294,17 @@ def _groups(poles: Poles, counted: list[int]) -> tuple[IntArray, FloatArray]:
     return named.astype(np.intp), np.array(shares)[order]
 
 
-def _least_biased(equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]) -> Poles:
-    """The modes with the poles of the constraint of least bias: at each high order the nearest one, then the median."""
+def _least_biased(
+    equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
+) -> Poles:
+    """The modes with the poles of the constraint of least bias: at each high order the nearest one, then the
+    median.
+    """
     n_mode = int(group.max(initial=-1)) + 1
     centre = np.array([_median(poles.values[group == mode]) for mode in range(n_mode)], np.complex128)
     participation = np.array(
-        [_middle(poles.participation[group == mode], poles.values[group == mode]) for mode in range(n_mode)], np.complex128
+        [_middle(poles.participation[group == mode], poles.values[group == mode]) for mode in range(n_mode)],
+        np.complex128,
     ).reshape(n_mode, equations.n_input)
     if not n_mode:
         return Poles(centre, participation, np.empty(0, np.intp))
@@ -280,8 +315,12 @@ def _least_biased(equations: NormalEquations, poles: Poles, group: IntArray, ban
         for mode in range(n_mode):
             index = np.flatnonzero(alike[mode])
             if index.size:
-                near_poles[mode].append(refined.values[index[np.argmin(np.abs(refined.values[index] - centre[mode]))]])
-    values = np.array([_median(np.array(near_poles[mode])) if near_poles[mode] else centre[mode] for mode in range(n_mode)])
+                near_poles[mode].append(
+                    refined.values[index[np.argmin(np.abs(refined.values[index] - centre[mode]))]]
+                )
+    values = np.array(
+        [_median(np.array(near_poles[mode])) if near_poles[mode] else centre[mode] for mode in range(n_mode)]
+    )
     return Poles(values, participation, np.full(n_mode, max(orders)))
 
 

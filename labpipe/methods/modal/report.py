@@ -1,4 +1,6 @@
-"""The figures and tables of modal fits: the stabilisation diagram, the shapes with their uncertainty, and their likeness."""
+"""The figures and tables of modal fits: the stabilisation diagram, the shapes with their uncertainty, and
+their likeness.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,22 @@ import numpy as np
 
 from labpipe.records.fit_details import FitDetailKind, Modes, StabilisationDiagram
 from labpipe.records.identification import Fit
-from labpipe.report.chart import GREY, WIDTH, Axis, Chart, Panel, Series, cells, curve, dots, level, look, named_ticks, stacked, upright
+from labpipe.report.chart import (
+    GREY,
+    WIDTH,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    cells,
+    curve,
+    dots,
+    level,
+    look,
+    named_ticks,
+    stacked,
+    upright,
+)
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import FREQUENCY
 from labpipe.report.shapes import shape_figures
@@ -43,14 +60,28 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
         )
         for n in range(modes.frequency.size)
     )
-    header = ("mode", "f [Hz]", "zeta [%]", "largest at", "strongest reference", "phase collinearity", "m, k, c at")
+    header = (
+        "mode",
+        "f [Hz]",
+        "zeta [%]",
+        "largest at",
+        "strongest reference",
+        "phase collinearity",
+        "m, k, c at",
+    )
     return Table(header, rows, f"Modes of {fit_title(fit)}", (1, 2, 5))
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
-    """Complex mode indicator function above, the stable poles of all orders below; chosen modes as upright lines."""
+    """Complex mode indicator function above, the stable poles of all orders below.
+
+    Chosen modes as upright lines.
+    """
     names = [f"singular value {n + 1}" for n in range(diagram.indicator.shape[1])]
-    indicators = [curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n)) for n, name in enumerate(names)]
+    indicators = [
+        curve(name, diagram.indicator_frequency, diagram.indicator[:, n], *look(n))
+        for n, name in enumerate(names)
+    ]
     chosen = diagram.mode >= 0
     poles: list[Series] = [upright(float(frequency), line=":") for frequency in modes.frequency]
     poles.append(dots("pole of noise", diagram.frequency[~chosen], diagram.order[~chosen], GREY, size=3.0))
@@ -60,9 +91,10 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
         Panel(FREQUENCY, Axis("order"), tuple(poles), share=1.4, pick="poles"),
     ]
     caption = (
-        f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the stable poles of all orders. Poles "
-        "that return at the same place are modes of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; "
-        "the line `poles:` for the section `modal:` then stands below."
+        f"{fit_title(fit)}: singular values of the FRF matrix (complex mode indicator function), and the "
+        "stable poles of all orders. Poles that return at the same place are modes of the structure; "
+        "dotted: the modes of the fit. In the page a click on a pole chooses it; the line `poles:` for the "
+        "section `modal:` then stands below."
     )
     return Figure(stacked(panels, 5.0), caption, f"Stabilisation diagram of fit {fit_title(fit)}")
 
@@ -74,7 +106,10 @@ def shapes_figure(fit: Fit, modes: Modes) -> Figure:
     panels = tuple(_shape(modes, n, axis, few) for n in range(modes.frequency.size))
     rows = -(-len(panels) // COLUMNS)
     chart = Chart(panels, rows, min(COLUMNS, len(panels)), (WIDTH, 0.6 + 1.7 * rows), "x", "above")
-    caption = f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, over {len(modes.points)} points."
+    caption = (
+        f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, "
+        f"over {len(modes.points)} points."
+    )
     return Figure(chart, caption, f"Mode shapes of fit {fit_title(fit)}")
 
 
@@ -85,7 +120,15 @@ def _shape(modes: Modes, n: int, axis: Axis, few: bool) -> Panel:
     turned = turned * np.sign(turned[np.argmax(np.abs(turned))])
     spread = TWO_SIGMA * modes.shape_std_errors[:, n] / np.sqrt(2)
     places = np.arange(turned.size, dtype=float)
-    line = curve("shape", places, turned, 0, "-" if not few else "", marker="o" if few else "", bars=(turned - spread, turned + spread))
+    line = curve(
+        "shape",
+        places,
+        turned,
+        0,
+        "-" if not few else "",
+        marker="o" if few else "",
+        bars=(turned - spread, turned + spread),
+    )
     return Panel(axis, Axis("shape"), (level(0.0), line), f"{n + 1}: {modes.frequency[n]:.4g} Hz")
 
 
@@ -96,7 +139,10 @@ def mac_figure(fit: Fit, modes: Modes) -> Figure:
     axis = Axis("mode [Hz]", ticks=named_ticks(names))
     side = max(2.4, 0.5 * len(names))
     chart = Chart((Panel(axis, axis, (cells(modes.mac, texts, "MAC"),)),), size=(side + 0.9, side))
-    caption = f"{fit_title(fit)}: modal assurance criterion between the shapes. Two shapes near 1 cannot be told apart at these points."
+    caption = (
+        f"{fit_title(fit)}: modal assurance criterion between the shapes. Two shapes near 1 cannot be "
+        "told apart at these points."
+    )
     return Figure(chart, caption, f"Modal assurance criterion of fit {fit_title(fit)}")
 
 

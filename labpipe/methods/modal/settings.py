@@ -22,12 +22,21 @@ class ModalSettings(Settings):
     """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
 
     order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
-    poles: tuple[float, ...] = setting("values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=())
+    poles: tuple[float, ...] = setting(
+        "values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=()
+    )
     shapes: str = setting(
-        "choice", "complex, or real as with damping in proportion to mass and stiffness", choices=("complex", "real"), default="complex"
+        "choice",
+        "complex, or real as with damping in proportion to mass and stiffness",
+        choices=("complex", "real"),
+        default="complex",
     )
     geometry: str = setting(
-        "file", "positions of the points: CSV, or UFF 15, 2411, 82, 2412", file_kind="geometry", into="structure", default=""
+        "file",
+        "positions of the points: CSV, or UFF 15, 2411, 82, 2412",
+        file_kind="geometry",
+        into="structure",
+        default="",
     )
     structure: Geometry | None = None
 

@@ -1,4 +1,6 @@
-"""What people read of refined modes: frequencies, damping, shapes, and stiffness and mass where a mass or a driving point is known."""
+"""What people read of refined modes: frequencies, damping, shapes, and stiffness and mass where a mass or a
+driving point is known.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +55,11 @@ def shape_record(
 
 
 def phase_collinearity(shapes: ComplexArray) -> FloatArray:
-    """Modal phase collinearity (n_mode,) [1] of *shapes* (n_point, n_mode): 1 where all points move in one phase, 0 for no phase at all.
+    """Modal phase collinearity (n_mode,) [1] of *shapes* (n_point, n_mode): 1 where all points move in one
+    phase, 0 for no phase at all.
 
-    ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2 of real and imaginary part (Juang and Pappa 1985). Equation (modal-collinearity).
+    ((S_xx - S_yy)^2 + 4 S_xy^2) / (S_xx + S_yy)^2 of real and imaginary part (Juang and Pappa 1985). Equation
+    (modal-collinearity).
     """
     xx, yy = np.sum(shapes.real**2, axis=0), np.sum(shapes.imag**2, axis=0)
     xy = np.sum(shapes.real * shapes.imag, axis=0)
@@ -91,12 +95,14 @@ class DrivingPoint:
 def modal_parameters(
     refined: Refined, dof: int, mass: float | None, driving: Sequence[DrivingPoint], inflation: float | None
 ) -> tuple[Parameter, ...]:
-    """f_n, zeta (eta) of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the modes at a driving point.
+    """f_n, zeta (eta) of every mode, ascending; then k, c with the given *mass* [kg], else m, k, c of the
+    modes at a driving point.
 
-    k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the shape 1 there: the residue
-    is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any. Hysteretic modes have eta in place of zeta, no c, and
-    m = Re(1 / (2 lambda R)). Equation (modal-loss-factor).
-    *inflation*: factor on the standard errors where the residual exceeds the noise. Equation (modal-frequency).
+    k = m w_n^2, c = 2 zeta w_n m. At the driving point of its largest residue the modal mass is that with the
+    shape 1 there: the residue is R = 1 / (2 j w_d m) for a real mode, m = Re(1 / (2 j w_d R)) for any.
+    Hysteretic modes have eta in place of zeta, no c, and m = Re(1 / (2 lambda R)). Equation
+    (modal-loss-factor). *inflation*: factor on the standard errors where the residual exceeds the noise.
+    Equation (modal-frequency).
     """
     weigh = _at_driving_point(refined.hysteretic) if mass is None else _given(mass)
     functions: list[tuple[str, str, Function]] = []
@@ -111,7 +117,11 @@ def modal_parameters(
         functions.insert(0, ("m", "kg", weigh))
     strongest = strongest_points(refined, driving)
     ordered = list(enumerate(_ascending(refined), start=1))
-    main = [_value(refined, mode, None, f"{name}_{n}", unit, of, dof) for n, mode in ordered for name, unit, of in _of_pole(refined)]
+    main = [
+        _value(refined, mode, None, f"{name}_{n}", unit, of, dof)
+        for n, mode in ordered
+        for name, unit, of in _of_pole(refined)
+    ]
     rest = [
         _value(refined, mode, strongest[n - 1] if strongest else None, f"{name}_{n}", unit, of, dof)
         for n, mode in ordered
@@ -147,11 +157,21 @@ def frequency_correlation(refined: Refined) -> FloatArray:
     return correlation(slopes @ refined.covariance @ slopes.T)
 
 
-def _value(refined: Refined, mode: int, driving: DrivingPoint | None, name: str, unit: str, function: Function, dof: int) -> Parameter:
+def _value(
+    refined: Refined,
+    mode: int,
+    driving: DrivingPoint | None,
+    name: str,
+    unit: str,
+    function: Function,
+    dof: int,
+) -> Parameter:
     """A function of pole and residue with its standard error."""
     values, covariance = _pole_and_residue(refined, mode, driving)
     gradient = _gradient(function, values)
-    return derived(name, unit, function(values), float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0))), dof)
+    return derived(
+        name, unit, function(values), float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0))), dof
+    )
 
 
 def _given(mass: float) -> Function:
@@ -172,8 +192,12 @@ def _of_pole(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
     return HYSTERETIC if refined.hysteretic else VISCOUS
 
 
-def _pole_and_residue(refined: Refined, mode: int, driving: DrivingPoint | None) -> tuple[FloatArray, FloatArray]:
-    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,), with their covariance."""
+def _pole_and_residue(
+    refined: Refined, mode: int, driving: DrivingPoint | None
+) -> tuple[FloatArray, FloatArray]:
+    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,), with their
+    covariance.
+    """
     pole = refined.poles[mode]
     at = [2 * mode, 2 * mode + 1]
     if driving is None:
@@ -189,7 +213,10 @@ def _pole_and_residue(refined: Refined, mode: int, driving: DrivingPoint | None)
     if place is not None:
         free = [place, place + 1]
         covariance[4:, 4:] = refined.covariance[np.ix_(free, free)]
-        covariance[4:, :2], covariance[:2, 4:] = refined.covariance[np.ix_(free, at)], refined.covariance[np.ix_(at, free)]
+        covariance[4:, :2], covariance[:2, 4:] = (
+            refined.covariance[np.ix_(free, at)],
+            refined.covariance[np.ix_(at, free)],
+        )
         covariance[2:4, 4:], covariance[4:, 2:4] = of_shape[:, free], of_shape[:, free].T
     return values, covariance
 

@@ -1,4 +1,6 @@
-"""Modes refined with the full measured covariance of the FRF: poles, participation, shapes and residual terms as one output-error fit."""
+"""Modes refined with the full measured covariance of the FRF: poles, participation, shapes and residual terms
+as one output-error fit.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,9 @@ FEW_SINGULAR = 0.05
 
 @dataclass(frozen=True)
 class ModalEstimate:
-    """Refined modes, their receptance *fitted* (n_line, n_output, n_input) [m/N], degrees of freedom of the residual, and where the
-    covariance of the FRF is used chi-square per degree of freedom and its p-value; *unused*: why a measured one could not be.
+    """Refined modes, their receptance *fitted* (n_line, n_output, n_input) [m/N], degrees of freedom of the
+    residual, and where the covariance of the FRF is used chi-square per degree of freedom and its p-value;
+    *unused*: why a measured one could not be.
     """
 
     refined: Refined
@@ -38,11 +41,12 @@ class ModalEstimate:
 
 @dataclass(frozen=True)
 class ModalReceptance:
-    """The receptance (n_line, n_output, n_input) [m/N] of modes and residual terms as a function of real parameters.
+    """The receptance (n_line, n_output, n_input) [m/N] of modes and residual terms as a function of real
+    parameters.
 
-    These are Re and Im in turn of the poles, of the participation other than the fixed 1 of each mode, of the shapes (output by output)
-    and of the factors of the terms (element by element).
-    *real* modes lack the imaginary parts of the participation and the real parts of the shapes.
+    These are Re and Im in turn of the poles, of the participation other than the fixed 1 of each mode, of the
+    shapes (output by output) and of the factors of the terms (element by element). *real* modes lack the
+    imaginary parts of the participation and the real parts of the shapes.
     """
 
     terms: ResidualTerms
@@ -52,7 +56,9 @@ class ModalReceptance:
     real: bool = False
 
     @classmethod
-    def of(cls, terms: ResidualTerms, refined: Refined, measured: Measured, *, real: bool = False) -> ModalReceptance:
+    def of(
+        cls, terms: ResidualTerms, refined: Refined, measured: Measured, *, real: bool = False
+    ) -> ModalReceptance:
         """The model of refined modes of a measured matrix; *real*: real modes."""
         _, n_output, n_input = measured.matrix.shape
         return cls(terms, np.argmax(refined.participation == 1, axis=1), n_output, n_input, real)
@@ -88,7 +94,8 @@ class ModalReceptance:
         return np.asarray(lines.s**lines.power * lines.weight)
 
     def split(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """Poles (n_mode,) [rad/s], participation (n_mode, n_input), shapes (n_output, n_mode), factors (n_output, n_input, n_term) [1].
+        """Poles (n_mode,) [rad/s], participation (n_mode, n_input), shapes (n_output, n_mode), factors
+        (n_output, n_input, n_term) [1].
 
         *parameters* (n_parameter,) [parameter units].
         """
@@ -99,14 +106,23 @@ class ModalReceptance:
         poles, free, shapes, factors = np.split(values, ends)
         participation = np.ones((self.n_mode, self.n_input), np.complex128)
         participation[self._free] = free
-        return poles, participation, shapes.reshape(self.n_output, -1), factors.reshape(self.n_output, self.n_input, -1)
+        return (
+            poles,
+            participation,
+            shapes.reshape(self.n_output, -1),
+            factors.reshape(self.n_output, self.n_input, -1),
+        )
 
     def joined(self, refined: Refined, measured: Measured) -> FloatArray:
-        """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the rest best."""
+        """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
+        rest best.
+        """
         poles = self._of_modes(refined.poles, refined.participation, refined.shapes, measured.omega)
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
-        values = np.concatenate([refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()])
+        values = np.concatenate(
+            [refined.poles, refined.participation[self._free], refined.shapes.ravel(), factors.ravel()]
+        )
         return np.asarray(np.stack([values.real, values.imag], axis=-1).ravel()[self.free])
 
     @cached_property
@@ -116,7 +132,9 @@ class ModalReceptance:
         rows, columns = np.nonzero(mask)
         return rows, columns
 
-    def _of_modes(self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray) -> ComplexArray:
+    def _of_modes(
+        self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray
+    ) -> ComplexArray:
         a, b = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)[0]
         residue = shapes[:, None, :] * participation.T[None]
         return np.asarray(np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj()))
@@ -124,7 +142,9 @@ class ModalReceptance:
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H (n_line, n_output, n_input) [m/N]."""
         poles, participation, shapes, factors = self.split(parameters)
-        return self._of_modes(poles, participation, shapes, omega) + np.einsum("lt,oit->loi", self.basis, factors)
+        return self._of_modes(poles, participation, shapes, omega) + np.einsum(
+            "lt,oit->loi", self.basis, factors
+        )
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
@@ -157,8 +177,11 @@ def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArra
     return np.stack([first + second, 1j * (first - second)])
 
 
-def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False) -> ModalEstimate:
-    """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian can be held in memory.
+def whole_covariance_fit(
+    measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False
+) -> ModalEstimate:
+    """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian
+    can be held in memory.
 
     Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
     """
@@ -176,14 +199,22 @@ def whole_covariance_fit(measured: Measured, terms: ResidualTerms, refined: Refi
     _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
     reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
     again = _refined(model, minimum, uncertainty.inflation * inverse, refined)
-    return ModalEstimate(again, model.receptance(minimum.values, measured.omega), dof, reduced, uncertainty.p_value(reduced, dof))
+    return ModalEstimate(
+        again,
+        model.receptance(minimum.values, measured.omega),
+        dof,
+        reduced,
+        uncertainty.p_value(reduced, dof),
+    )
 
 
 def regular(measured: Measured) -> Measured:
-    """The measured FRF with the variances alone on the lines whose covariance (n, n) [m^2/N^2] has no inverse, where these are few.
+    """The measured FRF with the variances alone on the lines whose covariance (n, n) [m^2/N^2] has no
+    inverse, where these are few.
 
-    Noise of neighbouring lines can make the covariance of a line singular by chance; left as it is, one such line would take the measured
-    covariance from all others. As it was where more than a share FEW_SINGULAR of the lines are so, or a variance is zero.
+    Noise of neighbouring lines can make the covariance of a line singular by chance; left as it is, one such
+    line would take the measured covariance from all others. As it was where more than a share FEW_SINGULAR of
+    the lines are so, or a variance is zero.
     """
     assert measured.covariance is not None
     alone = singular_lines(measured)
@@ -195,7 +226,9 @@ def regular(measured: Measured) -> Measured:
 
 
 def _refined(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
-    """The parts of the covariance (n_parameter, n_parameter) that concern poles, participation and the shape of each output."""
+    """The parts of the covariance (n_parameter, n_parameter) that concern poles, participation and the shape
+    of each output.
+    """
     poles, participation, shapes, _ = model.split(minimum.values)
     whole = np.zeros((model.free.size, model.free.size))
     whole[np.ix_(model.free, model.free)] = covariance

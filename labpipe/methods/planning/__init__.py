@@ -1,1 +1,3 @@
-"""Tests planned before they are made: signals, operating conditions and runs that determine the wanted coefficients best."""
+"""Tests planned before they are made: signals, operating conditions and runs that determine the wanted
+coefficients best.
+"""

@@ -1,10 +1,12 @@
-"""How spectra are put on shakers, signals of least peak within the limits, and what tests of a given length tell with them.
+"""How spectra are put on shakers, signals of least peak within the limits, and what tests of a given length
+tell with them.
 
-Phases for the least peak of several signals that share their lines: forces and the motions that they cause, each against its limit.
+Phases for the least peak of several signals that share their lines: forces and the motions that they cause,
+each against its limit.
 
-Source s, a shaker say, has the phase phi_ls at line l, and signal c is s_c(t) = Re sum_ls g_lsc exp(j (phi_ls + 2 pi k_l t)), t in periods.
-The peak is approached by 2p-norms of all signals, p rising (Guillaume, Schoukens, Pintelon and Kollar 1991, IEEE Trans. Instrum. Meas. 40,
-982).
+Source s, a shaker say, has the phase phi_ls at line l, and signal c is s_c(t) = Re sum_ls g_lsc exp(j (phi_ls
++ 2 pi k_l t)), t in periods. The peak is approached by 2p-norms of all signals, p rising (Guillaume,
+Schoukens, Pintelon and Kollar 1991, IEEE Trans. Instrum. Meas. 40, 982).
 """
 
 from __future__ import annotations
@@ -20,7 +22,14 @@ from scipy.optimize import minimize
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.designs import A, D, optimum
-from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, residual_whitener, sensitivities, vector_information
+from labpipe.methods.planning.model import (
+    Noise,
+    PlannedModel,
+    relative_errors,
+    residual_whitener,
+    sensitivities,
+    vector_information,
+)
 from labpipe.raw_files.excitation import _signals, one_period, peaks
 
 # How a spectrum is put on the shakers: one after the other, or both at once. SCHEMES by name.
@@ -32,9 +41,11 @@ LEFT_OUT = 1e-5
 
 @dataclass(frozen=True)
 class Multisines:
-    """The forces of one test: amplitudes *forces* (n_line, n_shaker) [N] of all shakers at *lines* (n_line,) [multiples of the spacing].
+    """The forces of one test: amplitudes *forces* (n_line, n_shaker) [N] of all shakers at *lines* (n_line,)
+    [multiples of the spacing].
 
-    name: of the test, the shakers that run in it. groups (n_line,) [1]: lines of one number keep the phase between the shakers.
+    name: of the test, the shakers that run in it. groups (n_line,) [1]: lines of one number keep the phase
+    between the shakers.
     """
 
     name: str
@@ -55,7 +66,10 @@ Scheme = Callable[[IntArray, FloatArray, tuple[str, ...]], tuple[Multisines, ...
 
 
 def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
-    """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples]; *names* of the shakers."""
+    """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples].
+
+    *names* of the shakers.
+    """
     tests = []
     for number, name in enumerate(names):
         kept = power[:, number] > LEFT_OUT * power[:, number].sum()
@@ -67,10 +81,12 @@ def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tu
 
 
 def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
-    """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one, power (n_line, 2) [N^2].
+    """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
+    power (n_line, 2) [N^2].
 
-    Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of equal size and opposite sign,
-    they tell what the powers of both shakers do: h h^H + g g^H is diagonal for h = (a, b), g = (a, -b). Equation (plan-together).
+    Two vectors on ONE line would add up to a single one, which tells four numbers; on neighbouring lines, of
+    equal size and opposite sign, they tell what the powers of both shakers do: h h^H + g g^H is diagonal for
+    h = (a, b), g = (a, -b). Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
@@ -79,7 +95,10 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
 
 
 def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
-    """One test of two shakers at once, each on every other line; arguments as of one_by_one, power (n_line, 2) [N^2]."""
+    """One test of two shakers at once, each on every other line.
+
+    Arguments as of one_by_one, power (n_line, 2) [N^2].
+    """
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
@@ -87,7 +106,10 @@ def interleaved(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> t
 
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs; a last line without a partner gives its power to its pair."""
+    """Power (n_pair, 2) [N^2] of pairs of lines, and the lines of all pairs.
+
+    A last line without a partner gives its power to its pair.
+    """
     first = np.arange(0, lines.size - 1, 2)
     return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
 
@@ -112,7 +134,8 @@ QUICK_NORMS, QUICK_STEPS = (4, 32), 40
 
 
 def schroeder_phases_of(power: FloatArray) -> FloatArray:
-    """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l) p_l, p summing to 1.
+    """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l)
+    p_l, p summing to 1.
 
     Equation (spec-schroeder-power).
     """
@@ -121,14 +144,21 @@ def schroeder_phases_of(power: FloatArray) -> FloatArray:
 
 
 def least_peak_phases(
-    lines: IntArray, gains: ComplexArray, groups: IntArray | None = None, *, seed: int = 0, random_starts: int = 1, quick: bool = False
+    lines: IntArray,
+    gains: ComplexArray,
+    groups: IntArray | None = None,
+    *,
+    seed: int = 0,
+    random_starts: int = 1,
+    quick: bool = False,
 ) -> FloatArray:
     """Phases (n_line, n_source) [rad] that make the largest peak of all signals small.
 
-    gains (n_line, n_source, n_signal) [1]: amplitudes over the limit of their signal; lines (n_line,) [multiples]. The sources of a line
-    differ in phase by as much as on all lines of the same number in *groups* (n_line,), by default of a line alone. Starts from
-    Schroeder's phases and from *random_starts* random ones; never worse than Schroeder's. *quick*: a first look, a few per cent above.
-    Equation (plan-peak).
+    gains (n_line, n_source, n_signal) [1]: amplitudes over the limit of their signal; lines (n_line,)
+    [multiples]. The sources of a line differ in phase by as much as on all lines of the same number in
+    *groups* (n_line,), by default of a line alone. Starts from Schroeder's phases and from *random_starts*
+    random ones; never worse than Schroeder's. *quick*: a first look, a few per cent above. Equation
+    (plan-peak).
     """
     n_line, n_source, _ = gains.shape
     group = np.arange(n_line) if groups is None else np.unique(groups, return_inverse=True)[1]
@@ -152,7 +182,9 @@ def least_peak_phases(
 
 
 class _Problem:
-    """The peak as a function of the unknowns: phases of the first source (n_line,), then differences of the others by group."""
+    """The peak as a function of the unknowns: phases of the first source (n_line,), then differences of the
+    others by group.
+    """
 
     def __init__(self, lines: IntArray, gains: ComplexArray, group: IntArray) -> None:
         self.lines, self.gains, self.group = lines, gains, group
@@ -184,16 +216,23 @@ class _Problem:
         slope = np.sum((1j * amplitudes * spectrum.conj()[:, None]).real, axis=2) / largest / total
         differences = np.zeros((self.n_group, self.n_source - 1))
         np.add.at(differences, self.group, slope[:, 1:])
-        return float(np.log(largest) + np.log(total) / (2 * p)), np.concatenate([slope.sum(axis=1), differences.reshape(-1)])
+        return float(np.log(largest) + np.log(total) / (2 * p)), np.concatenate(
+            [slope.sum(axis=1), differences.reshape(-1)]
+        )
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        return np.asarray(minimize(self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": steps}).x)
+        return np.asarray(
+            minimize(
+                self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": steps}
+            ).x
+        )
 
 
 # What tests of a given length tell once every signal is as large as the limits allow: predicted standard
 # errors.
 
-# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the slowest motion has died away.
+# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
+# slowest motion has died away.
 SAMPLES, DIED = 64, 9.0
 # Starts within a period that are looked at closely.
 STARTS = 16
@@ -203,7 +242,8 @@ OBEYED = 1 - 1e-12
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a force; None: no limit.
+    """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a
+    force; None: no limit.
 
     At all times: between samples, and while a test starts from rest and comes to rest.
     """
@@ -218,12 +258,16 @@ class Limits:
             if value is not None and value <= 0:
                 raise ConfigError(f"'{name}' must be positive", field=name)
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
-            raise ConfigError("no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor")
+            raise ConfigError(
+                "no periodic signal has a crest factor below that of a sine, 1.41", field="crest_factor"
+            )
 
 
 @dataclass(frozen=True)
 class EarlierInformation:
-    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative coefficients, beside *duration* [s]."""
+    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative
+    coefficients, beside *duration* [s].
+    """
 
     information: FloatArray
     duration: float
@@ -236,7 +280,8 @@ class EarlierInformation:
 
 @dataclass(frozen=True)
 class Rig:
-    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing* of the lines [Hz].
+    """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing*
+    of the lines [Hz].
 
     known: what an earlier test tells, where it is combined with the planned one.
     """
@@ -251,7 +296,10 @@ class Rig:
 
     @property
     def known_rate(self) -> FloatArray:
-        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration; zero without one."""
+        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration.
+
+        Zero without one.
+        """
         return np.zeros((len(self.model.names),) * 2) if self.known is None else self.known.rate
 
     def omega(self, test: Multisines) -> FloatArray:
@@ -263,7 +311,9 @@ class Rig:
         return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
 
     def over_limits(self, test: Multisines) -> ComplexArray:
-        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]: forces, then probes."""
+        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]:
+        forces, then probes.
+        """
         running = running_shakers(test)
         unit = np.eye(len(self.shakers))[:, running] / self.limits.force
         parts = [test.forces[:, :, None] * unit]
@@ -275,7 +325,9 @@ class Rig:
     def rate(self, test: Multisines) -> FloatArray:
         """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
         forces = test.forces @ self.directions
-        return np.asarray(vector_information(sensitivities(self.model, self.noise, self.omega(test)), forces).sum(axis=0))
+        return np.asarray(
+            vector_information(sensitivities(self.model, self.noise, self.omega(test)), forces).sum(axis=0)
+        )
 
 
 def running_shakers(test: Multisines) -> BoolArray:
@@ -283,19 +335,25 @@ def running_shakers(test: Multisines) -> BoolArray:
     return np.any(np.abs(test.forces) > 0, axis=0)
 
 
-def as_large_as_allowed(rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True) -> Multisines:
-    """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as the limits allow.
+def as_large_as_allowed(
+    rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True
+) -> Multisines:
+    """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as
+    the limits allow.
 
     Without *random_starts* the phases are a first look.
     """
     running = running_shakers(test)
-    # The shakers have limits of their own: those that a design pushes less are not to be the reason for larger phases.
+    # The shakers have limits of their own: those that a design pushes less are not to be the reason for
+    # larger phases.
     rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
     test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
     if optimised:
         gains = rig.over_limits(test)[:, running]
         phases = np.zeros(test.forces.shape)
-        phases[:, running] = least_peak_phases(test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts)
+        phases[:, running] = least_peak_phases(
+            test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts
+        )
         test = test.turned(phases)
     largest = np.where(running, peaks(test.lines, test.forces), 1.0)
     test = test.scaled(rig.limits.force / largest)
@@ -303,7 +361,8 @@ def as_large_as_allowed(rig: Rig, test: Multisines, *, random_starts: int = 0, o
 
 
 def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
-    """The test with its period begun where little motion starts and stops, and smaller forces where *seconds* [s] from rest still need it.
+    """The test with its period begun where little motion starts and stops, and smaller forces where *seconds*
+    [s] from rest still need it.
 
     Equation (plan-from-rest).
     """
@@ -311,8 +370,14 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     if limit is None or rig.model.free_motion is None:
         return test
     omega, motion = rig.omega(test), rig.motion(test)
-    # States of the steady motion at steps of an eighth of the highest line's period, velocities as displacements at the rms frequency.
-    velocity = 1j * omega[:, None] * motion / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    # States of the steady motion at steps of an eighth of the highest line's period, velocities as
+    # displacements at the rms frequency.
+    velocity = (
+        1j
+        * omega[:, None]
+        * motion
+        / np.sqrt(np.average(omega**2, weights=np.sum(np.abs(motion) ** 2, axis=1)))
+    )
     states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
     begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
     shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
@@ -321,7 +386,8 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
 
 
 def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
-    """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves on when it stops.
+    """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves
+    on when it stops.
 
     The steady motion alone where what starts does not die away.
     """
@@ -351,8 +417,9 @@ def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
 class Settling:
     """What the motion that starts with every test does to the coefficients of a campaign.
 
-    shift (n_test, n_coefficient, n_state) [1 per state]: of relative coefficients by the motion left at the first measured period; begin
-    (n_test, n_state) [m, m/s]: that motion at rest; over (n_state, n_state) [1]: what a period leaves of it.
+    shift (n_test, n_coefficient, n_state) [1 per state]: of relative coefficients by the motion left at the
+    first measured period; begin (n_test, n_state) [m, m/s]: that motion at rest; over (n_state, n_state) [1]:
+    what a period leaves of it.
     """
 
     shift: FloatArray
@@ -365,10 +432,12 @@ class Settling:
 
 
 def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | None:
-    """The effect of free motion on tests of *periods* measured periods each, at first order; None where it does not die away.
+    """The effect of free motion on tests of *periods* measured periods each, at first order; None where it
+    does not die away.
 
-    Motion z of the state equation z' = A z adds 2 / (P T) C (A - jw)^-1 (exp(A P T) - 1) z to the average over P periods, and that acts
-    on the coefficients as an error of the response does. Equation (plan-settling).
+    Motion z of the state equation z' = A z adds 2 / (P T) C (A - jw)^-1 (exp(A P T) - 1) z to the average
+    over P periods, and that acts on the coefficients as an error of the response does. Equation
+    (plan-settling).
     """
     free = rig.model.free_motion
     if free is None:
@@ -383,11 +452,19 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
         omega = rig.omega(test)
         motion = rig.motion(test)
         begins.append(-np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real]))
-        left = np.linalg.solve(free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state))
+        left = np.linalg.solve(
+            free - 1j * omega[:, None, None] * np.eye(n_state), expm(free * time) - np.eye(n_state)
+        )
         moved = 2 / time * left[:, :n_dof]
-        whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(rig.model.receptance(omega), moved)
-        responses = np.einsum("lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions)
-        shifts.append(-time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real))
+        whitened = residual_whitener(rig.model, rig.noise, omega) @ np.linalg.solve(
+            rig.model.receptance(omega), moved
+        )
+        responses = np.einsum(
+            "lnij,lj->lni", sensitivities(rig.model, rig.noise, omega), test.forces @ rig.directions
+        )
+        shifts.append(
+            -time * np.linalg.solve(total, np.einsum("lni,lis->ns", responses.conj(), whitened).real)
+        )
     return Settling(np.array(shifts), np.array(begins), expm(free / rig.spacing))
 
 
@@ -399,7 +476,9 @@ def crest_factors(test: Multisines) -> FloatArray:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s], relative; *known* besides."""
+    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s],
+    relative; *known* besides.
+    """
 
     tests: tuple[Multisines, ...]
     shares: FloatArray
@@ -408,20 +487,27 @@ class Campaign:
 
     @property
     def information(self) -> FloatArray:
-        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned duration."""
+        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned
+        duration.
+        """
         return self.rate if self.known is None else self.rate + self.known.rate
 
     def errors(self, duration: float) -> FloatArray:
-        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before, the noise being known.
+        """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before,
+        the noise being known.
 
         Equation (plan-earlier).
         """
-        return relative_errors(self.rate * duration if self.known is None else self.rate * duration + self.known.information)
+        return relative_errors(
+            self.rate * duration if self.known is None else self.rate * duration + self.known.information
+        )
 
 
 def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
     """The tests with *shares* (n_test,) [1] of the time."""
-    return Campaign(tuple(tests), shares, np.tensordot(shares, np.stack([rig.rate(test) for test in tests]), 1), rig.known)
+    return Campaign(
+        tuple(tests), shares, np.tensordot(shares, np.stack([rig.rate(test) for test in tests]), 1), rig.known
+    )
 
 
 def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
@@ -436,16 +522,20 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
         return equal_times(rig, tests)
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
-    design = optimum(criterion, (rates + rig.known_rate) / np.outer(weight, weight), np.eye(wanted.size)[wanted])
+    design = optimum(
+        criterion, (rates + rig.known_rate) / np.outer(weight, weight), np.eye(wanted.size)[wanted]
+    )
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
     return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.known)
 
 
 def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:
-    """How poor information (n, n) [1/s] is: errors over goals (n_coefficient,) [1], infinite where a coefficient is not wanted, at 1 s.
+    """How poor information (n, n) [1/s] is: errors over goals (n_coefficient,) [1], infinite where a
+    coefficient is not wanted, at 1 s.
 
-    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better. Equation (plan-score).
+    minimax: the largest; A: the root of the sum of squares; D: det(I)^(-1/2n) of all. Smaller is better.
+    Equation (plan-score).
     """
     errors = relative_errors(information)
     if not np.all(np.isfinite(errors)):

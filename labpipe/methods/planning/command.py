@@ -17,7 +17,9 @@ from labpipe.cli.output import echo
 @options.quiet
 @options.verbose
 def plan(plan_path: Path, output: Path, overrides: tuple[str, ...], quiet: bool, verbose: bool) -> None:
-    """Plan the test of a PLAN file: signals for the shakers, predicted errors (plan.json, report.html), and the pipeline for the test."""
+    """Plan the test of a PLAN file: signals for the shakers, predicted errors (plan.json, report.html), and
+    the pipeline for the test.
+    """
     from labpipe.artefacts.writing import output_folder
     from labpipe.methods.planning.plan_file import load_plan, plan_files
 

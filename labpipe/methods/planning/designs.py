@@ -2,11 +2,12 @@
 
 What makes a design good, and the certificate that none is better. CRITERIA by name.
 
-With d_a = tr(W I_a) of a candidate of unit cost, by the equivalence theorem (Kiefer and Wolfowitz 1960; Fedorov 1972, Theory of Optimal
-Experiments): D-optimality with W = I^-1 has efficiency at least n / max d; a weighted sum f = sum q_i v_i of the variances with
-W = I^-1 diag(q) I^-1 at least f / max d; and the largest variance, for any q >= 0 with lambda_i = q_i v_i, at least
-(sum lambda)^2 / (max d sum q) over it. Variances are those of single coefficients or of combinations r of them: v = r I^-1 r^T, with
-W = sum q_i I^-1 r_i^T r_i I^-1.
+With d_a = tr(W I_a) of a candidate of unit cost, by the equivalence theorem (Kiefer and Wolfowitz 1960;
+Fedorov 1972, Theory of Optimal Experiments): D-optimality with W = I^-1 has efficiency at least n / max d; a
+weighted sum f = sum q_i v_i of the variances with W = I^-1 diag(q) I^-1 at least f / max d; and the largest
+variance, for any q >= 0 with lambda_i = q_i v_i, at least (sum lambda)^2 / (max d sum q) over it. Variances
+are those of single coefficients or of combinations r of them: v = r I^-1 r^T, with W = sum q_i I^-1 r_i^T r_i
+I^-1.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ ACTIVE = 2e-3
 class Certificate:
     """Efficiency of a design, the least it can be against the best of all: 1 where none is better.
 
-    weights (n_coefficient, n_coefficient) [1]: W; greatest: max d over the candidates, at candidate number *candidate*.
+    weights (n_coefficient, n_coefficient) [1]: W; greatest: max d over the candidates, at candidate number
+    *candidate*.
     """
 
     criterion: str
@@ -43,7 +45,8 @@ class Certificate:
 
 
 def variances(information: FloatArray, wanted: FloatArray | None = None) -> FloatArray:
-    """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients unless given.
+    """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients
+    unless given.
 
     Equation (plan-variances).
     """
@@ -54,7 +57,8 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
 
 
 def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray) -> FloatArray:
-    """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and combinations R (n_wanted, n) [1].
+    """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and
+    combinations R (n_wanted, n) [1].
 
     Equation (plan-gradient).
     """
@@ -62,11 +66,14 @@ def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray)
     return np.asarray(rows.T @ (multipliers[:, None] * rows))
 
 
-def certificate(criterion: str, information: FloatArray, design: FloatArray, wanted: FloatArray) -> Certificate:
-    """That of a design with information *design* (n, n) [1/s] among candidates *information* (n_candidate, n, n) [1/s].
+def certificate(
+    criterion: str, information: FloatArray, design: FloatArray, wanted: FloatArray
+) -> Certificate:
+    """That of a design with information *design* (n, n) [1/s] among candidates *information* (n_candidate, n,
+    n) [1/s].
 
-    wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at; D takes all coefficients. Efficiencies are of
-    variances, of D of det(I)^(1/n). Equation (plan-certificate).
+    wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at; D takes all
+    coefficients. Efficiencies are of variances, of D of det(I)^(1/n). Equation (plan-certificate).
     """
     inverse = np.linalg.inv(design)
     if criterion == D:
@@ -85,7 +92,9 @@ def certificate(criterion: str, information: FloatArray, design: FloatArray, wan
 
 
 def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """q >= 0 of the largest variances with sum q v = 1 that makes max d least: the linear programme of the tightest bound."""
+    """q >= 0 of the largest variances with sum q v = 1 that makes max d least: the linear programme of the
+    tightest bound.
+    """
     v = np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
     active = np.flatnonzero(v >= (1 - ACTIVE) * v.max())
     rows = wanted[active] @ inverse
@@ -126,12 +135,15 @@ class Design:
     certificate: Certificate
 
 
-def optimum(criterion: str, information: FloatArray, wanted: FloatArray | None = None, floor: FloatArray | None = None) -> Design:
+def optimum(
+    criterion: str, information: FloatArray, wanted: FloatArray | None = None, floor: FloatArray | None = None
+) -> Design:
     """The best shares of a unit cost among candidates *information* (n_candidate, n, n) [1/s].
 
-    wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at, by default each by itself. *floor* (n_candidate,)
-    [1]: shares, of sum below 1, that the design has whatever else; the certificate is then among all designs with that floor. FitError
-    where no design is regular. Equation (plan-multiplicative).
+    wanted (n_wanted, n) [1]: combinations of coefficients that A and minimax look at, by default each by
+    itself. *floor* (n_candidate,) [1]: shares, of sum below 1, that the design has whatever else; the
+    certificate is then among all designs with that floor. FitError where no design is regular. Equation
+    (plan-multiplicative).
     """
     n_candidate, n = len(information), information.shape[-1]
     wanted = np.eye(n) if wanted is None else wanted
@@ -158,7 +170,10 @@ def _check_regular(information: FloatArray) -> None:
     total = information.mean(axis=0)
     root = np.sqrt(np.diagonal(total))
     if np.any(root == 0) or np.linalg.cond(total / np.outer(root, root)) > 1e13:
-        raise FitError("no excitation of these lines and directions determines all coefficients", hint="more lines or directions of force")
+        raise FitError(
+            "no excitation of these lines and directions determines all coefficients",
+            hint="more lines or directions of force",
+        )
 
 
 def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
@@ -182,7 +197,9 @@ def _multiplied(criterion: str, information: FloatArray, wanted: FloatArray) -> 
     return shares
 
 
-def _polished(criterion: str, information: FloatArray, wanted: FloatArray, chosen: IntArray, start: FloatArray) -> FloatArray:
+def _polished(
+    criterion: str, information: FloatArray, wanted: FloatArray, chosen: IntArray, start: FloatArray
+) -> FloatArray:
     """The best shares on the *chosen* candidates by sequential quadratic programming, zero elsewhere."""
     some = information[chosen]
     begin = np.maximum(start[chosen], 1e-3 / chosen.size)
@@ -194,7 +211,9 @@ def _polished(criterion: str, information: FloatArray, wanted: FloatArray, chose
     return shares
 
 
-def _least_smooth(criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray) -> FloatArray:
+def _least_smooth(
+    criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray
+) -> FloatArray:
     scale = float(variances(_sum(begin, information), wanted).sum())
 
     def value(shares: FloatArray) -> tuple[float, FloatArray]:
@@ -203,17 +222,29 @@ def _least_smooth(criterion: str, information: FloatArray, wanted: FloatArray, b
         if criterion == D:
             return -float(np.linalg.slogdet(design)[1]), -np.einsum("ij,aij->a", inverse, information)
         weights = weights_of(inverse, np.ones(len(wanted)), wanted)
-        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum("ij,aij->a", weights, information) / scale
+        return float(np.einsum("wi,ij,wj->", wanted, inverse, wanted)) / scale, -np.einsum(
+            "ij,aij->a", weights, information
+        ) / scale
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
-    solved = minimize(value, begin, jac=True, method="SLSQP", bounds=[(0, 1)] * begin.size, constraints=[sums], options=_OPTIONS)
+    solved = minimize(
+        value,
+        begin,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0, 1)] * begin.size,
+        constraints=[sums],
+        options=_OPTIONS,
+    )
     return np.asarray(solved.x)
 
 
 _OPTIONS = {"maxiter": 200, "ftol": 1e-12}
 
 
-def _least_largest(_criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray) -> FloatArray:
+def _least_largest(
+    _criterion: str, information: FloatArray, wanted: FloatArray, begin: FloatArray
+) -> FloatArray:
     """Shares and the level t of least t with v_i <= t, in logarithms: ln v_i <= t."""
 
     def logarithms(unknowns: FloatArray) -> FloatArray:
@@ -239,6 +270,12 @@ def _least_largest(_criterion: str, information: FloatArray, wanted: FloatArray,
     bounds = [(0, 1)] * begin.size + [(None, None)]
     begun = np.append(begin, 0.0)
     solved = minimize(
-        lambda unknowns: (unknowns[-1], unit), begun, jac=True, method="SLSQP", bounds=bounds, constraints=[below, sums], options=_OPTIONS
+        lambda unknowns: (unknowns[-1], unit),
+        begun,
+        jac=True,
+        method="SLSQP",
+        bounds=bounds,
+        constraints=[below, sums],
+        options=_OPTIONS,
     )
     return np.asarray(solved.x[:-1])

@@ -1,4 +1,6 @@
-"""plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline that evaluate it."""
+"""plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
+that evaluate it.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Settings of the plan, its title and tests, whether masses are among the coefficients, and the rig file that it names, if any."""
+    """Settings of the plan, its title and tests, whether masses are among the coefficients, and the rig file
+    that it names, if any.
+    """
 
     settings: PlanSettings
     title: str
@@ -76,31 +80,48 @@ class Evaluation:
 
     @property
     def side_by_side(self) -> bool:
-        """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at once."""
+        """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at
+        once.
+        """
         return self.settings.kind.floating or self.at_once
 
 
 def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
-    """ConfigError unless the rig has what the model needs: a force for every shaker, or one that is moved, and every response once."""
+    """ConfigError unless the rig has what the model needs: a force for every shaker, or one that is moved,
+    and every response once.
+    """
     if rig.derived:
-        raise ConfigError("sums of channels are not planned with", hint="a rig file with what is recorded", field="rig")
+        raise ConfigError(
+            "sums of channels are not planned with", hint="a rig file with what is recorded", field="rig"
+        )
     axes = settings.kind.axes
     needed = [("displacement", axis) for axis in axes]
     needed += [("acceleration", axis) for axis in axes] if settings.kind.floating else []
     channels = [channel.channel for channel in rig.channels if channel.channel.role != "reference"]
     for quantity, axis in needed:
-        having = [channel for channel in channels if channel.quantity == quantity and channel.role == "output"]
+        having = [
+            channel for channel in channels if channel.quantity == quantity and channel.role == "output"
+        ]
         if not any(len(axes) == 1 or channel.dof == axis for channel in having):
-            raise ConfigError(f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig")
-    wrong = [channel for channel in channels if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}]
+            raise ConfigError(
+                f"the rig has no {quantity} in {axis}", hint="a channel with `dof`", field="rig"
+            )
+    wrong = [
+        channel
+        for channel in channels
+        if channel.role == "output" and channel.quantity not in {quantity for quantity, _ in needed}
+    ]
     if wrong:
         raise ConfigError(
-            f"{wrong[0].name} is no response that this model takes", hint="role: reference, or a rig file without it", field="rig"
+            f"{wrong[0].name} is no response that this model takes",
+            hint="role: reference, or a rig file without it",
+            field="rig",
         )
     forces = [channel for channel in channels if channel.role == "input"]
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):
         raise ConfigError(
-            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers ({', '.join(shakers)})",
+            f"the rig's forces ({', '.join(force.dof for force in forces)}) are not those of the shakers "
+            f"({', '.join(shakers)})",
             hint="one force that is moved, or one for every shaker",
             field="rig",
         )
@@ -112,16 +133,29 @@ def forces_of(rig: Rig) -> list[Channel]:
 
 
 def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
-    """The rig file where the plan names none: a channel for every signal, its column of the same name with its unit."""
+    """The rig file where the plan names none: a channel for every signal, its column of the same name with
+    its unit.
+    """
     shakers, settings = evaluation.shakers, evaluation.settings
     if evaluation.side_by_side:
-        forces = {f"f_{number}": _channel(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)}
+        forces = {
+            f"f_{number}": _channel(f"f_{number}", "force", shaker)
+            for number, shaker in enumerate(shakers, 1)
+        }
     else:
         forces = {"f": _channel("f", "force", shakers[0])}
     axes = settings.kind.axes
     motions = {axis: _channel(axis, "displacement", axis) for axis in axes}
-    moved = {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes} if settings.kind.floating else {}
-    return {"name": evaluation.title, "sample_rate": f"{settings.sample_rate!r} Hz", "channels": {**forces, **motions, **moved}}
+    moved = (
+        {f"a_{axis}": _channel(f"a_{axis}", "acceleration", axis) for axis in axes}
+        if settings.kind.floating
+        else {}
+    )
+    return {
+        "name": evaluation.title,
+        "sample_rate": f"{settings.sample_rate!r} Hz",
+        "channels": {**forces, **motions, **moved},
+    }
 
 
 def _channel(name: str, quantity: str, dof: str) -> dict[str, str]:
@@ -130,7 +164,10 @@ def _channel(name: str, quantity: str, dof: str) -> dict[str, str]:
 
 
 def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
-    """The pipeline in *folder* that evaluates the test, the planned lines passed to it; recordings are looked for in recordings/."""
+    """The pipeline in *folder* that evaluates the test, the planned lines passed to it.
+
+    Recordings are looked for in recordings/.
+    """
     settings, tests = evaluation.settings, evaluation.tests
     recordings: list[Any] = [f"recordings/{test.name}.csv" for test in tests]
     moved = _moved_force(evaluation)
@@ -153,11 +190,19 @@ def pipeline_entries(evaluation: Evaluation, folder: Path) -> dict[str, Any]:
     if evaluation.side_by_side:
         frf["result"] = "spectra"
     rig = RIG if evaluation.rig_path is None else os.path.relpath(evaluation.rig_path, folder)
-    return {"title": evaluation.title, "rig": rig, "recordings": recordings, "frf": frf, "identify": {FIT: _fit(evaluation)}}
+    return {
+        "title": evaluation.title,
+        "rig": rig,
+        "recordings": recordings,
+        "frf": frf,
+        "identify": {FIT: _fit(evaluation)},
+    }
 
 
 def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
-    """Name of the one force that is moved from test to test, and the uncertainty of its direction as it is written; None where none is."""
+    """Name of the one force that is moved from test to test, and the uncertainty of its direction as it is
+    written; None where none is.
+    """
     settings = evaluation.settings
     if evaluation.side_by_side:
         return None
@@ -176,14 +221,22 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
 
 def _gaps(lines: Sequence[float], spacing: float) -> list[str]:
     """Bands between excited lines without any."""
-    return [f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz" for low, high in pairwise(lines) if high - low > 1.5 * spacing]
+    return [
+        f"{low + spacing / 4!r}-{high - spacing / 4!r} Hz"
+        for low, high in pairwise(lines)
+        if high - low > 1.5 * spacing
+    ]
 
 
 def _fit(evaluation: Evaluation) -> dict[str, Any]:
     settings = evaluation.settings
-    number = dict(settings.uncertainties).get("mass") or (None if settings.mass is None else Uncertain(settings.mass))
+    number = dict(settings.uncertainties).get("mass") or (
+        None if settings.mass is None else Uncertain(settings.mass)
+    )
     if not evaluation.side_by_side:
-        mass: dict[str, Any] = {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
+        mass: dict[str, Any] = (
+            {"mass": "estimate"} if number is None else {"mass": uncertain_text(number, "kg")}
+        )
         return {"model": settings.model, **mass}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}
     # Displacements of a rotor are absolute; those of a floating stator are against its shaft.
@@ -216,19 +269,28 @@ def rig_path(file: PlanFile) -> Path | None:
 
 
 def rehearsal(file: PlanFile) -> Rehearse | None:
-    """What gives the budget of tests; None where nothing but noise is uncertain. ConfigError for a rig without the channels."""
+    """What gives the budget of tests; None where nothing but noise is uncertain.
+
+    ConfigError for a rig without the channels.
+    """
     settings: PlanSettings = file.settings
     if settings.sensors is not None:
         check_rig(settings.sensors, settings, settings.shakers or settings.kind.axes)
-    of_sensors = settings.sensors is not None and any(channel.channel.uncertainties for channel in settings.sensors.channels)
+    of_sensors = settings.sensors is not None and any(
+        channel.channel.uncertainties for channel in settings.sensors.channels
+    )
     if not of_sensors and not settings.uncertainties:
         return None
 
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
-        planned = tuple(planned_test(rig, test, number, 1) for test, number in zip(tests, periods, strict=True))
+        planned = tuple(
+            planned_test(rig, test, number, 1) for test, number in zip(tests, periods, strict=True)
+        )
         with_masses = any(name[0] == "m" for name in rig.model.names)
         with tempfile.TemporaryDirectory() as folder:
-            pipeline = _loaded(Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder))
+            pipeline = _loaded(
+                Evaluation(settings, file.title, planned, with_masses, rig_path(file)), Path(folder)
+            )
         return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
 
     return budget
@@ -245,7 +307,9 @@ def _loaded(evaluation: Evaluation, folder: Path) -> Pipeline:
     return load_pipeline(folder / PIPELINE)
 
 
-def _rehearsed_fit(pipeline: Pipeline, rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Fit:
+def _rehearsed_fit(
+    pipeline: Pipeline, rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]
+) -> Fit:
     """The fit of the pipeline to the tests as they are expected."""
     (whole,), settings = pipeline.tests, pipeline.frf
     assert settings is not None
@@ -272,7 +336,9 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
         return None
     columns = [fit.budget.names.index(name) for name in names]
     whole = fit.budget
-    return Budget(tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns])
+    return Budget(
+        tuple(names), whole.random[columns], whole.random_dof, whole.sources, whole.changes[:, columns]
+    )
 
 
 # plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
@@ -302,7 +368,9 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
 
 
 def _expected(file: PlanFile) -> Expected:
-    """Values by name: those of `expected`, the others from the earlier result, with its uncertainties, then from theory."""
+    """Values by name: those of `expected`, the others from the earlier result, with its uncertainties, then
+    from theory.
+    """
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
     typed = dict(settings.expected)
@@ -312,7 +380,9 @@ def _expected(file: PlanFile) -> Expected:
     fits = {fit.name: fit for fit in read_identification(path).fits}
     name = settings.fit or next(iter(fits), "")
     if name not in fits or (not settings.fit and len(fits) > 1):
-        raise ConfigError(f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit")
+        raise ConfigError(
+            f"name the fit of {path.name}", hint=nearest(settings.fit, tuple(fits)), field="fit"
+        )
     coefficients = {p.name: p.value for p in fits[name].parameters if _is_coefficient(p)}
     return Expected(theory | coefficients | typed, earlier_uncertainties(fits[name], typed))
 
@@ -322,12 +392,17 @@ def _is_coefficient(parameter: Parameter) -> bool:
 
 
 def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
-    """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*; NaN where it states no errors."""
+    """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*.
+
+    NaN where it states no errors.
+    """
     estimated = [p for p in fit.parameters if not p.derived]
     kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
     names = tuple(estimated[number].name for number in kept)
     by_noise = {} if fit.budget is None else dict(zip(fit.budget.names, fit.budget.random, strict=True))
-    errors = np.array([by_noise.get(p.name, np.nan if p.full_error is None else p.full_error) for p in estimated], float)
+    errors = np.array(
+        [by_noise.get(p.name, np.nan if p.full_error is None else p.full_error) for p in estimated], float
+    )
     # A form with constraints reports more coefficients than it estimates.
     of_all = np.shape(fit.correlation) == (len(estimated),) * 2
     correlation = np.asarray(fit.correlation) if of_all else np.eye(len(estimated))
@@ -335,7 +410,9 @@ def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     if fit.budget is None:
         return Earlier(names, noise)
     columns = [fit.budget.names.index(name) for name in names]
-    return Earlier(names, noise, tuple(source.source for source in fit.budget.sources), fit.budget.changes[:, columns])
+    return Earlier(
+        names, noise, tuple(source.source for source in fit.budget.sources), fit.budget.changes[:, columns]
+    )
 
 
 def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
@@ -348,17 +425,28 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
         bearing = open_bearing(folder / theory.bearing)
         for name, value, unit in (("load", theory.load, "N"), ("speed", theory.speed, "Hz")):
             if value is not None and name not in settings_of(bearing.kind.settings):
-                raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="state it in the bearing file", field="theory")
+                raise ConfigError(
+                    f"a file of a {bearing.kind_name} has no '{name}'",
+                    hint="state it in the bearing file",
+                    field="theory",
+                )
             if value is not None:
                 set_entry(bearing.tree, f"{name}={value!r} {unit}")
         (whole,) = bearing.coefficients([bearing.settings()])
         coefficients = whole.lateral(*bearing.kind.lateral)
     if not np.any(coefficients.damping):
         raise ConfigError(
-            "this theory has no damping", hint="a journal or a magnetic bearing has; or state all under `expected`", field="theory"
+            "this theory has no damping",
+            hint="a journal or a magnetic bearing has; or state all under `expected`",
+            field="theory",
         )
     matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
-    return {f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j]) for letter, matrix in matrices.items() for i in (0, 1) for j in (0, 1)}
+    return {
+        f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j])
+        for letter, matrix in matrices.items()
+        for i in (0, 1)
+        for j in (0, 1)
+    }
 
 
 def _write_signals(planned: Planned, output: OutputFolder) -> list[str]:

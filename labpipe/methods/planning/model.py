@@ -1,11 +1,13 @@
 """Models with expected coefficients, and what a force spectrum tells about them: Fisher information.
 
-What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise in all sensors.
+What a force spectrum tells about coefficients: the Fisher information per line and per second, with noise in
+all sensors.
 
-Residual e = F - M_s A - D(theta) X. Noise densities S_F, S_X, S_A (one-sided) give its density
-Lambda = (S_F^2 + M_s^2 S_A^2) I + S_X^2 D D^H, and T seconds with the mean-square force spectrum Phi = F F^H / 2 and X = H F tell
-I_ij = 2 T sum_l Re tr[(E_i H)^H Lambda^-1 (E_j H) Phi_l]. That is the information of errors in variables with a deterministic input
-(Pintelon and Schoukens 2012, System Identification, sec. 9.10), linear in the spectrum and in time.
+Residual e = F - M_s A - D(theta) X. Noise densities S_F, S_X, S_A (one-sided) give its density Lambda =
+(S_F^2 + M_s^2 S_A^2) I + S_X^2 D D^H, and T seconds with the mean-square force spectrum Phi = F F^H / 2 and X
+= H F tell I_ij = 2 T sum_l Re tr[(E_i H)^H Lambda^-1 (E_j H) Phi_l]. That is the information of errors in
+variables with a deterministic input (Pintelon and Schoukens 2012, System Identification, sec. 9.10), linear
+in the spectrum and in time.
 """
 
 from __future__ import annotations
@@ -30,10 +32,12 @@ LEAST_SHARE = 0.01
 
 @dataclass(frozen=True)
 class PlannedModel:
-    """A model linear in its coefficients, with the values *expected* (n_coefficient,) [N/m, N.s/m, kg] of those in *names*.
+    """A model linear in its coefficients, with the values *expected* (n_coefficient,) [N/m, N.s/m, kg] of
+    those in *names*.
 
-    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M; known (3, n_dof, n_dof) [N/m, N.s/m, kg]: what
-    is given in D; stator_mass [kg]: M_s of the balance, zero where no acceleration is measured.
+    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M; known (3, n_dof,
+    n_dof) [N/m, N.s/m, kg]: what is given in D; stator_mass [kg]: M_s of the balance, zero where no
+    acceleration is measured.
     """
 
     kind: str
@@ -55,14 +59,18 @@ class PlannedModel:
 
     @property
     def scales(self) -> FloatArray:
-        """What relative errors refer to, (n_coefficient,) [N/m, N.s/m, kg]: the expected size, at least 1 % of the largest of its kind."""
+        """What relative errors refer to, (n_coefficient,) [N/m, N.s/m, kg]: the expected size, at least 1 %
+        of the largest of its kind.
+        """
         sizes = np.abs(self.expected)
         letters = np.array([name[0] for name in self.names])
         largest = np.array([sizes[letters == letter].max() for letter in letters])
         return np.asarray(np.maximum(sizes, LEAST_SHARE * np.where(largest > 0, largest, 1.0)))
 
     def elements_at(self, omega: FloatArray) -> ComplexArray:
-        """E_i(jw) of every line, (n_line, n_coefficient, n_dof, n_dof) [N/m per unit of the coefficient], at omega (n_line,) [rad/s]."""
+        """E_i(jw) of every line, (n_line, n_coefficient, n_dof, n_dof) [N/m per unit of the coefficient], at
+        omega (n_line,) [rad/s].
+        """
         return np.einsum("lk,nkij->lnij", _powers(omega), self.elements)
 
     def stiffness(self, omega: FloatArray) -> ComplexArray:
@@ -71,13 +79,19 @@ class PlannedModel:
         return np.einsum("lk,kij->lij", _powers(omega), whole)
 
     def receptance(self, omega: FloatArray) -> ComplexArray:
-        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s]; the rotor of a floating rig held still."""
+        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s].
+
+        The rotor of a floating rig held still.
+        """
         inertia = omega[:, None, None] ** 2 * self.stator_mass * np.eye(self.n_dof)
         return np.asarray(np.linalg.inv(self.stiffness(omega) - inertia))
 
     @property
     def free_motion(self) -> FloatArray | None:
-        """A of z' = A z, z = (X, X'), (2 n_dof, 2 n_dof) [1/s, 1/s^2], without force; None where such a motion does not die away."""
+        """A of z' = A z, z = (X, X'), (2 n_dof, 2 n_dof) [1/s, 1/s^2], without force.
+
+        None where such a motion does not die away.
+        """
         stiffness, damping, mass = self.known + np.einsum("n,nkij->kij", self.expected, self.elements)
         mass = mass + self.stator_mass * np.eye(self.n_dof)
         if np.any(np.linalg.eigvals(mass).real <= 0):
@@ -91,7 +105,13 @@ class PlannedModel:
         kept: BoolArray = np.array([name[0] != letter for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
-        return replace(self, names=names, expected=self.expected[kept], elements=self.elements[kept], known=self.known + fixed)
+        return replace(
+            self,
+            names=names,
+            expected=self.expected[kept],
+            elements=self.elements[kept],
+            known=self.known + fixed,
+        )
 
     def with_expected(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
@@ -104,7 +124,10 @@ def _powers(omega: FloatArray) -> ComplexArray:
 
 
 def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A pedestal, F = (k + jwc - w^2 m) X: k [N/m], c [N.s/m] and, unless *mass* [kg] is known, m [kg]; ConfigError for other names."""
+    """A pedestal, F = (k + jwc - w^2 m) X: k [N/m], c [N.s/m] and, unless *mass* [kg] is known, m [kg].
+
+    ConfigError for other names.
+    """
     wanted = ("k", "c") if mass is not None else ("k", "c", "m")
     values = _values(expected, wanted)
     elements = np.zeros((len(wanted), 3, 1, 1))
@@ -115,9 +138,14 @@ def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedMod
 
 
 def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A rotor in x and y with eight coefficients k_xx ... c_yy [N/m, N.s/m] and a known *mass* [kg]; ConfigError without it."""
+    """A rotor in x and y with eight coefficients k_xx ... c_yy [N/m, N.s/m] and a known *mass* [kg].
+
+    ConfigError without it.
+    """
     if mass is None:
-        raise ConfigError("model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass")
+        raise ConfigError(
+            "model rotor-2dof needs the mass of the rotor", hint="for example mass: 0.92 kg", field="mass"
+        )
     known_matrices = np.zeros((3, 2, 2))
     known_matrices[2] = mass * np.eye(2)
     names = _matrix_names("kc")
@@ -125,20 +153,34 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A floating stator of *mass* M_s [kg], F - M_s A = (K + jwC - w^2 M) X: eight coefficients, or twelve where masses are expected.
+    """A floating stator of *mass* M_s [kg], F - M_s A = (K + jwC - w^2 M) X: eight coefficients, or twelve
+    where masses are expected.
 
     ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
-        raise ConfigError("model dynamic-stiffness needs the mass of the stator", hint="for example mass: 60 kg", field="mass")
+        raise ConfigError(
+            "model dynamic-stiffness needs the mass of the stator",
+            hint="for example mass: 60 kg",
+            field="mass",
+        )
     letters = "kcm" if any(name.startswith("m") for name in expected) else "kc"
     names = _matrix_names(letters)
-    return PlannedModel("dynamic-stiffness", names, _values(expected, names), _matrix_elements(letters), np.zeros((3, 2, 2)), mass)
+    return PlannedModel(
+        "dynamic-stiffness",
+        names,
+        _values(expected, names),
+        _matrix_elements(letters),
+        np.zeros((3, 2, 2)),
+        mass,
+    )
 
 
 @dataclass(frozen=True)
 class PlannedKind:
-    """model: from expected coefficients and the mass; axes: in which it moves; floating: against its shaft, with accelerations."""
+    """model: from expected coefficients and the mass; axes: in which it moves; floating: against its shaft,
+    with accelerations.
+    """
 
     model: Callable[[Mapping[str, float], float | None], PlannedModel]
     axes: tuple[str, ...] = AXES
@@ -169,7 +211,9 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
     missing = [name for name in names if name not in expected]
     if missing:
         raise ConfigError(
-            f"no value is expected for {', '.join(missing)}", hint="expected: {NAME: VALUE} of every coefficient", field="expected"
+            f"no value is expected for {', '.join(missing)}",
+            hint="expected: {NAME: VALUE} of every coefficient",
+            field="expected",
         )
     unknown = [name for name in expected if name not in names]
     if unknown:
@@ -184,7 +228,9 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
 
 @dataclass(frozen=True)
 class Noise:
-    """One-sided densities of the sensors' white noise: force [N/sqrt(Hz)], displacement [m/sqrt(Hz)], acceleration [m/(s^2.sqrt(Hz))]."""
+    """One-sided densities of the sensors' white noise: force [N/sqrt(Hz)], displacement [m/sqrt(Hz)],
+    acceleration [m/(s^2.sqrt(Hz))].
+    """
 
     force: float = 0.0
     displacement: float = 0.0
@@ -195,57 +241,71 @@ class Noise:
             raise ConfigError("a noise is negative", field="noise")
         if max(self.force, self.displacement) == 0:
             raise ConfigError(
-                "no sensor has noise, any excitation would do", hint="state the noise of force and displacement", field="noise"
+                "no sensor has noise, any excitation would do",
+                hint="state the noise of force and displacement",
+                field="noise",
             )
 
     @classmethod
     def of_samples(cls, force: float, displacement: float, acceleration: float, sample_rate: float) -> Noise:
-        """From standard deviations per sample [N, m, m/s^2] at *sample_rate* [Hz]: S = s sqrt(2 / f_s). Equation (plan-noise)."""
+        """From standard deviations per sample [N, m, m/s^2] at *sample_rate* [Hz]: S = s sqrt(2 / f_s).
+
+        Equation (plan-noise).
+        """
         factor = float(np.sqrt(2 / sample_rate))
         return cls(force * factor, displacement * factor, acceleration * factor)
 
 
 def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
-    """L^-1 E_i H theta_i with L L^H = Lambda, (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)], at omega (n_line,) [rad/s].
+    """L^-1 E_i H theta_i with L L^H = Lambda, (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)], at omega
+    (n_line,) [rad/s].
 
-    A relative change of coefficient i changes the residual of a force u by that times u, in units of the residual's noise.
-    Equation (plan-sensitivity).
+    A relative change of coefficient i changes the residual of a force u by that times u, in units of the
+    residual's noise. Equation (plan-sensitivity).
     """
     changed = model.elements_at(omega) @ model.receptance(omega)[:, None] * model.scales[:, None, None]
     return np.asarray(residual_whitener(model, noise, omega)[:, None] @ changed)
 
 
 def residual_whitener(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
-    """L^-1 of the residual's noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega (n_line,) [rad/s]."""
+    """L^-1 of the residual's noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega
+    (n_line,) [rad/s].
+    """
     stiffness = model.stiffness(omega)
     plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
-    density = plain * np.eye(model.n_dof) + noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)
+    density = plain * np.eye(model.n_dof) + noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(
+        -1, -2
+    )
     return np.asarray(np.linalg.inv(np.linalg.cholesky(density)))
 
 
 def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> FloatArray:
-    """Information per second of force amplitudes *forces* (n_line, n_dof) [N], (n_line, n_coefficient, n_coefficient) [1/s].
+    """Information per second of force amplitudes *forces* (n_line, n_dof) [N], (n_line, n_coefficient,
+    n_coefficient) [1/s].
 
-    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]; of relative coefficients. Equation (plan-vector).
+    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]; of relative coefficients. Equation
+    (plan-vector).
     """
     change = np.einsum("lnij,lj->lni", sensitivity, forces)
     return np.asarray(np.einsum("lni,lmi->lnm", change.conj(), change).real)
 
 
 def spectrum_information(sensitivity: ComplexArray, spectrum: ComplexArray) -> FloatArray:
-    """Information per second of Hermitian mean-square spectra (n_line, n_dof, n_dof) [N^2], (n_line, n_coefficient, n_coefficient) [1/s].
+    """Information per second of Hermitian mean-square spectra (n_line, n_dof, n_dof) [N^2], (n_line,
+    n_coefficient, n_coefficient) [1/s].
 
-    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]: 2 Re tr(G_i^H G_j Phi) of relative coefficients.
-    Equation (plan-spectrum).
+    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]: 2 Re tr(G_i^H G_j Phi) of relative
+    coefficients. Equation (plan-spectrum).
     """
     return np.asarray(2 * np.einsum("lnki,lmkj,lji->lnm", sensitivity.conj(), sensitivity, spectrum).real)
 
 
 def relative_errors(information: FloatArray) -> FloatArray:
-    """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n) [1] is singular.
+    """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n)
+    [1] is singular.
 
-    Rows are scaled to unit diagonal before the inverse; a coefficient without information, or a condition beyond 1e13, is not determined.
-    Equation (plan-errors).
+    Rows are scaled to unit diagonal before the inverse; a coefficient without information, or a condition
+    beyond 1e13, is not determined. Equation (plan-errors).
     """
     diagonal = np.diagonal(information)
     if np.any(diagonal <= 0):

@@ -25,10 +25,26 @@ from labpipe.methods.planning.campaigns import (
     settling,
     with_shares,
 )
-from labpipe.methods.planning.expectation import Earlier, Excitation, Expected, identifiability, spread, spread_notes
+from labpipe.methods.planning.expectation import (
+    Earlier,
+    Excitation,
+    Expected,
+    identifiability,
+    spread,
+    spread_notes,
+)
 from labpipe.methods.planning.model import AXES, Noise, PlannedModel
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
-from labpipe.methods.planning.search import FLAT_PHASES, LEAST_CREST, Candidate, Wanted, best, flat, reference, schemes_of
+from labpipe.methods.planning.search import (
+    FLAT_PHASES,
+    LEAST_CREST,
+    Candidate,
+    Wanted,
+    best,
+    flat,
+    reference,
+    schemes_of,
+)
 from labpipe.methods.planning.settings import BEST, PlanSettings
 from labpipe.methods.planning.uncertainty import (
     Goals,
@@ -51,9 +67,9 @@ from labpipe.records.uncertain import Budget
 FEWEST_PERIODS = 3
 # Of one period: a search over more lines takes hours.
 MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
-# True errors of labpipe's own fits over those with known noise, by the number of periods that tell the noise: of 2000 simulated tests each
-# (tests/methods/planning/test_weights.py). Fits of FRFs have the noise of neighbouring lines and lose nothing; fits of the spectra of all
-# channels know it from the periods alone.
+# True errors of labpipe's own fits over those with known noise, by the number of periods that tell the noise:
+# of 2000 simulated tests each (tests/methods/planning/test_weights.py). Fits of FRFs have the noise of
+# neighbouring lines and lose nothing; fits of the spectra of all channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
 MAINS_WIDTH = 0.5
 # Factor of the time up to which goals are looked for.
@@ -61,8 +77,8 @@ LONGEST = 1e6
 NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
-# Share of its standard error by which motion that has not died away may shift a coefficient, from which share on a plan says so, and the
-# most periods that are looked at: a motion that lasts longer is said to.
+# Share of its standard error by which motion that has not died away may shift a coefficient, from which share
+# on a plan says so, and the most periods that are looked at: a motion that lasts longer is said to.
 SETTLED, NOTICED, MOST_SKIPPED = 0.1, 0.3, 1000
 
 
@@ -75,7 +91,9 @@ class Planned:
     tests: tuple[Multisines, ...]
 
     def signals(self, test: int) -> dict[str, FloatArray]:
-        """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones included."""
+        """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones
+        included.
+        """
         planned = self.plan.tests[test]
         period = period_signals(self.tests[test], self.plan.sample_rate, self.plan.period)
         whole = np.tile(period, (planned.periods + planned.skip, 1))
@@ -104,10 +122,14 @@ class _Question:
     flats: Mapping[str, Campaign]
 
 
-def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None = None) -> Planned:
-    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is too short.
+def make_plan(
+    settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None = None
+) -> Planned:
+    """The plan for the *expected* coefficients; ConfigError where the rig cannot determine them, or time is
+    too short.
 
-    rehearse: gives the uncertainty budget of the evaluation of tests; None where nothing but noise is known of the sensors.
+    rehearse: gives the uncertainty budget of the evaluation of tests; None where nothing but noise is known
+    of the sensors.
     """
     question = _question(settings, expected, title, rehearse)
     rig, wanted = question.rig, question.wanted
@@ -115,12 +137,17 @@ def make_plan(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     periods = _periods(settings, design.campaign)
     skip = _skip(settings, rig, design.campaign, periods)
     lengths = [(skip + number) * settings.period for number in periods]
-    tests = [from_rest(rig, test, seconds) for test, seconds in zip(design.campaign.tests, lengths, strict=True)]
+    tests = [
+        from_rest(rig, test, seconds) for test, seconds in zip(design.campaign.tests, lengths, strict=True)
+    ]
     timed = with_shares(rig, tests, np.array(periods) / sum(periods))
     budget = None if rehearse is None else rehearse(rig, timed.tests, periods)
     plan = _plan(question, design, timed, periods, skip)
     if settings.skip is None and skip > 1:
-        said = f"Every test begins with {skip} periods, {skip * settings.period:.4g} s, that are skipped: motion takes so long to die away."
+        said = (
+            f"Every test begins with {skip} periods, {skip * settings.period:.4g} s, that are skipped: "
+            "motion takes so long to die away."
+        )
         plan = replace(plan, notes=(*plan.notes, said))
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
@@ -140,15 +167,22 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if rehearse is not None and (settings.combine_earlier or np.any(np.isfinite(goals.expanded))):
         # Systematic parts hardly depend on the spectrum: a flat one tells what goals leave to noise.
         tests = flats[LEAST_CREST].tests
-        first = rehearse(rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests))
+        first = rehearse(
+            rig, tests, [max(round(settings.duration / settings.period / len(tests)), 1)] * len(tests)
+        )
     if first is None and np.any(np.isfinite(goals.expanded)):
         what = "nothing but noise is uncertain, so that no expanded uncertainty is known"
-        raise ConfigError(what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal")
+        raise ConfigError(
+            what, hint="rig: FILE with sensitivity: 8 V/mm +- 1 %, or mass: 0.79 kg +- 5 g", field="goal"
+        )
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
         prior = expected.earlier.known(model, settings.duration, common)
-        rig, flats = replace(rig, known=prior), {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()}
+        rig, flats = (
+            replace(rig, known=prior),
+            {phases: replace(of_phases, known=prior) for phases, of_phases in flats.items()},
+        )
         if not np.all(np.diagonal(prior.information) > 0):
             _check_identifiable(rig, lines)
     wanted = Wanted(settings.criterion, aims(limits(goals, first, model.scales), goals), settings.floor)
@@ -157,15 +191,23 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 def _scheme(settings: PlanSettings) -> str:
     """The scheme that is asked for; one by one where the rig file has one force for two shakers."""
-    forces = [] if settings.sensors is None else [channel for channel in settings.sensors.channels if channel.channel.role == "input"]
+    forces = (
+        []
+        if settings.sensors is None
+        else [channel for channel in settings.sensors.channels if channel.channel.role == "input"]
+    )
     if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
         return settings.scheme
     if settings.scheme not in (BEST, ONE_BY_ONE):
-        raise ConfigError("the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme")
+        raise ConfigError(
+            "the rig has one force", hint=f"scheme: {ONE_BY_ONE}, or a force for every shaker", field="scheme"
+        )
     return ONE_BY_ONE
 
 
-def _with_budget(plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None) -> Plan:
+def _with_budget(
+    plan: Plan, question: _Question, timed: Campaign, budget: Budget, earlier: Earlier | None
+) -> Plan:
     """The plan with what the uncertainties of sensors and mass add, and what of the goals they leave."""
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
@@ -178,24 +220,35 @@ def _with_budget(plan: Plan, question: _Question, timed: Campaign, budget: Budge
     return replace(
         plan,
         coefficients=coefficients,
-        needed=_needed(question, timed, allowed / plan.factor, plan.duration) if goals.any and not np.any(beyond) else None,
+        needed=_needed(question, timed, allowed / plan.factor, plan.duration)
+        if goals.any and not np.any(beyond)
+        else None,
         unreachable=tuple(name for name, never in zip(model.names, beyond, strict=True) if never),
-        notes=(*plan.notes, *lasting_notes(coefficients), *calibration_notes(goals, budget, random, model.scales)),
+        notes=(
+            *plan.notes,
+            *lasting_notes(coefficients),
+            *calibration_notes(goals, budget, random, model.scales),
+        ),
     )
 
 
 def _needed(question: _Question, timed: Campaign, allowed: FloatArray, duration: float) -> float | None:
-    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1]; None where no time is enough."""
+    """Time [s] after which all errors by noise are as small as *allowed* (n_coefficient,) [1].
+
+    None where no time is enough.
+    """
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
 
 
-def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earlier, common: Sequence[str]) -> Plan:
+def _over_draws(
+    plan: Plan, question: _Question, timed: Campaign, earlier: Earlier, common: Sequence[str]
+) -> Plan:
     """The plan with the ranges of its prediction over draws from the covariance of what is expected.
 
-    common: sources of error that the new test has as well. With the same wrong mass the earlier coefficients give the response that was
-    measured, and that is what the plan rests on.
+    common: sources of error that the new test has as well. With the same wrong mass the earlier coefficients
+    give the response that was measured, and that is what the plan rests on.
     """
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)
@@ -204,15 +257,28 @@ def _over_draws(plan: Plan, question: _Question, timed: Campaign, earlier: Earli
     if not np.any(covariance):
         return plan
     spread_of_draws = spread(
-        rig, timed, question.flats[LEAST_CREST], covariance, wanted.goals / plan.factor, wanted.criterion, plan.duration
+        rig,
+        timed,
+        question.flats[LEAST_CREST],
+        covariance,
+        wanted.goals / plan.factor,
+        wanted.criterion,
+        plan.duration,
     )
-    ranges = [(float(low), float(high)) if np.isfinite(high) else None for low, high in spread_of_draws.errors.T]
+    ranges = [
+        (float(low), float(high)) if np.isfinite(high) else None for low, high in spread_of_draws.errors.T
+    ]
     errors = np.array([c.error for c in plan.coefficients])
     return replace(
         plan,
-        coefficients=tuple(replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)),
+        coefficients=tuple(
+            replace(c, error_range=ends) for c, ends in zip(plan.coefficients, ranges, strict=True)
+        ),
         gain_range=(float(spread_of_draws.gain[0]), float(spread_of_draws.gain[1])),
-        notes=(*plan.notes, *spread_notes(spread_of_draws, errors, dict(plan.gains)[LEAST_CREST], question.goals.any)),
+        notes=(
+            *plan.notes,
+            *spread_notes(spread_of_draws, errors, dict(plan.gains)[LEAST_CREST], question.goals.any),
+        ),
     )
 
 
@@ -221,7 +287,11 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     low, high = settings.band
     if (high - low) * settings.period > MOST_LINES or settings.sample_rate * settings.period > MOST_SAMPLES:
         what = f"a period of {settings.period:g} s has {(high - low) * settings.period:.3g} lines in the band"
-        raise ConfigError(what, hint=f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period", field="period")
+        raise ConfigError(
+            what,
+            hint=f"plan with up to {MOST_LINES} lines, and up to {MOST_SAMPLES} samples a period",
+            field="period",
+        )
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)
@@ -230,23 +300,41 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     if settings.speed is not None:
         kept &= np.abs(frequency - settings.speed) > 1.001 / settings.period
     if settings.mains is not None:
-        kept &= np.abs(frequency - np.maximum(np.round(frequency / settings.mains), 1) * settings.mains) > MAINS_WIDTH
+        kept &= (
+            np.abs(frequency - np.maximum(np.round(frequency / settings.mains), 1) * settings.mains)
+            > MAINS_WIDTH
+        )
     if np.count_nonzero(kept) < 2:
-        raise ConfigError(f"{np.count_nonzero(kept)} lines are left in the band", hint="widen `band` or lengthen `period`", field="band")
+        raise ConfigError(
+            f"{np.count_nonzero(kept)} lines are left in the band",
+            hint="widen `band` or lengthen `period`",
+            field="band",
+        )
     return np.asarray(lines[kept])
 
 
 def weighting_factor(periods: int, of_spectra: bool) -> float:
-    """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of all channels' spectra."""
+    """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of
+    all channels' spectra.
+    """
     known_periods = sorted(OF_SPECTRA)
-    return float(np.interp(periods, known_periods, [OF_SPECTRA[number] for number in known_periods])) if of_spectra else 1.0
+    return (
+        float(np.interp(periods, known_periods, [OF_SPECTRA[number] for number in known_periods]))
+        if of_spectra
+        else 1.0
+    )
 
 
 def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
-    """The rig of the settings: noise, limits and directions of the shakers; ConfigError for shakers that the model does not have."""
+    """The rig of the settings: noise, limits and directions of the shakers.
+
+    ConfigError for shakers that the model does not have.
+    """
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
-        raise ConfigError(f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers")
+        raise ConfigError(
+            f"{len(names)} shakers for {model.n_dof} directions", hint="one or two, x and y", field="shakers"
+        )
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise ConfigError("both shakers push in one direction", hint="x and y", field="shakers")
@@ -256,7 +344,9 @@ def bench(settings: PlanSettings, model: PlannedModel) -> Rig:
     else:
         assert settings.noise is not None
         sampled = settings.noise
-        noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate)
+        noise = Noise.of_samples(
+            sampled.force, sampled.displacement, sampled.acceleration, settings.sample_rate
+        )
     limits = Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
@@ -268,14 +358,22 @@ def _direction(name: str) -> tuple[float, float]:
         try:
             angle = parse_value(name, "rad")
         except UnitError:
-            raise ConfigError(f"'{name}' is no direction", hint="x, y, or an angle from x such as 45 deg", field="shakers") from None
+            raise ConfigError(
+                f"'{name}' is no direction", hint="x, y, or an angle from x such as 45 deg", field="shakers"
+            ) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
 def _check_identifiable(rig: Rig, lines: IntArray) -> None:
-    identified = identifiability(rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions))
+    identified = identifiability(
+        rig.model, rig.noise, Excitation.of_directions(rig.spacing * lines, rig.directions)
+    )
     if not identified.full:
-        raise ConfigError(f"with forces along {', '.join(rig.shakers)} {identified.words}", hint=identified.remedy, field="shakers")
+        raise ConfigError(
+            f"with forces along {', '.join(rig.shakers)} {identified.words}",
+            hint=identified.remedy,
+            field="shakers",
+        )
 
 
 def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
@@ -284,13 +382,18 @@ def _periods(settings: PlanSettings, found: Campaign) -> tuple[int, ...]:
     periods = tuple(int(share * whole + 0.5) for share in found.shares)
     if min(periods) < FEWEST_PERIODS:
         needed = ceil(FEWEST_PERIODS / float(found.shares.min())) * settings.period
-        what = f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from {FEWEST_PERIODS} or more"
+        what = (
+            f"{settings.duration:g} s leave {min(periods)} periods for a test, the noise is known from "
+            f"{FEWEST_PERIODS} or more"
+        )
         raise ConfigError(what, hint=f"a duration of {needed:g} s, or a shorter period", field="duration")
     return periods
 
 
 def _skip(settings: PlanSettings, rig: Rig, design: Campaign, periods: tuple[int, ...]) -> int:
-    """Transient periods of every test: those asked for, or as many as free motion needs to no longer count, one at least."""
+    """Transient periods of every test: those asked for, or as many as free motion needs to no longer count,
+    one at least.
+    """
     if settings.skip is not None:
         return settings.skip
     motion = settling(rig, with_shares(rig, design.tests, np.array(periods) / sum(periods)), periods)
@@ -298,7 +401,9 @@ def _skip(settings: PlanSettings, rig: Rig, design: Campaign, periods: tuple[int
 
 
 def _settled_after(motion: Settling, errors: FloatArray) -> int:
-    """The first number of skipped periods, from one on, that shifts no coefficient by SETTLED of its *errors* (n_coefficient,) [1]."""
+    """The first number of skipped periods, from one on, that shifts no coefficient by SETTLED of its *errors*
+    (n_coefficient,) [1].
+    """
     settled = (n for n in range(1, MOST_SKIPPED) if np.all(np.abs(motion.shifts(n)) <= SETTLED * errors))
     return next(settled, MOST_SKIPPED)
 
@@ -313,20 +418,26 @@ def settling_notes(rig: Rig, timed: Campaign, periods: tuple[int, ...], skip: in
     worst = int(np.argmax(shifts / errors))
     if shifts[worst] > NOTICED * errors[worst]:
         yield (
-            f"Motion has not died away after `skip: {skip}`: what is left of it shifts {rig.model.names[worst]} by about "
+            f"Motion has not died away after `skip: {skip}`: what is left of it shifts "
+            f"{rig.model.names[worst]} by about "
             f"{100 * shifts[worst]:.2g} %, {shifts[worst] / errors[worst]:.2g} times its standard error. "
             f"`skip: {_settled_after(motion, errors)}` is long enough."
         )
 
 
-def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int) -> Plan:
+def _plan(
+    question: _Question, found: Candidate, timed: Campaign, periods: tuple[int, ...], skip: int
+) -> Plan:
     settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
-    of_spectra = rig.model.stator_mass > 0 or any(np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests)
+    of_spectra = rig.model.stator_mass > 0 or any(
+        np.count_nonzero(running_shakers(test)) > 1 for test in found.campaign.tests
+    )
     factor = weighting_factor(min(periods), of_spectra)
     planned_score = score(timed.information, wanted.criterion, wanted.goals)
     gains = tuple(
-        (phases, score(flat.information, wanted.criterion, wanted.goals) / planned_score) for phases, flat in question.flats.items()
+        (phases, score(flat.information, wanted.criterion, wanted.goals) / planned_score)
+        for phases, flat in question.flats.items()
     )
     certificate = found.certificate or reference(rig, question.lines, wanted).certificate
     return Plan(
@@ -342,7 +453,9 @@ def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple
         efficiency=certificate.efficiency,
         factor=factor,
         coefficients=tuple(_coefficients(question, timed, factor, duration)),
-        tests=tuple(planned_test(rig, test, number, skip) for test, number in zip(timed.tests, periods, strict=True)),
+        tests=tuple(
+            planned_test(rig, test, number, skip) for test, number in zip(timed.tests, periods, strict=True)
+        ),
         gains=gains,
         needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
         mass=settings.mass,
@@ -351,11 +464,24 @@ def _plan(question: _Question, found: Candidate, timed: Campaign, periods: tuple
     )
 
 
-def _coefficients(question: _Question, timed: Campaign, factor: float, duration: float) -> Iterator[PlannedCoefficient]:
+def _coefficients(
+    question: _Question, timed: Campaign, factor: float, duration: float
+) -> Iterator[PlannedCoefficient]:
     model, goals = question.rig.model, question.goals
     errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
-    numbers = zip(model.expected, model.scales, errors, factor * errors, others, goals.random, goals.expanded, strict=True)
-    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(model.names, model.units, numbers, strict=True):
+    numbers = zip(
+        model.expected,
+        model.scales,
+        errors,
+        factor * errors,
+        others,
+        goals.random,
+        goals.expanded,
+        strict=True,
+    )
+    for name, unit, (value, scale, error, weighted, other, random, expanded) in zip(
+        model.names, model.units, numbers, strict=True
+    ):
         yield PlannedCoefficient(
             name,
             unit,
@@ -370,7 +496,8 @@ def _coefficients(question: _Question, timed: Campaign, factor: float, duration:
 
 
 def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> float:
-    """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1], of a *duration* [s] or not.
+    """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1],
+    of a *duration* [s] or not.
 
     Infinite where more than LONGEST times the duration would be needed.
     """
@@ -381,7 +508,9 @@ def time_needed(campaign: Campaign, limits: FloatArray, duration: float) -> floa
         return float("inf")
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
+        low, high = (
+            (low, middle) if np.all(campaign.errors(duration * np.exp(middle)) <= limits) else (middle, high)
+        )
     return float(duration * np.exp(high))
 
 
@@ -391,7 +520,9 @@ def planned_test(rig: Rig, test: Multisines, periods: int, skip: int) -> Planned
     forces: ComplexArray = test.forces[:, running]
     names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
     stem = "-".join(name.replace(" ", "") for name in names)
-    files = tuple(f"{stem}.csv" if len(names) == 1 else f"{stem}-{name.replace(' ', '')}.csv" for name in names)
+    files = tuple(
+        f"{stem}.csv" if len(names) == 1 else f"{stem}-{name.replace(' ', '')}.csv" for name in names
+    )
     return PlannedTest(
         name=stem,
         periods=periods,
@@ -411,13 +542,22 @@ def _notes(rig: Rig, lines: IntArray, found: Candidate, wanted: Wanted) -> tuple
     """What the reader must know of the plan beside its numbers."""
     notes = []
     if found.floor == 0 and found.criterion != "flat":
-        notes.append("Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 % of the power is usual.")
+        notes.append(
+            "Without a floor the plan leaves few lines: the model cannot be tested on the data. 20 "
+            "% of the power is usual."
+        )
     if found.criterion == "flat":
-        notes.append("No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least peak.")
+        notes.append(
+            "No design tells more than a flat spectrum within these limits: the plan is flat, with "
+            "phases of least peak."
+        )
     if len(rig.shakers) < rig.model.n_dof:
         both = Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
         other = score(flat(both, lines, ONE_BY_ONE).information, wanted.criterion, wanted.goals)
         ratio = score(found.campaign.information, wanted.criterion, wanted.goals) / other
         if ratio > MUCH_WORSE:
-            notes.append(f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those of a flat multisine in x, then in y.")
+            notes.append(
+                f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those of a "
+                "flat multisine in x, then in y."
+            )
     return tuple(notes)

@@ -33,7 +33,13 @@ def plan_schema() -> dict[str, Any]:
     plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
-    return {**head, "type": "object", "properties": properties, "required": ["plan"], "additionalProperties": False}
+    return {
+        **head,
+        "type": "object",
+        "properties": properties,
+        "required": ["plan"],
+        "additionalProperties": False,
+    }
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,8 @@ class PlanFile:
 def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
     """The content of a plan file; ConfigErrors with every fault at its place.
 
-    It is a file of its own: a pipeline is run again with every new recording, and what was planned before the test is not to change then.
+    It is a file of its own: a pipeline is run again with every new recording, and what was planned before the
+    test is not to change then.
     """
     tree = load_marked(path)
     for assignment in overrides:
@@ -130,7 +137,9 @@ def read_any_plan(path: Path) -> Plan | RunPlan:
     except FileNotFoundError:
         raise DataError("no such file", where=str(path), hint="run `labpipe plan` first") from None
     except RECORD_FAULTS as error:
-        raise DataError(f"is not a readable plan ({cut(str(error))})", where=str(path), hint="run `labpipe plan` again") from None
+        raise DataError(
+            f"is not a readable plan ({cut(str(error))})", where=str(path), hint="run `labpipe plan` again"
+        ) from None
     return plan
 
 
@@ -147,7 +156,11 @@ def write_runs(plan: RunPlan, settings_files: Mapping[str, Any], output: OutputF
     table = Document(plan.title, "Runs to make", (Section("Runs", (runs_table(plan),)),), to_sign=False)
     output.write_path("runs.md").write_bytes(DOCUMENTS.load("md")(table))
     for name, entries in settings_files.items():
-        text = entries if isinstance(entries, str) else yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
+        text = (
+            entries
+            if isinstance(entries, str)
+            else yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120)
+        )
         output.write_path(name).write_text(text, encoding="utf-8")
     return [NAME, REPORT, "runs.csv", "runs.md", *settings_files]
 

@@ -11,13 +11,16 @@ from labpipe.records.finding import Contribution
 
 @dataclass(frozen=True)
 class PlannedCoefficient:
-    """A coefficient [SI *unit*] with its *expected* value and predicted standard errors, all relative to *scale*, its expected size.
+    """A coefficient [SI *unit*] with its *expected* value and predicted standard errors, all relative to
+    *scale*, its expected size.
 
-    error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat multisine of equal peak and
-    time. goal: the relative error that is wanted, None for none. error_range: of *error* over draws from the covariance of an earlier
-    result, None where what is expected has no uncertainty, or a draw leaves the coefficient undetermined. systematic: what numbers of the
-    rig and the mass add, None without uncertainties; then there are the combined and the expanded uncertainty, coverage_factor times the
-    former, and the *budget*, noise among the sources. goal_expanded: the relative expanded uncertainty that is wanted.
+    error: with the noise known; error_weighted: with weights from the scatter of the periods; flat: of a flat
+    multisine of equal peak and time. goal: the relative error that is wanted, None for none. error_range: of
+    *error* over draws from the covariance of an earlier result, None where what is expected has no
+    uncertainty, or a draw leaves the coefficient undetermined. systematic: what numbers of the rig and the
+    mass add, None without uncertainties; then there are the combined and the expanded uncertainty,
+    coverage_factor times the former, and the *budget*, noise among the sources. goal_expanded: the relative
+    expanded uncertainty that is wanted.
     """
 
     name: str
@@ -41,8 +44,9 @@ class PlannedCoefficient:
 class PlannedTest:
     """One run of the shakers: *periods* periods are used after *skip* are dropped.
 
-    frequency (n_line,) [Hz]; amplitude and phase [N, rad]: by shaker, each (n_line,); crest_factor, peak_force [1, N] by shaker,
-    also between samples; peak_displacement [m] by probe, from rest to rest; files: of the signals, by shaker.
+    frequency (n_line,) [Hz]; amplitude and phase [N, rad]: by shaker, each (n_line,); crest_factor,
+    peak_force [1, N] by shaker, also between samples; peak_displacement [m] by probe, from rest to rest;
+    files: of the signals, by shaker.
     """
 
     name: str
@@ -62,11 +66,12 @@ class PlannedTest:
 class Plan:
     """The planned tests and their prediction.
 
-    period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all goals, None without goals, or
-    where none does; unreachable: coefficients whose goals none meets because of systematic errors;
-    efficiency [1]: the least that the underlying design has against the best of its kind at equal mean square force; factor [1]: of the
-    standard errors where weights come from the scatter of the periods; gain [1]: of the largest error over goal (or of all, without
-    goals), by the flat multisine it is compared with: its name and the ratio; gain_range: of the one over least crest, over draws from the
+    period [s], sample_rate [Hz], duration [s] of all measured periods; needed [s]: duration that meets all
+    goals, None without goals, or where none does; unreachable: coefficients whose goals none meets because of
+    systematic errors; efficiency [1]: the least that the underlying design has against the best of its kind
+    at equal mean square force; factor [1]: of the standard errors where weights come from the scatter of the
+    periods; gain [1]: of the largest error over goal (or of all, without goals), by the flat multisine it is
+    compared with: its name and the ratio; gain_range: of the one over least crest, over draws from the
     covariance of an earlier result. combined: whether that result counts beside the test.
     """
 
@@ -102,11 +107,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlannedNumber:
-    """What the runs will tell of a parameter or of a prediction made from them; errors are standard errors in *unit*.
+    """What the runs will tell of a parameter or of a prediction made from them; errors are standard errors in
+    *unit*.
 
-    expected: its value; error: after all planned runs, flat: after the same time shared among all candidates alike; lasting: what no
-    number of runs goes below; before: what is known without a run, None for nothing; goal: None for none. scale [unit]: what errors are
-    shown relative to, None where they are shown as they are.
+    expected: its value; error: after all planned runs, flat: after the same time shared among all candidates
+    alike; lasting: what no number of runs goes below; before: what is known without a run, None for nothing;
+    goal: None for none. scale [unit]: what errors are shown relative to, None where they are shown as they
+    are.
     """
 
     name: str
@@ -122,7 +129,9 @@ class PlannedNumber:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One condition: *count* runs of *seconds* each [s]; share [1] of the time at the optimum; conditions: name and text, in words."""
+    """One condition: *count* runs of *seconds* each [s]; share [1] of the time at the optimum; conditions:
+    name and text, in words.
+    """
 
     name: str
     count: int
@@ -135,9 +144,10 @@ class PlannedRun:
 class RunPlan:
     """Planned runs and their prediction.
 
-    duration [s]: that all runs take; efficiency [1]: the least that the counts have against any division of the time among the candidates;
-    needed [s]: that meets all goals, None without goals or where no time does; gain [1]: of the criterion over an equal division.
-    undetermined: in words, what no run of the candidates tells; remedies: single changes each of which makes all determined.
+    duration [s]: that all runs take; efficiency [1]: the least that the counts have against any division of
+    the time among the candidates; needed [s]: that meets all goals, None without goals or where no time does;
+    gain [1]: of the criterion over an equal division. undetermined: in words, what no run of the candidates
+    tells; remedies: single changes each of which makes all determined.
     """
 
     title: str

@@ -6,23 +6,56 @@ from collections.abc import Iterator
 from math import floor
 
 from labpipe.display import NOT_DETERMINED, amount_text, shown_unit
-from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedNumber, PlannedRun, PlannedTest, RunPlan
+from labpipe.methods.planning.records import (
+    Plan,
+    PlannedCoefficient,
+    PlannedNumber,
+    PlannedRun,
+    PlannedTest,
+    RunPlan,
+)
 from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, dots, look, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # A planned test as people read it: the spectrum, what it will tell beside a flat one, and how sure that is.
 
-HEADER = ("coefficient", "expected", "goal", "std. error, noise known", "std. error, weights from the periods", "flat multisine", "gain")
+HEADER = (
+    "coefficient",
+    "expected",
+    "goal",
+    "std. error, noise known",
+    "std. error, weights from the periods",
+    "flat multisine",
+    "gain",
+)
 RANGE = "over draws of the expected values (95 %)"
-BUDGET = ("coefficient", "goal, expanded", "random", "systematic", "combined", "expanded", "largest shares of the variance")
+BUDGET = (
+    "coefficient",
+    "goal, expanded",
+    "random",
+    "systematic",
+    "combined",
+    "expanded",
+    "largest shares of the variance",
+)
 SOURCES, SHOWN = 3, 0.005
 BUDGETED = (
-    "Random is what noise leaves, systematic what the uncertainties of the rig file's numbers and of the mass do to first order, by the "
-    "budget of "
-    "the plan's pipeline on the expected responses. Longer measuring lowers the random part alone."
+    "Random is what noise leaves, systematic what the uncertainties of the rig file's numbers and of the "
+    "mass do to first order, by the budget of the plan's pipeline on the expected responses. Longer "
+    "measuring lowers the random part alone."
 )
-TEST_HEADER = ("test", "shaker", "file", "lines", "periods", "skipped", "crest factor", "peak force [N]", "peak displacement [um]")
+TEST_HEADER = (
+    "test",
+    "shaker",
+    "file",
+    "lines",
+    "periods",
+    "skipped",
+    "crest factor",
+    "peak force [N]",
+    "peak displacement [um]",
+)
 SCHEMES = {
     "one by one": "one shaker after the other",
     "together": "both shakers at once, in phase on a line and in antiphase on its neighbour",
@@ -33,7 +66,11 @@ FLATS = {
     "least crest": "with phases of least crest factor",
     "both limits": "with phases for the limits of force and displacement",
 }
-CRITERIA = {"minimax": "the largest error", "A": "the root of the sum of squared errors", "D": "the volume of the errors' ellipsoid"}
+CRITERIA = {
+    "minimax": "the largest error",
+    "A": "the root of the sum of squared errors",
+    "D": "the volume of the errors' ellipsoid",
+}
 
 
 def plan_document(plan: Plan, version: str) -> Document:
@@ -57,9 +94,9 @@ def sentence(plan: Plan) -> str:
     if worst.expanded is not None and worst.goal_expanded is not None:
         reached += f" by noise and {per_cent(worst.expanded)} expanded"
     return (
-        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine {worst.name}, the {rank}, to "
-        f"{reached}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than a flat multisine of the same peak "
-        "and time."
+        f"{plan.duration:g} s of data ({tests} of {plan.period:g} s, {SCHEMES[plan.scheme]}) determine "
+        f"{worst.name}, the {rank}, to {reached}: {gain:.2f} times better by {CRITERIA[plan.criterion]} than "
+        "a flat multisine of the same peak and time."
     )
 
 
@@ -68,7 +105,11 @@ def goal_sentence(plan: Plan) -> str:
     if not plan.with_goals:
         return ""
     if plan.needed is None:
-        never = f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave" if plan.unreachable else ""
+        never = (
+            f", that of {', '.join(plan.unreachable)} because of what sensors and mass leave"
+            if plan.unreachable
+            else ""
+        )
         return f"The goals are NOT met: no time meets them{never}; {_time(plan.duration)} are planned."
     reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
     return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
@@ -88,24 +129,34 @@ def _verdict(plan: Plan) -> Iterator[Block]:
     # Rounded down: a bound is not to be stated higher than it is.
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
-        f"Certificate: the design behind the plan has an efficiency of at least {sure:.2f} % among all spectra along the "
-        f"shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on all lines alike), by the equivalence theorem. "
-        f"Of {_designs(plan)} it is the one that tells most at the limits of the rig."
+        f"Certificate: the design behind the plan has an efficiency of at least {sure:.2f} % among all "
+        f"spectra along the shakers of equal cost and the same floor ({100 * plan.floor:g} % of the power on "
+        f"all lines alike), by the equivalence theorem. Of {_designs(plan)} it is the one that tells most at "
+        "the limits of the rig."
     )
     rows = tuple((FLATS[name], f"{gain:.2f}") for name, gain in plan.gains)
-    yield Table(("flat multisine, one shaker after the other", "its error over the plan's"), rows, "Gain at equal peak and time", (1,))
+    yield Table(
+        ("flat multisine, one shaker after the other", "its error over the plan's"),
+        rows,
+        "Gain at equal peak and time",
+        (1,),
+    )
     if plan.combined:
         yield Paragraph(COMBINED)
 
 
 COMBINED = (
-    "The earlier result counts: errors are those of both together, weighted by their covariances, as a fit to the recordings of both gives "
-    "them. The pipeline of the plan evaluates the new recordings."
+    "The earlier result counts: errors are those of both together, weighted by their covariances, as a fit "
+    "to the recordings of both gives them. The pipeline of the plan evaluates the new recordings."
 )
 
 
 def _designs(plan: Plan) -> str:
-    return "the optimum designs by three criteria" if plan.design != "flat" else "the optimum designs and a flat spectrum"
+    return (
+        "the optimum designs by three criteria"
+        if plan.design != "flat"
+        else ("the optimum designs and a flat spectrum")
+    )
 
 
 def _coefficients(plan: Plan) -> Table:
@@ -124,7 +175,9 @@ def _coefficients(plan: Plan) -> Table:
         for c in plan.coefficients
     )
     header = (*HEADER[:4], *([RANGE] if ranged else []), *HEADER[4:])
-    return Table(header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header))))
+    return Table(
+        header, rows, "Relative standard errors, at the expected values", tuple(range(1, len(header)))
+    )
 
 
 def _range(coefficient: PlannedCoefficient) -> str:
@@ -142,11 +195,16 @@ def _uncertainty(plan: Plan) -> Iterator[Section]:
             c.name,
             "" if c.goal_expanded is None else per_cent(c.goal_expanded),
             *(per_cent(number or 0.0) for number in (c.error_weighted, c.systematic, c.combined, c.expanded)),
-            ", ".join(f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN),
+            ", ".join(
+                f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN
+            ),
         )
         for c in stated
     )
-    yield Section("Predicted uncertainty", (Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5)), Paragraph(BUDGETED)))
+    yield Section(
+        "Predicted uncertainty",
+        (Table(BUDGET, rows, "Relative uncertainties", (1, 2, 3, 4, 5)), Paragraph(BUDGETED)),
+    )
 
 
 def _expected(coefficient: PlannedCoefficient) -> str:
@@ -156,21 +214,26 @@ def _expected(coefficient: PlannedCoefficient) -> str:
 
 def _explained(plan: Plan) -> str:
     return (
-        "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. The noise is not known before the "
-        f"test: weights from the scatter of {min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
-        "large, as counted on simulated tests. Errors are relative to the expected size, of coefficients that are nearly zero to 1 % of "
-        "the largest of their kind. The prediction holds where the rig is as expected: plan again from the result of a short flat test, "
-        "if it may not be."
+        "The prediction is the Cramer-Rao bound of errors in variables, with white noise in all sensors. "
+        "The noise is not known before the test: weights from the scatter of "
+        f"{min(test.periods for test in plan.tests)} periods make the errors {plan.factor:.2f} times as "
+        "large, as counted on simulated tests. Errors are relative to the expected size, of coefficients "
+        "that are nearly zero to 1 % of the largest of their kind. The prediction holds where the rig is as "
+        "expected: plan again from the result of a short flat test, if it may not be."
     )
 
 
 def _tests(plan: Plan) -> Table:
-    return Table(TEST_HEADER, tuple(row for test in plan.tests for row in _rows(test)), "Signals", tuple(range(3, 9)))
+    return Table(
+        TEST_HEADER, tuple(row for test in plan.tests for row in _rows(test)), "Signals", tuple(range(3, 9))
+    )
 
 
 def _rows(test: PlannedTest) -> Iterator[tuple[str, ...]]:
     moved = " / ".join(f"{1e6 * peak:.3g}" for peak in test.peak_displacement)
-    for shaker, file, crest, peak in zip(test.shakers, test.files, test.crest_factor, test.peak_force, strict=True):
+    for shaker, file, crest, peak in zip(
+        test.shakers, test.files, test.crest_factor, test.peak_force, strict=True
+    ):
         yield (
             test.name,
             shaker,
@@ -192,7 +255,9 @@ def _spectrum(plan: Plan) -> Figure:
             shown = [(f, a) for f, a in zip(test.frequency, amplitude, strict=True) if a > 0]
             colour, _ = look(number)
             series.append(dots(shaker, [f for f, _ in shown], [a for _, a in shown], colour, marker="."))
-        panels.append(Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series)))
+        panels.append(
+            Panel(Axis("frequency", "Hz"), Axis(f"force, {test.name}", "N", logarithmic=True), tuple(series))
+        )
     caption = "Amplitude of every line, 0-to-peak, by shaker; tests below each other."
     return Figure(stacked(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
 
@@ -229,9 +294,9 @@ def run_plan_document(plan: RunPlan, version: str) -> Document:
 
 
 EXPLAINED = (
-    "Standard errors from the information matrix of the fit that will evaluate the runs, at the expected values; in per cent of the "
-    "number's size, or in its unit. Beside it: the same time shared alike among all candidates, what is known without any run, and what "
-    "stays however many runs there are."
+    "Standard errors from the information matrix of the fit that will evaluate the runs, at the expected "
+    "values; in per cent of the number's size, or in its unit. Beside it: the same time shared alike among "
+    "all candidates, what is known without any run, and what stays however many runs there are."
 )
 
 
@@ -256,25 +321,37 @@ def run_sentences(plan: RunPlan) -> Iterator[str]:
     total = sum(run.count for run in plan.runs)
     aimed = [number for number in plan.numbers if number.goal is not None and number.error is not None]
     worst = max(aimed, key=lambda number: (number.error or 0.0) / (number.goal or 1.0)) if aimed else None
-    determined = f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:" if worst else " are"
+    determined = (
+        (f" determine {worst.name}, the tightest against its goal, to {error_text(worst, worst.error)}:")
+        if worst
+        else " are"
+    )
     yield (
-        f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions ({_time(plan.duration)}){determined} "
+        f"{total} {MODELS[plan.model]} under {len(plan.runs)} of {plan.candidates} conditions "
+        f"({_time(plan.duration)}){determined} "
         f"{plan.gain:.2f} times better by {CRITERIA[plan.criterion]} than the same time shared alike."
     )
     if aimed:
         met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
-        needed = "no time meets them" if plan.needed is None else f"they need {_time(plan.needed)} of such runs"
+        needed = (
+            "no time meets them" if plan.needed is None else (f"they need {_time(plan.needed)} of such runs")
+        )
         yield f"The goals are {'met' if met else 'NOT met'}: {needed}, {_time(plan.duration)} are planned."
     if plan.undetermined:
         helps = f"; {' or '.join(plan.remedies)} would determine all" if plan.remedies else ""
-        yield f"However long one measures, these runs do not tell {'; '.join(plan.undetermined)}: what is known before decides{helps}."
+        yield (
+            f"However long one measures, these runs do not tell {'; '.join(plan.undetermined)}: what is "
+            f"known before decides{helps}."
+        )
     yield from plan.notes
 
 
 def runs_csv(plan: RunPlan) -> str:
     """The runs as a table for other programs."""
     table = runs_table(plan)
-    quoted = [",".join('"' + cell.replace('"', '""') + '"' for cell in row) for row in (table.header, *table.rows)]
+    quoted = [
+        ",".join('"' + cell.replace('"', '""') + '"' for cell in row) for row in (table.header, *table.rows)
+    ]
     return "\n".join(quoted) + "\n"
 
 
@@ -290,11 +367,18 @@ def error_text(number: PlannedNumber, error: float | None) -> str:
 
 def _runs_verdict(plan: RunPlan) -> Iterator[Block]:
     for text in run_sentences(plan):
-        kind = "passed" if text.startswith("The goals are met") else "failed" if text.startswith("The goals are NOT") else ""
+        kind = (
+            "passed"
+            if text.startswith("The goals are met")
+            else "failed"
+            if text.startswith("The goals are NOT")
+            else ""
+        )
         yield Paragraph(text, kind) if kind else Paragraph(text)
     sure = floor(1e4 * plan.efficiency) / 100
     yield Paragraph(
-        f"Certificate: the plan has, whole runs included, an efficiency (by variances) of at least {sure:.2f} % among all divisions of the "
+        "Certificate: the plan has, whole runs included, an efficiency (by variances) of at least "
+        f"{sure:.2f} % among all divisions of the "
         f"same time among the {plan.candidates} conditions, by the equivalence theorem."
     )
 
@@ -317,4 +401,6 @@ def _numbers(plan: RunPlan) -> Table:
 
 def run_names(run: PlannedRun) -> tuple[str, ...]:
     """The names of the recordings of a condition, one for each of its runs."""
-    return (run.name,) if run.count == 1 else tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
+    return (
+        (run.name,) if run.count == 1 else tuple(f"{run.name}-{number}" for number in range(1, run.count + 1))
+    )

@@ -2,9 +2,9 @@
 
 Run-ups that could be made, and what each would tell of the film's parameters: its Fisher information.
 
-With the slopes J of the joint fit's residual (`problem`) at expected parameters, a run tells J^T J of the logarithms of PARAMETERS.
-Readings have standard errors of a share of the amplitude, with a floor, and of the phase; where the rotor is unstable, or moves farther
-than the limits allow, it is not run.
+With the slopes J of the joint fit's residual (`problem`) at expected parameters, a run tells J^T J of the
+logarithms of PARAMETERS. Readings have standard errors of a share of the amplitude, with a floor, and of the
+phase; where the rotor is unstable, or moves farther than the limits allow, it is not run.
 """
 
 from __future__ import annotations
@@ -27,7 +27,14 @@ from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.film_family import BOUND, COEFFICIENTS, PARAMETERS, PRIOR, FilmFamily, as_matrices
+from labpipe.methods.run_ups.film_family import (
+    BOUND,
+    COEFFICIENTS,
+    PARAMETERS,
+    PRIOR,
+    FilmFamily,
+    as_matrices,
+)
 from labpipe.methods.run_ups.joint import threshold_row
 from labpipe.methods.run_ups.misfit import ExcitedRun, scales
 from labpipe.methods.run_ups.records import RunUp, Shaker
@@ -63,14 +70,18 @@ class ReadingSettings(Settings):
 class TrialSettings(Settings):
     """One way to excite the rotor: a trial unbalance, or a shaker whose force does not turn."""
 
-    unbalance: tuple[tuple[str, complex], ...] = setting("phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=())
+    unbalance: tuple[tuple[str, complex], ...] = setting(
+        "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
+    )
     shaker: str = setting("text", "plane on which a shaker acts, along x, instead", default="")
     force: float = setting("value", "of the shaker, 0-to-peak", unit="N", default=1.0)
     ratio: float = setting("value", "frequency of the shaker over that of the shaft", unit="1", default=0.95)
 
     def __post_init__(self) -> None:
         if bool(self.unbalance) == bool(self.shaker):
-            raise ConfigError("a trial has an unbalance or a shaker", hint="unbalance: {disc 1: 50 g.mm at 0 deg}")
+            raise ConfigError(
+                "a trial has an unbalance or a shaker", hint="unbalance: {disc 1: 50 g.mm at 0 deg}"
+            )
         if min(self.force, self.ratio) <= 0:
             raise ConfigError("force and ratio of a shaker are positive")
 
@@ -79,14 +90,21 @@ class TrialSettings(Settings):
         """The excitation in words."""
         if self.shaker:
             return f"shaker at {self.shaker}: {self.force:g} N in x, {self.ratio:g} of the speed"
-        return "; ".join(f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg" for plane, size in self.unbalance)
+        return "; ".join(
+            f"{plane}: {1e6 * abs(size):.4g} g mm at {np.degrees(np.angle(size)):.4g} deg"
+            for plane, size in self.unbalance
+        )
 
 
 @dataclass(frozen=True)
 class RunUpPlanSettings(Settings):
-    """Which run-ups there could be, how well they are read, and what they are to tell; *rig*: contents of `rotor`."""
+    """Which run-ups there could be, how well they are read, and what they are to tell; *rig*: contents of
+    `rotor`.
+    """
 
-    model: str = setting("choice", "what will be identified: the oil film over load and speed", choices=(RUN_UPS,))
+    model: str = setting(
+        "choice", "what will be identified: the oil film over load and speed", choices=(RUN_UPS,)
+    )
     rotor: str = setting("file", "rotor file with pins", file_kind="run-up-rotor", into="rig")
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
@@ -99,35 +117,64 @@ class RunUpPlanSettings(Settings):
     )
     stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
     changeover: float = setting("value", "time between runs", unit="s", default=0.0)
-    to_threshold: bool = setting("flag", "the highest stretch may be run on until the rotor gets unstable", default=False)
-    displacement_limit: float | None = setting("value", "largest at a plane, 0-to-peak; default: none", unit="m", default=None)
-    journal_limit: float | None = setting("value", "largest of the journal, 0-to-peak; default: none", unit="m", default=None)
-    noise: ReadingSettings = setting("section", "of a reading", section=ReadingSettings, default=ReadingSettings())
-    expected: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series", "factors on the rotor file's film, exponents of the viscosity; default: the rotor file", unit="1", default=()
+    to_threshold: bool = setting(
+        "flag", "the highest stretch may be run on until the rotor gets unstable", default=False
     )
-    earlier: str = setting("file", "identification.json whose joint fit is expected where `expected` has none", default="")
-    known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
-    at_load: float | None = setting("value", "load at which speeds and coefficients are predicted", unit="N", default=None)
-    at_speed: float | None = setting("value", "speed at which coefficients are predicted", unit="Hz", default=None)
-    goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+    displacement_limit: float | None = setting(
+        "value", "largest at a plane, 0-to-peak; default: none", unit="m", default=None
+    )
+    journal_limit: float | None = setting(
+        "value", "largest of the journal, 0-to-peak; default: none", unit="m", default=None
+    )
+    noise: ReadingSettings = setting(
+        "section", "of a reading", section=ReadingSettings, default=ReadingSettings()
+    )
+    expected: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
-        "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters alike",
+        "factors on the rotor file's film, exponents of the viscosity; default: the rotor file",
         unit="1",
         default=(),
     )
-    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    earlier: str = setting(
+        "file", "identification.json whose joint fit is expected where `expected` has none", default=""
+    )
+    known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
+    at_load: float | None = setting(
+        "value", "load at which speeds and coefficients are predicted", unit="N", default=None
+    )
+    at_speed: float | None = setting(
+        "value", "speed at which coefficients are predicted", unit="Hz", default=None
+    )
+    goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
+        "series",
+        "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters "
+        "alike",
+        unit="1",
+        default=(),
+    )
+    criterion: str = setting(
+        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
+    )
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
         self._check_signs()
         if len(self.omega) < 2 * max(self.stretches, 1):
-            raise ConfigError(f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more", field="stretches")
+            raise ConfigError(
+                f"{len(self.omega)} speeds make no {self.stretches} stretches of two or more",
+                field="stretches",
+            )
         if not self.trials:
-            raise ConfigError("there is no way to excite the rotor", hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}", field="trials")
+            raise ConfigError(
+                "there is no way to excite the rotor",
+                hint="{trial-1: {unbalance: {disc 1: 50 g.mm}}}",
+                field="trials",
+            )
         for name in self.known:
             if name not in PARAMETERS:
-                raise ConfigError(f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="known")
+                raise ConfigError(
+                    f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="known"
+                )
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -137,41 +184,67 @@ class RunUpPlanSettings(Settings):
                 self._check_planes(self.rig, name, trial)
 
     def _check_signs(self) -> None:
-        for name in ("step", "dwell", "duration", "at_load", "at_speed", "displacement_limit", "journal_limit"):
+        for name in (
+            "step",
+            "dwell",
+            "duration",
+            "at_load",
+            "at_speed",
+            "displacement_limit",
+            "journal_limit",
+        ):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise ConfigError(f"'{name}' must be positive", field=name)
         if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
             raise ConfigError("loads are positive, and so is the time between runs", field="loads")
         if self.speeds[0] <= 0 or self.stretches < 1:
-            raise ConfigError("speeds begin above zero, and there is one stretch of them at least", field="speeds")
+            raise ConfigError(
+                "speeds begin above zero, and there is one stretch of them at least", field="speeds"
+            )
 
     def _check_expected(self, name: str, values: tuple[float, ...]) -> None:
         if name not in PARAMETERS:
-            raise ConfigError(f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="expected")
+            raise ConfigError(
+                f"the film has no parameter {name}", hint=nearest(name, PARAMETERS), field="expected"
+            )
         if len(values) != 1 or (name not in EXPONENTS and values[0] <= 0):
             raise ConfigError(f"{name} is one factor above zero", hint=f"{name}: 0.9", field="expected")
         if abs(logarithm(name, values[0])) > BOUND[PARAMETERS.index(name)]:
             raise ConfigError(
-                f"{name} of {values[0]:g} is beyond what a joint fit looks for", hint="change the rotor file", field="expected"
+                f"{name} of {values[0]:g} is beyond what a joint fit looks for",
+                hint="change the rotor file",
+                field="expected",
             )
 
     def _check_goals(self) -> None:
-        names = (*PARAMETERS, *(SPEEDS if self.at_load else ()), *(COEFFICIENTS if self.at_load and self.at_speed else ()))
+        names = (
+            *PARAMETERS,
+            *(SPEEDS if self.at_load else ()),
+            *(COEFFICIENTS if self.at_load and self.at_speed else ()),
+        )
         for name, values in self.goal:
             if name not in names:
-                hint = "at_load and at_speed say where" if name in (*SPEEDS, *COEFFICIENTS) else nearest(name, names)
+                hint = (
+                    "at_load and at_speed say where"
+                    if name in (*SPEEDS, *COEFFICIENTS)
+                    else nearest(name, names)
+                )
                 raise ConfigError(f"no {name} is predicted", hint=hint, field="goal")
             if name in self.known:
                 raise ConfigError(f"{name} is known", hint="leave one of goal and known out", field="goal")
             if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+                raise ConfigError(
+                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
+                )
 
     @staticmethod
     def _check_planes(rig: RunUpRotor, name: str, trial: TrialSettings) -> None:
         for plane in (*dict(trial.unbalance), *([trial.shaker] if trial.shaker else [])):
             if plane not in rig.plane_names:
-                raise ConfigError(f"trial {name}: no plane '{plane}'", hint=nearest(plane, rig.plane_names), field="trials")
+                raise ConfigError(
+                    f"trial {name}: no plane '{plane}'", hint=nearest(plane, rig.plane_names), field="trials"
+                )
 
     @property
     def omega(self) -> FloatArray:
@@ -180,9 +253,13 @@ class RunUpPlanSettings(Settings):
         return np.asarray(2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1))
 
     def values(self, earlier: Mapping[str, float]) -> FloatArray:
-        """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] where none is given."""
+        """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] where none is
+        given.
+        """
         given = dict(earlier) | {name: value for name, (value,) in self.expected}
-        return np.array([logarithm(name, given.get(name, 0.0 if name in EXPONENTS else 1.0)) for name in PARAMETERS])
+        return np.array(
+            [logarithm(name, given.get(name, 0.0 if name in EXPONENTS else 1.0)) for name in PARAMETERS]
+        )
 
 
 def logarithm(name: str, value: float) -> float:
@@ -192,13 +269,16 @@ def logarithm(name: str, value: float) -> float:
 
 # Run-ups that could be made, and what each would tell of the film's parameters: its Fisher information.
 
-# Readings with a larger relative error are not planned with: a fit weighs along and across the measured phasor, which is noise then.
+# Readings with a larger relative error are not planned with: a fit weighs along and across the measured
+# phasor, which is noise then.
 LARGEST_ERROR = 0.2
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Standard errors at one speed: *amplitude* [1] relative, a *displacement* [m] added in squares, *phase* [rad], *threshold* [1]."""
+    """Standard errors at one speed: *amplitude* [1] relative, a *displacement* [m] added in squares, *phase*
+    [rad], *threshold* [1].
+    """
 
     amplitude: float
     displacement: float
@@ -208,7 +288,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class ExpectedRig:
-    """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS; *reading*: its noise."""
+    """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS.
+
+    *reading*: its noise.
+    """
 
     rig: RunUpRotor
     family: FilmFamily
@@ -226,7 +309,10 @@ class ExpectedRig:
 
 @dataclass(frozen=True)
 class RunCandidate:
-    """A run under a *load* [N] at speeds (n_speed,) [rad/s], under an unbalance [kg m] by plane or a shaker; or on to the threshold."""
+    """A run under a *load* [N] at speeds (n_speed,) [rad/s], under an unbalance [kg m] by plane or a shaker.
+
+    Or on to the threshold.
+    """
 
     name: str
     load: float
@@ -260,22 +346,29 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
         unbalance=candidate.unbalance,
         shaker=candidate.shaker,
     )
-    response = rig.excited(unit).response(*as_matrices(expected.coefficients(candidate.load, speed))).reshape(shape)
+    response = (
+        rig.excited(unit).response(*as_matrices(expected.coefficients(candidate.load, speed))).reshape(shape)
+    )
     reading = expected.reading
     floor = reading.displacement / np.abs(response)
     errors = np.hypot(reading.amplitude, floor) * np.abs(response), np.hypot(reading.phase, floor)
     threshold = expected.threshold(candidate.load) if candidate.to_threshold else None
     measured = None if threshold is None else Uncertain(threshold, reading.threshold * threshold)
-    return replace(unit, response=response, amplitude_error=errors[0], phase_error=errors[1], threshold=measured)
+    return replace(
+        unit, response=response, amplitude_error=errors[0], phase_error=errors[1], threshold=measured
+    )
 
 
 def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
-    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the search does not find.
+    """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the
+    search does not find.
 
     Equation (plan-run-up).
     """
     run = expected_run(expected, candidate)
-    eight, by_parameter = expected.family.coefficients_and_slopes(expected.values, np.full(run.n_speed, run.load), run.speed)
+    eight, by_parameter = expected.family.coefficients_and_slopes(
+        expected.values, np.full(run.n_speed, run.load), run.speed
+    )
     _, slopes = ExcitedRun.of(expected.rig, run).residual_and_slopes(eight)
     rows = (slopes @ by_parameter).reshape(-1, len(PARAMETERS))
     matrix = rows.T @ rows
@@ -283,12 +376,16 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
         _, row = threshold_row(expected.rig, expected.family, expected.values, run.load, run.threshold)
         matrix = matrix + np.outer(row, row)
     elif candidate.to_threshold:
-        raise FitError(f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out")
+        raise FitError(
+            f"no threshold is expected under {candidate.load:.4g} N", hint="leave to_threshold out"
+        )
     return np.asarray(matrix)
 
 
 def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
-    """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is above its noise."""
+    """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is
+    above its noise.
+    """
     run = expected_run(expected, replace(candidate, to_threshold=False))
     stiffness, damping = as_matrices(expected.coefficients(run.load, run.speed))
     good = expected.rig.stability.growth(run.speed, stiffness, damping) <= GROWTH_TOLERANCE
@@ -296,7 +393,9 @@ def allowed(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> B
     if limits.displacement is not None:
         good &= np.all(largest_displacement(run.response) <= limits.displacement, axis=1)
     if limits.journal is not None:
-        good &= largest_displacement(expected.rig.excited(run).journal(stiffness, damping)[0]) <= limits.journal
+        good &= (
+            largest_displacement(expected.rig.excited(run).journal(stiffness, damping)[0]) <= limits.journal
+        )
     return np.asarray(good)
 
 
@@ -339,7 +438,9 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
     names = []
     for run in planned.plan.runs:
         name = f"expected/{run.name}.csv"
-        write_run_up_csv(output.write_path(name), expected_run(planned.expected, planned.candidates[run.name]))
+        write_run_up_csv(
+            output.write_path(name), expected_run(planned.expected, planned.candidates[run.name])
+        )
         names.append(name)
     rotor = (file.path.parent / settings.rotor).read_text(encoding="utf-8")
     pipeline = pipeline_entries(planned.plan, settings)
@@ -355,7 +456,9 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
     if not methods:
-        raise ConfigError(f"{path.name} holds no joint fit of run-ups", hint="run_ups: {methods: [joint]}", field="earlier")
+        raise ConfigError(
+            f"{path.name} holds no joint fit of run-ups", hint="run_ups: {methods: [joint]}", field="earlier"
+        )
     return {parameter.name: parameter.value for parameter in methods[0].parameters}
 
 
@@ -369,7 +472,10 @@ def pipeline_entries(plan: RunPlan, settings: RunUpPlanSettings) -> dict[str, An
 
 
 def plan_run_ups(settings: RunUpPlanSettings, title: str, earlier: dict[str, float]) -> RunUpsPlanned:
-    """The runs that tell most within the time; ConfigError where a goal cannot be met however many there are."""
+    """The runs that tell most within the time.
+
+    ConfigError where a goal cannot be met however many there are.
+    """
     expected = _expected(settings, earlier)
     candidates, notes = _allowed(expected, _candidates(settings, expected, settings.loads), settings)
     given = settings.known
@@ -394,7 +500,9 @@ def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> Expecte
     if rig.speeds is None:
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
     film = rig.place.film("a plan of run-ups")
-    family = FilmFamily(film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads)))))))
+    family = FilmFamily(
+        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
+    )
     noise = settings.noise
     reading = Reading(noise.amplitude, noise.displacement, noise.phase, noise.threshold)
     return ExpectedRig(rig, family, settings.values(earlier), reading)
@@ -402,19 +510,33 @@ def _expected(settings: RunUpPlanSettings, earlier: dict[str, float]) -> Expecte
 
 def _prior(known: Sequence[str]) -> FloatArray:
     """Information (12, 12) of the joint fit's prior, and of what is known."""
-    return np.diag([(KNOWN if name in known else float(spread)) ** -2.0 for name, spread in zip(PARAMETERS, PRIOR, strict=True)])
+    return np.diag(
+        [
+            (KNOWN if name in known else float(spread)) ** -2.0
+            for name, spread in zip(PARAMETERS, PRIOR, strict=True)
+        ]
+    )
 
 
-def _candidates(settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]) -> Iterator[RunCandidate]:
+def _candidates(
+    settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
+) -> Iterator[RunCandidate]:
     """Every trial under every load on every stretch of speeds; the highest also on to the threshold."""
     stretches = np.array_split(settings.omega, settings.stretches)
     for place, load in enumerate(loads, 1):
         for name, trial in settings.trials:
             for number, speed in enumerate(stretches, 1):
-                stem = f"load-{place}-{name.replace(' ', '-')}" + (f"-{number}" if settings.stretches > 1 else "")
+                stem = f"load-{place}-{name.replace(' ', '-')}" + (
+                    f"-{number}" if settings.stretches > 1 else ""
+                )
                 candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), _shaker(trial))
                 yield candidate
-                if settings.to_threshold and number == settings.stretches and not trial.shaker and expected.threshold(load) is not None:
+                if (
+                    settings.to_threshold
+                    and number == settings.stretches
+                    and not trial.shaker
+                    and expected.threshold(load) is not None
+                ):
                     yield replace(candidate, name=f"{stem}-threshold", to_threshold=True)
 
 
@@ -435,9 +557,14 @@ def _allowed(
         cut, whole = cut + (not full), whole + full
     if not kept:
         raise ConfigError(
-            "no run keeps within the limits and above the noise", hint="other trial unbalances, or other speeds", field="trials"
+            "no run keeps within the limits and above the noise",
+            hint="other trial unbalances, or other speeds",
+            field="trials",
         )
-    words = f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond the limits or within the noise."
+    words = (
+        f"{cut} of {cut + whole} candidates leave out speeds at which they would be unstable, beyond "
+        "the limits or within the noise."
+    )
     return kept, [words] if cut else []
 
 
@@ -445,7 +572,9 @@ def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: Ru
     seconds = settings.dwell * candidate.speed.size + settings.changeover
     low, high = candidate.speed[[0, -1]] / RPM
     trial = next(
-        trial for name, trial in settings.trials if candidate.shaker == _shaker(trial) and candidate.unbalance == dict(trial.unbalance)
+        trial
+        for name, trial in settings.trials
+        if candidate.shaker == _shaker(trial) and candidate.unbalance == dict(trial.unbalance)
     )
     end = ", on to the threshold" if candidate.to_threshold else ""
     conditions = (
@@ -457,15 +586,22 @@ def _condition(settings: RunUpPlanSettings, expected: ExpectedRig, candidate: Ru
     return Condition(candidate.name, seconds, conditions, information(expected, candidate))
 
 
-def _remedies(settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]) -> Iterator[Change]:
+def _remedies(
+    settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Sequence[RunCandidate]
+) -> Iterator[Change]:
     """A measured clearance, a shaker, a second load: alone, then two of them."""
     conditions = tuple(_condition(settings, expected, candidate) for candidate in candidates)
     shaken = TrialSettings(shaker=expected.rig.plane_names[0])
     with_shaker = replace(settings, trials=(*settings.trials, ("shaker", shaken)))
     other = (OTHER_LOAD * max(settings.loads),)
-    changes: dict[str, tuple[tuple[Condition, ...], tuple[str, ...]]] = {"a measured clearance (known: clearance)": ((), ("clearance",))}
+    changes: dict[str, tuple[tuple[Condition, ...], tuple[str, ...]]] = {
+        "a measured clearance (known: clearance)": ((), ("clearance",))
+    }
     if not any(trial.shaker for _, trial in settings.trials):
-        changes["a run under a shaker whose force does not turn"] = (_extra(with_shaker, expected, settings.loads[:1]), ())
+        changes["a run under a shaker whose force does not turn"] = (
+            _extra(with_shaker, expected, settings.loads[:1]),
+            (),
+        )
     if len(set(settings.loads)) == 1:
         changes["a second load"] = (_extra(settings, expected, other), ())
     for size in (1, 2):
@@ -475,9 +611,13 @@ def _remedies(settings: RunUpPlanSettings, expected: ExpectedRig, candidates: Se
             yield Change(" and ".join(names), size, (*conditions, *extra), parameters)
 
 
-def _extra(settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]) -> tuple[Condition, ...]:
+def _extra(
+    settings: RunUpPlanSettings, expected: ExpectedRig, loads: Sequence[float]
+) -> tuple[Condition, ...]:
     try:
-        allowed, _ = _allowed(expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings)
+        allowed, _ = _allowed(
+            expected, _candidates(replace(settings, to_threshold=False), expected, loads), settings
+        )
     except (ConfigError, FitError):
         return ()
     return tuple(_condition(settings, expected, candidate) for candidate in allowed)
@@ -500,10 +640,14 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
             goal = None if name not in goals else goals[name] * value
             yield Quantity(name, "rad/s", value, row, goal, value)
         elif name in goals:
-            raise ConfigError(f"no {name} is expected under {settings.at_load:g} N", hint="leave its goal out", field="goal")
+            raise ConfigError(
+                f"no {name} is expected under {settings.at_load:g} N", hint="leave its goal out", field="goal"
+            )
     if settings.at_speed is not None:
         place = np.array([2 * np.pi * settings.at_speed])
-        eight, slopes = expected.family.coefficients_and_slopes(expected.values, np.array([settings.at_load]), place)
+        eight, slopes = expected.family.coefficients_and_slopes(
+            expected.values, np.array([settings.at_load]), place
+        )
         sizes = scales(eight)[0]
         for number, name in enumerate(COEFFICIENTS):
             unit = "N/m" if name.startswith("k") else "N.s/m"
@@ -512,7 +656,10 @@ def _quantities(settings: RunUpPlanSettings, expected: ExpectedRig) -> Iterator[
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
-    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms; None where there is none."""
+    """A critical or threshold speed [rad/s] and its derivatives (12,) by the logarithms.
+
+    None where there is none.
+    """
 
     def speed(values: FloatArray) -> float | None:
         at = expected.family.at_load(values, load)
@@ -520,7 +667,10 @@ def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, Fl
 
     try:
         value = speed(expected.values)
-        ends = [[speed(expected.values + sign * STEP * unit) for sign in (1, -1)] for unit in np.eye(len(PARAMETERS))]
+        ends = [
+            [speed(expected.values + sign * STEP * unit) for sign in (1, -1)]
+            for unit in np.eye(len(PARAMETERS))
+        ]
     except FitError:
         return None
     if value is None or any(end is None for pair in ends for end in pair):

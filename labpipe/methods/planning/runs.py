@@ -2,9 +2,10 @@
 
 Which runs, and how many of each: exact designs of operating conditions within a time.
 
-A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before. Shares of the time are the
-continuous optimum of `designs`, with I_0 inside every candidate, so that its certificate holds for runs as well: the counts are rounded
-down, filled up and exchanged run by run (Fedorov 1972, Theory of Optimal Experiments, sec. 3.2), and held against that bound.
+A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before.
+Shares of the time are the continuous optimum of `designs`, with I_0 inside every candidate, so that its
+certificate holds for runs as well: the counts are rounded down, filled up and exchanged run by run (Fedorov
+1972, Theory of Optimal Experiments, sec. 3.2), and held against that bound.
 """
 
 from __future__ import annotations
@@ -23,10 +24,12 @@ from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
 
 # Which runs, and how many of each: exact designs of operating conditions within a time.
 
-# What makes the first runs comparable, before they determine everything: this share of the information of all.
+# What makes the first runs comparable, before they determine everything: this share of the information of
+# all.
 SLIGHT = 1e-9
 MOST_EXCHANGES = 50
-# Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit diagonal.
+# Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit
+# diagonal.
 SINGULAR = 1e-12
 # Runs that a plan lists one by one, of the shortest kind.
 MOST_RUNS = 10_000
@@ -36,7 +39,8 @@ LONGEST = 1e6
 
 @dataclass(frozen=True)
 class RunChoices:
-    """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n, n) [1] known before.
+    """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n,
+    n) [1] known before.
 
     known (n,) [1]: parameters that the prior settles for good; none unless given.
     """
@@ -58,9 +62,11 @@ class RunChoices:
 
 @dataclass(frozen=True)
 class RunDesign:
-    """*counts* (n_run,) [1] of runs; information (n, n) [1] of all and before; shares (n_run,) [1] of the time at the optimum.
+    """*counts* (n_run,) [1] of runs; information (n, n) [1] of all and before; shares (n_run,) [1] of the
+    time at the optimum.
 
-    efficiency [1]: the least that the counts have, by their variances, against any division of the same time, whole runs or not.
+    efficiency [1]: the least that the counts have, by their variances, against any division of the same time,
+    whole runs or not.
     """
 
     counts: IntArray
@@ -70,15 +76,23 @@ class RunDesign:
 
 
 def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray) -> RunDesign:
-    """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError where none or too many fit.
+    """The best numbers of runs within *duration* [s] for combinations *wanted* (n_wanted, n) [1]; ConfigError
+    where none or too many fit.
 
     FitError where no numbers of runs determine what is wanted. Equation (plan-runs).
     """
     shortest = float(choices.cost.min())
     if shortest > duration:
-        raise ConfigError(f"no run fits into {duration:g} s", hint=f"a duration of {shortest:.4g} s or more", field="duration")
+        raise ConfigError(
+            f"no run fits into {duration:g} s",
+            hint=f"a duration of {shortest:.4g} s or more",
+            field="duration",
+        )
     if duration > MOST_RUNS * shortest:
-        what = f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s; a plan lists {MOST_RUNS} at most"
+        what = (
+            f"{duration:g} s have room for {duration / shortest:.3g} runs of {shortest:.3g} s; a plan "
+            f"lists {MOST_RUNS} at most"
+        )
         raise ConfigError(what, hint="a shorter duration, or longer runs", field="duration")
     whole = choices.information * (duration / choices.cost)[:, None, None] + choices.prior
     separate = _separate(criterion, whole, choices, wanted)
@@ -86,24 +100,37 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     begun = _down(choices, design.shares, duration)
     if separate:
         begun = _one_each(choices, begun, duration)
-    counts = _exchanged(criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, begun))
+    counts = _exchanged(
+        criterion, choices, duration, wanted, _filled(criterion, choices, duration, wanted, begun)
+    )
     information = choices.of(counts)
-    poor = _values(criterion, information[None], wanted)[0] / _values(criterion, design.information[None], wanted)[0]
+    poor = (
+        _values(criterion, information[None], wanted)[0]
+        / _values(criterion, design.information[None], wanted)[0]
+    )
     if not np.isfinite(poor):
         raise FitError("no runs of that time determine what is wanted", hint="a longer duration")
-    return RunDesign(counts, information, design.shares, min(design.certificate.efficiency / float(poor), 1.0))
+    return RunDesign(
+        counts, information, design.shares, min(design.certificate.efficiency / float(poor), 1.0)
+    )
 
 
 def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: FloatArray) -> Design | None:
-    """The optimum among runs each of which tells of parameters of its own, *whole* (n_run, n, n) [1] in all the time; None for others.
+    """The optimum among runs each of which tells of parameters of its own, *whole* (n_run, n, n) [1] in all
+    the time; None for others.
 
-    With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of sum v, or as its number of
-    parameters: the Lagrange conditions of minimax, A and D.
+    With the variances v of what is wanted of a run in all the time, its share goes as max v, as the root of
+    sum v, or as its number of parameters: the Lagrange conditions of minimax, A and D.
     """
     determined = np.diagonal(choices.information, axis1=1, axis2=2) > 0
     owner = np.argmax(determined, axis=0)
     of_run = np.abs(wanted) @ determined.T > 0
-    if np.any(choices.prior) or np.any(determined.sum(axis=0) != 1) or np.any(of_run.sum(axis=1) != 1) or not np.all(of_run.any(axis=0)):
+    if (
+        np.any(choices.prior)
+        or np.any(determined.sum(axis=0) != 1)
+        or np.any(of_run.sum(axis=1) != 1)
+        or not np.all(of_run.any(axis=0))
+    ):
         return None
     sizes = np.zeros(len(whole))
     for number, information in enumerate(whole):
@@ -111,7 +138,9 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
         if np.linalg.matrix_rank(information[block], hermitian=True) < len(information[block]):
             return None
         v = variances(information[block], wanted[of_run[:, number]][:, owner == number])
-        sizes[number] = {D: float(len(information[block])), A: float(np.sqrt(v.sum()))}.get(criterion, float(v.max()))
+        sizes[number] = {D: float(len(information[block])), A: float(np.sqrt(v.sum()))}.get(
+            criterion, float(v.max())
+        )
     shares = sizes / sizes.sum()
     together = np.tensordot(shares, whole, 1)
     return Design(shares, together, certificate(criterion, whole, together, wanted))
@@ -122,17 +151,26 @@ def _down(choices: RunChoices, shares: FloatArray, duration: float) -> IntArray:
 
 
 def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
-    """The counts with one run of every kind at least, those of the most frequent kind taken off as long as the time is too short."""
+    """The counts with one run of every kind at least, those of the most frequent kind taken off as long as
+    the time is too short.
+    """
     counts = np.maximum(counts, 1)
     while float(counts @ choices.cost) > duration * (1 + 1e-9) and counts.max() > 1:
         counts[int(counts.argmax())] -= 1
     if float(counts @ choices.cost) > duration * (1 + 1e-9):
-        what = f"{len(counts)} kinds of runs, each of which alone determines something, do not fit into {duration:g} s"
-        raise ConfigError(what, hint=f"a duration of {float(choices.cost.sum()):.4g} s or more", field="duration")
+        what = (
+            f"{len(counts)} kinds of runs, each of which alone determines something, do not fit into "
+            f"{duration:g} s"
+        )
+        raise ConfigError(
+            what, hint=f"a duration of {float(choices.cost.sum()):.4g} s or more", field="duration"
+        )
     return np.asarray(counts)
 
 
-def _filled(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray) -> IntArray:
+def _filled(
+    criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
+) -> IntArray:
     """Runs added one by one, the one that tells most per second first, until none fits in."""
     counts = counts.copy()
     slight = SLIGHT * choices.information.sum(axis=0)
@@ -147,7 +185,9 @@ def _filled(criterion: str, choices: RunChoices, duration: float, wanted: FloatA
         counts[fit[int(np.argmax(gain))]] += 1
 
 
-def _exchanged(criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray) -> IntArray:
+def _exchanged(
+    criterion: str, choices: RunChoices, duration: float, wanted: FloatArray, counts: IntArray
+) -> IntArray:
     """One run of a kind taken out and the time filled again, as long as that helps."""
     value = _values(criterion, choices.of(counts)[None], wanted)[0]
     for _ in range(MOST_EXCHANGES):
@@ -165,7 +205,10 @@ def _exchanged(criterion: str, choices: RunChoices, duration: float, wanted: Flo
 
 
 def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances; infinite where it is singular."""
+    """How poor every information (n_trial, n, n) [1] is, (n_trial,) [1], in variances.
+
+    Infinite where it is singular.
+    """
     root = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
     values = np.full(len(information), np.inf)
     regular = np.all(root > 0, axis=1)
@@ -182,21 +225,29 @@ def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> Floa
 
 
 def errors_after(choices: RunChoices, counts: FloatArray | IntArray, wanted: FloatArray) -> FloatArray:
-    """Standard errors (n_wanted,) [1] of combinations *wanted* (n_wanted, n) [1]; infinite where the runs leave them open."""
+    """Standard errors (n_wanted,) [1] of combinations *wanted* (n_wanted, n) [1].
+
+    Infinite where the runs leave them open.
+    """
     return _errors(choices.of(counts), wanted)
 
 
 def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
-    """Standard errors (n_wanted,) [1] that no number of runs goes below: those of what is known before, where runs tell nothing."""
+    """Standard errors (n_wanted,) [1] that no number of runs goes below: those of what is known before, where
+    runs tell nothing.
+    """
     unseen = undetermined(choices)
     if unseen.size == 0:
         return np.zeros(len(wanted))
     involved = wanted @ unseen
-    return np.where(np.any(np.abs(involved) > 1e-6, axis=1), _errors(unseen.T @ choices.prior @ unseen, involved), 0.0)
+    return np.where(
+        np.any(np.abs(involved) > 1e-6, axis=1), _errors(unseen.T @ choices.prior @ unseen, involved), 0.0
+    )
 
 
 def undetermined(choices: RunChoices) -> FloatArray:
-    """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what is known before.
+    """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what
+    is known before.
 
     Each has a parameter that the others do not have.
     """
@@ -222,17 +273,29 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
     parts = np.abs((wanted / root) @ vectors)
     poor = values <= SINGULAR * values[-1]
     sums = np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1)
-    return np.asarray(np.where(np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1), np.inf, np.sqrt(sums)))
+    return np.asarray(
+        np.where(
+            np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1),
+            np.inf,
+            np.sqrt(sums),
+        )
+    )
 
 
 def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) -> float:
-    """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below 1; or infinity."""
+    """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below
+    1; or infinity.
+    """
     low, high = -30.0, float(np.log(LONGEST))
     if errors_after(choices, counts * LONGEST, wanted).max() > 1:
         return float("inf")
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (low, middle) if errors_after(choices, counts * np.exp(middle), wanted).max() <= 1 else (middle, high)
+        low, high = (
+            (low, middle)
+            if errors_after(choices, counts * np.exp(middle), wanted).max() <= 1
+            else (middle, high)
+        )
     return float(np.exp(high))
 
 
@@ -241,7 +304,8 @@ def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) ->
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters; *goal* [unit], None for none.
+    """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters;
+    *goal* [unit], None for none.
 
     scale [unit]: what its errors are shown relative to, None for none.
     """
@@ -256,7 +320,9 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Condition:
-    """A candidate: one run of *seconds* [s] under *conditions* in words, with its information (n, n) [1] of the parameters."""
+    """A candidate: one run of *seconds* [s] under *conditions* in words, with its information (n, n) [1] of
+    the parameters.
+    """
 
     name: str
     seconds: float
@@ -266,7 +332,9 @@ class Condition:
 
 @dataclass(frozen=True)
 class Change:
-    """A change in *words*, made of *size* single ones: the conditions there would be, and the parameters *known* then."""
+    """A change in *words*, made of *size* single ones: the conditions there would be, and the parameters
+    *known* then.
+    """
 
     words: str
     size: int
@@ -276,10 +344,11 @@ class Change:
 
 @dataclass(frozen=True)
 class RunQuestion:
-    """What is asked: *parameters* (n names), *prior* (n, n) [1] of what is known before, candidates, numbers wanted, time [s].
+    """What is asked: *parameters* (n names), *prior* (n, n) [1] of what is known before, candidates, numbers
+    wanted, time [s].
 
-    units (n,) [parameter units]: sizes in which parameters are compared. known: those that the prior settles. remedies: changes, the
-    smallest first, each tried before it is named.
+    units (n,) [parameter units]: sizes in which parameters are compared. known: those that the prior settles.
+    remedies: changes, the smallest first, each tried before it is named.
     """
 
     parameters: tuple[str, ...]
@@ -308,7 +377,9 @@ class RunQuestion:
 
 @dataclass(frozen=True)
 class Answered:
-    """The plan, and the covariance (n, n) [parameter units squared] of the parameters after all planned runs."""
+    """The plan, and the covariance (n, n) [parameter units squared] of the parameters after all planned
+    runs.
+    """
 
     plan: RunPlan
     covariance: FloatArray
@@ -319,12 +390,22 @@ class Answered:
 
 
 def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str] = ()) -> Answered:
-    """The best runs; ConfigError where none of the goals can be met by any number of them, FitError where nothing is determined."""
+    """The best runs.
+
+    ConfigError where none of the goals can be met by any number of them, FitError where nothing is
+    determined.
+    """
     choices = question.choices()
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
     rows = _rows(quantities, question.units)
-    wanted = np.stack([row / _size(quantity, row) for quantity, row in zip(quantities, rows, strict=True) if quantity in aimed])
+    wanted = np.stack(
+        [
+            row / _size(quantity, row)
+            for quantity, row in zip(quantities, rows, strict=True)
+            if quantity in aimed
+        ]
+    )
     _check_open(question, choices, aimed, wanted)
     design = best_runs(question.criterion, choices, question.duration, wanted)
     flat = question.duration / choices.cost / len(choices.cost)
@@ -354,21 +435,32 @@ def _rows(quantities: Sequence[Quantity], units: FloatArray) -> FloatArray:
 
 
 def _size(quantity: Quantity, row: FloatArray) -> float:
-    """What an error of a number is compared by [its unit]: its goal, else its scale, else its change by one unit of the parameters."""
+    """What an error of a number is compared by [its unit]: its goal, else its scale, else its change by one
+    unit of the parameters.
+    """
     return quantity.goal or quantity.scale or float(np.abs(row).max()) or 1.0
 
 
-def _check_open(question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray) -> None:
+def _check_open(
+    question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray
+) -> None:
     """ConfigError where a number with a goal, or any number, stays open however many runs there are."""
     lasting = lasting_errors(choices, wanted)
     beyond = [
-        quantity.name for quantity, error in zip(aimed, lasting, strict=True) if error > (1.0 if quantity.goal is not None else np.inf)
+        quantity.name
+        for quantity, error in zip(aimed, lasting, strict=True)
+        if error > (1.0 if quantity.goal is not None else np.inf)
     ]
-    beyond += [quantity.name for quantity, error in zip(aimed, lasting, strict=True) if not np.isfinite(error)]
+    beyond += [
+        quantity.name for quantity, error in zip(aimed, lasting, strict=True) if not np.isfinite(error)
+    ]
     if not beyond:
         return
     unseen = "; ".join(_words(question.parameters, choices, question.units))
-    what = f"however many runs there are, they do not determine {', '.join(dict.fromkeys(beyond))} to the goal: no run tells {unseen}"
+    what = (
+        f"however many runs there are, they do not determine {', '.join(dict.fromkeys(beyond))} to the "
+        f"goal: no run tells {unseen}"
+    )
     remedies = _remedies(question)
     hint = f"{' or '.join(remedies)} would determine all" if remedies else "another kind of run"
     raise ConfigError(what, hint=hint, field="goal")
@@ -391,13 +483,19 @@ def _remedies(question: RunQuestion) -> tuple[str, ...]:
     return tuple(change.words for change in helpful)
 
 
-def _gain(criterion: str, choices: RunChoices, design: RunDesign, flat: FloatArray, wanted: FloatArray) -> float:
-    """Error of an equal division over that of the design: of the largest, the root of the sum of squares, or the volume's n-th root."""
+def _gain(
+    criterion: str, choices: RunChoices, design: RunDesign, flat: FloatArray, wanted: FloatArray
+) -> float:
+    """Error of an equal division over that of the design: of the largest, the root of the sum of squares, or
+    the volume's n-th root.
+    """
     if criterion == D:
         levels = [float(np.linalg.slogdet(choices.of(counts))[1]) for counts in (design.counts, flat)]
         return float(np.exp((levels[0] - levels[1]) / (2 * len(choices.prior))))
     planned, other = (errors_after(choices, counts, wanted) for counts in (design.counts, flat))
-    return float(np.sqrt(np.sum(other**2) / np.sum(planned**2)) if criterion == A else other.max() / planned.max())
+    return float(
+        np.sqrt(np.sum(other**2) / np.sum(planned**2)) if criterion == A else other.max() / planned.max()
+    )
 
 
 def _numbers(

@@ -32,8 +32,9 @@ from labpipe.raw_files.excitation import schroeder_phases
 class Candidates:
     """Single lines with a direction of force each.
 
-    line (n_candidate,): index of the line; direction (n_candidate, n_dof) [1]; cost (n_candidate,) [1]: of a mean square of 1 N^2, unit
-    force power by default; information (n_candidate, n_coefficient, n_coefficient) [1/s] at unit cost, of relative coefficients.
+    line (n_candidate,): index of the line; direction (n_candidate, n_dof) [1]; cost (n_candidate,) [1]: of a
+    mean square of 1 N^2, unit force power by default; information (n_candidate, n_coefficient, n_coefficient)
+    [1/s] at unit cost, of relative coefficients.
     """
 
     line: IntArray
@@ -56,8 +57,8 @@ def candidates(
 ) -> Candidates:
     """All *directions* (n_direction, n_dof) [1] on all lines omega (n_line,) [rad/s].
 
-    A mean square of 1 N^2 costs (1 - a) + a |H u|^2 / stroke^2, a = *displacement_share* [1], *stroke* [m/N]: the limit of displacement
-    over that of force. Equation (plan-cost).
+    A mean square of 1 N^2 costs (1 - a) + a |H u|^2 / stroke^2, a = *displacement_share* [1], *stroke* [m/N]:
+    the limit of displacement over that of force. Equation (plan-cost).
     """
     sensitivity = sensitivities(model, noise, omega)
     receptance = model.receptance(omega)
@@ -78,7 +79,8 @@ DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
 # Candidates that are looked at closely, of those that did best at a first look.
 CLOSE = 3
 CLOSE_STARTS = 2
-# Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and displacements.
+# Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and
+# displacements.
 SCHROEDER, LEAST_CREST, BOTH_LIMITS = FLAT_PHASES = ("schroeder", "least crest", "both limits")
 # Share of the power on all lines alike that is tried whatever floor is asked for.
 USUAL_FLOOR = 0.2
@@ -88,7 +90,8 @@ BALANCING = 5
 
 @dataclass(frozen=True)
 class Wanted:
-    """*criterion*: minimax, A or D; goals (n_coefficient,) [1]: relative standard errors, infinite for coefficients that are not wanted.
+    """*criterion*: minimax, A or D; goals (n_coefficient,) [1]: relative standard errors, infinite for
+    coefficients that are not wanted.
 
     floor [1]: share of the cost on all lines alike, whatever the optimum is.
     """
@@ -99,14 +102,19 @@ class Wanted:
 
     def __post_init__(self) -> None:
         if not 0 <= self.floor < 1:
-            raise ConfigError(f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan", hint="20 % is usual", field="floor")
+            raise ConfigError(
+                f"a floor of {100 * self.floor:g} % of the power leaves nothing to plan",
+                hint="20 % is usual",
+                field="floor",
+            )
         if not np.any(np.isfinite(self.goals)):
             raise ConfigError("no coefficient is wanted", field="goal")
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what it tells at the limits.
+    """A design on the shakers: where it comes from, its power (n_line, n_shaker) [1] before scaling, and what
+    it tells at the limits.
 
     floor [1]: share of the power that is on all lines alike.
     """
@@ -121,7 +129,9 @@ class Candidate:
 
 
 def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
-    """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with the *phases* of FLAT_PHASES."""
+    """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with the *phases* of
+    FLAT_PHASES.
+    """
     tests = SCHEMES[scheme](lines, np.ones((lines.size, len(rig.shakers))), rig.shakers)
     if phases == SCHROEDER:
         tests = tuple(test.turned(schroeder_phases(test.lines)[:, None]) for test in tests)
@@ -129,42 +139,61 @@ def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> C
         alone = replace(rig, limits=replace(rig.limits, displacement=None))
         tests = tuple(as_large_as_allowed(alone, test, random_starts=CLOSE_STARTS) for test in tests)
     last = phases == BOTH_LIMITS
-    return equal_times(rig, [as_large_as_allowed(rig, test, random_starts=CLOSE_STARTS, optimised=last) for test in tests])
+    return equal_times(
+        rig, [as_large_as_allowed(rig, test, random_starts=CLOSE_STARTS, optimised=last) for test in tests]
+    )
 
 
 def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Candidate:
-    """The design that tells most at the limits, among lines (n_line,) [multiples]; ConfigError where no crest factor fits."""
+    """The design that tells most at the limits, among lines (n_line,) [multiples].
+
+    ConfigError where no crest factor fits.
+    """
     looked = [_looked(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
     looked.sort(key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
     close = [_looked(rig, lines, wanted, source, CLOSE_STARTS) for source in looked[:CLOSE]]
     limit = rig.limits.crest_factor
     if limit is not None:
         crests = [_crest(candidate) for candidate in (*close, *looked)]
-        allowed = [candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit]
+        allowed = [
+            candidate for candidate, crest in zip((*close, *looked), crests, strict=True) if crest <= limit
+        ]
         if not allowed:
             hint = f"the lowest reached is {min(crests):.2f}; allow that, or a larger floor"
-            raise ConfigError(f"no design has a crest factor of {limit:g} or less", hint=hint, field="crest_factor")
+            raise ConfigError(
+                f"no design has a crest factor of {limit:g} or less", hint=hint, field="crest_factor"
+            )
         close = allowed
-    return min(close, key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals))
+    return min(
+        close, key=lambda candidate: score(candidate.campaign.information, wanted.criterion, wanted.goals)
+    )
 
 
 def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
-    """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included, for the certificate."""
+    """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included, for the
+    certificate.
+    """
     return _design(_candidates(rig, lines, 0.0), wanted, wanted.criterion, wanted.floor)
 
 
 def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
-    """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before inside each of them.
+    """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before
+    inside each of them.
 
-    The cost that the limits will allow is taken from a flat multisine: an information of that size is what an earlier one adds to.
+    The cost that the limits will allow is taken from a flat multisine: an information of that size is what an
+    earlier one adds to.
     """
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
-    candidates_of_lines = candidates(rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke)
+    candidates_of_lines = candidates(
+        rig.model, rig.noise, 2 * np.pi * rig.spacing * lines, rig.directions, share, stroke
+    )
     if rig.known is None:
         return candidates_of_lines
     tests = flat(rig, lines, ONE_BY_ONE, LEAST_CREST).tests
     price = candidates_of_lines.cost.reshape(lines.size, -1)
-    cost = float(np.mean([np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests]))
+    cost = float(
+        np.mean([np.sum(price[np.isin(lines, test.lines)] * np.abs(test.forces) ** 2 / 2) for test in tests])
+    )
     return replace(candidates_of_lines, information=candidates_of_lines.information + rig.known_rate / cost)
 
 
@@ -172,16 +201,25 @@ def _design(found: Candidates, wanted: Wanted, criterion: str, floor: float) -> 
     which = np.isfinite(wanted.goals)
     weight = 1 / np.where(which, wanted.goals, 1.0)
     flat_shares = found.cost / found.cost.sum()
-    return optimum(criterion, found.information / np.outer(weight, weight), np.eye(which.size)[which], floor * flat_shares)
+    return optimum(
+        criterion,
+        found.information / np.outer(weight, weight),
+        np.eye(which.size)[which],
+        floor * flat_shares,
+    )
 
 
 def _balanced(found: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
-    """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until all do the same."""
+    """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until
+    all do the same.
+    """
     price = np.ones(n_shaker)
     shaker = np.arange(found.line.size) % n_shaker
     for _ in range(BALANCING):
         factor = price[shaker]
-        priced = replace(found, cost=found.cost * factor, information=found.information / factor[:, None, None])
+        priced = replace(
+            found, cost=found.cost * factor, information=found.information / factor[:, None, None]
+        )
         design = _design(priced, wanted, criterion, floor)
         done = np.bincount(shaker, design.shares / factor)
         price *= np.sqrt(np.maximum(done, 1e-3 * done.max()))
@@ -209,7 +247,14 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
             for floor in _floors(wanted) if criterion == wanted.criterion else (wanted.floor,):
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
-                    yield _Source(criterion, share, ONE_BY_ONE, design.certificate, _power(choices, design, lines), floor)
+                    yield _Source(
+                        criterion,
+                        share,
+                        ONE_BY_ONE,
+                        design.certificate,
+                        _power(choices, design, lines),
+                        floor,
+                    )
                 if at_once:
                     design = _balanced(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
@@ -219,8 +264,12 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
 
 
 def _floors(wanted: Wanted) -> tuple[float, ...]:
-    """The least floor, and larger ones: many lines have a lower peak than the few of an optimum, which can tell more at the limits."""
-    return tuple(sorted({wanted.floor, max(wanted.floor, USUAL_FLOOR), min(2 * max(wanted.floor, USUAL_FLOOR), 0.9)}))
+    """The least floor, and larger ones: many lines have a lower peak than the few of an optimum, which can
+    tell more at the limits.
+    """
+    return tuple(
+        sorted({wanted.floor, max(wanted.floor, USUAL_FLOOR), min(2 * max(wanted.floor, USUAL_FLOOR), 0.9)})
+    )
 
 
 def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
@@ -228,12 +277,20 @@ def _power(found: Candidates, design: Design, lines: IntArray) -> FloatArray:
     return found.power(design.shares).reshape(lines.size, -1)
 
 
-def _looked(rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int) -> Candidate:
+def _looked(
+    rig: Rig, lines: IntArray, wanted: Wanted, source: _Source | Candidate, random_starts: int
+) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
     campaign_at_limit = campaign(rig, large, wanted.criterion, wanted.goals)
     return Candidate(
-        source.criterion, source.displacement_share, source.scheme, source.certificate, source.power, campaign_at_limit, source.floor
+        source.criterion,
+        source.displacement_share,
+        source.scheme,
+        source.certificate,
+        source.power,
+        campaign_at_limit,
+        source.floor,
     )
 
 

@@ -21,7 +21,9 @@ PLANS = Registry("plan", {})
 
 @dataclass(frozen=True)
 class PlanKind:
-    """*settings*: the dataclass of the section `plan:`; *files*: (PlanFile, OutputFolder) -> sentences, names of files."""
+    """*settings*: the dataclass of the section `plan:`; *files*: (PlanFile, OutputFolder) -> sentences, names
+    of files.
+    """
 
     settings: type[Any]
     files: Callable[[Any, Any], tuple[list[str], list[str]]]
@@ -54,9 +56,13 @@ class DensitySettings(Settings):
 
 @dataclass(frozen=True)
 class TheorySettings(Settings):
-    """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor file; *rig*: of `rotor`."""
+    """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor
+    file; *rig*: of `rotor`.
+    """
 
-    bearing: str = setting("file", "bearing file; its y and z are the plan's x and y", default="", file_kind="bearing")
+    bearing: str = setting(
+        "file", "bearing file; its y and z are the plan's x and y", default="", file_kind="bearing"
+    )
     load: float | None = setting("value", "in place of the bearing file's `load`", unit="N", default=None)
     speed: float | None = setting("value", "in place of the file's `speed`", unit="Hz", default=None)
     rotor: str = setting("file", "or a rotor file", default="", file_kind="rotor", into="rig")
@@ -65,7 +71,10 @@ class TheorySettings(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.bearing) == bool(self.rotor):
-            raise ConfigError("a bearing file or a rotor file is needed", hint="{bearing: FILE, load: 2 kN, speed: 3000 rpm}")
+            raise ConfigError(
+                "a bearing file or a rotor file is needed",
+                hint="{bearing: FILE, load: 2 kN, speed: 3000 rpm}",
+            )
         if self.rotor and self.load is not None:
             raise ConfigError("the load follows from the rotor", hint="leave it out", field="load")
         for name in ("load", "speed"):
@@ -86,22 +95,32 @@ class PlanSettings(Settings):
     period: float = setting("value", "length of one period; lines lie 1 / period apart", unit="s")
     sample_rate: float = setting("value", "of signals and recordings", unit="Hz")
     duration: float = setting("value", "of all measured periods together", unit="s")
-    force_limit: float = setting("value", "largest force of a shaker, 0-to-peak, also between samples", unit="N")
+    force_limit: float = setting(
+        "value", "largest force of a shaker, 0-to-peak, also between samples", unit="N"
+    )
     displacement_limit: float | None = setting(
         "value", "largest in x or y, 0-to-peak, from rest to rest; default: none", unit="m", default=None
     )
-    crest_factor: float | None = setting("value", "largest peak over rms of a force; default: any", unit="1", default=None)
+    crest_factor: float | None = setting(
+        "value", "largest peak over rms of a force; default: any", unit="1", default=None
+    )
     expected: tuple[tuple[str, float], ...] = setting("coefficients", "expected values, by name", default=())
-    earlier: str = setting("file", "identification.json whose values are expected where `expected` has none", default="")
+    earlier: str = setting(
+        "file", "identification.json whose values are expected where `expected` has none", default=""
+    )
     fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
-    combine_earlier: bool = setting("flag", "the earlier result counts: it and the new test are combined", default=False)
+    combine_earlier: bool = setting(
+        "flag", "the earlier result counts: it and the new test are combined", default=False
+    )
     theory: TheorySettings | None = setting(
         "section",
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
         section=TheorySettings,
         default=None,
     )
-    mass: float | None = setting("value", "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", unit="kg", default=None)
+    mass: float | None = setting(
+        "value", "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", unit="kg", default=None
+    )
     rig: str = setting(
         "file",
         "rig file of the recordings, whose uncertainties count; default: none, SI columns",
@@ -109,47 +128,91 @@ class PlanSettings(Settings):
         file_kind="rig",
         into="sensors",
     )
-    noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
-    noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
+    noise: NoiseSettings | None = setting(
+        "section", "noise of the sensors per sample", section=NoiseSettings, default=None
+    )
+    noise_density: DensitySettings | None = setting(
+        "section", "or its density", section=DensitySettings, default=None
+    )
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors by noise, or expanded: {k: 2 %, c.expanded: 3 %}; default: all alike",
         unit="1",
         default=(),
     )
-    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
-    floor: float = setting("value", "share of the power on all lines alike, for a test of the model", unit="1", default=0.2)
-    shakers: tuple[str, ...] = setting("names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=())
-    scheme: str = setting("choice", "how two shakers run; default: what tells most", choices=(BEST, *SCHEMES), default=BEST)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", unit="Hz", default=())
-    speed: float | None = setting("value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None)
-    mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
+    criterion: str = setting(
+        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
+    )
+    floor: float = setting(
+        "value", "share of the power on all lines alike, for a test of the model", unit="1", default=0.2
+    )
+    shakers: tuple[str, ...] = setting(
+        "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()
+    )
+    scheme: str = setting(
+        "choice", "how two shakers run; default: what tells most", choices=(BEST, *SCHEMES), default=BEST
+    )
+    exclude: tuple[tuple[float, float], ...] = setting(
+        "bands", "frequencies that are not excited", unit="Hz", default=()
+    )
+    speed: float | None = setting(
+        "value", "speed of the shaft, whose 1x line and neighbours are left out", unit="Hz", default=None
+    )
+    mains: float | None = setting(
+        "value", "mains frequency, whose multiples are left out", unit="Hz", default=None
+    )
     skip: int | None = setting(
-        "integer", "transient periods before the measured ones, in every test; default: until motion has died away", default=None
+        "integer",
+        "transient periods before the measured ones, in every test; default: until motion has died away",
+        default=None,
     )
     uncertainties: Uncertainties = ()
     sensors: Rig | None = None
 
     def __post_init__(self) -> None:
-        for name in ("period", "sample_rate", "duration", "force_limit", "displacement_limit", "mass", "speed", "mains"):
+        for name in (
+            "period",
+            "sample_rate",
+            "duration",
+            "force_limit",
+            "displacement_limit",
+            "mass",
+            "speed",
+            "mains",
+        ):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise ConfigError(f"'{name}' must be positive", field=name)
         if (self.noise is None) == (self.noise_density is None):
             raise ConfigError(
-                "one of 'noise' and 'noise_density' is needed", hint="noise: {force: 20 mN, displacement: 0.3 um}", field="noise"
+                "one of 'noise' and 'noise_density' is needed",
+                hint="noise: {force: 20 mN, displacement: 0.3 um}",
+                field="noise",
             )
         for name, _ in self.uncertainties:
             if name != "mass":
-                raise ConfigError(f"an uncertainty of '{name}' is not planned with", hint="the mass may carry one", field=name)
+                raise ConfigError(
+                    f"an uncertainty of '{name}' is not planned with",
+                    hint="the mass may carry one",
+                    field=name,
+                )
         self._check_expected()
         for name, values in self.goal:
             if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+                raise ConfigError(
+                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
+                )
         if 2 * self.band[1] >= self.sample_rate:
-            raise ConfigError(f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate", field="sample_rate")
+            raise ConfigError(
+                f"{self.band[1]:g} Hz needs more than {2 * self.band[1]:g} Hz of sampling rate",
+                field="sample_rate",
+            )
         if abs(self.sample_rate * self.period - round(self.sample_rate * self.period)) > 1e-6:
-            raise ConfigError("a period holds no whole number of samples", hint="change `period` or `sample_rate`", field="period")
+            raise ConfigError(
+                "a period holds no whole number of samples",
+                hint="change `period` or `sample_rate`",
+                field="period",
+            )
 
     @property
     def kind(self) -> PlannedKind:
@@ -161,6 +224,10 @@ class PlanSettings(Settings):
             hint = "expected: {k_xx: 180 kN/m, ...}, {bearing: FILE}, or earlier: identification.json"
             raise ConfigError("nothing is expected", hint=hint, field="expected")
         if self.combine_earlier and not self.earlier:
-            raise ConfigError("there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier")
+            raise ConfigError(
+                "there is no earlier result to combine", hint="earlier: FILE", field="combine_earlier"
+            )
         if self.theory is not None and len(self.kind.axes) == 1:
-            raise ConfigError("theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory")
+            raise ConfigError(
+                "theory gives matrices", hint="state k and c of the pedestal under `expected`", field="theory"
+            )

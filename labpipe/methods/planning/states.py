@@ -1,9 +1,10 @@
 """plan of a floating bearing at several loads and speeds: which states to run how often, and their signals.
 
-A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or of what they have in common.
+A bearing at several loads and speeds: what a run in every state tells, of every state's coefficients or of
+what they have in common.
 
-Of numbers p that all states have in common, a clearance or a viscosity, the run in a state s tells J_s^T I_s J_s, where I_s is what it
-tells of the coefficients there and J_s = d(coefficients)/dp.
+Of numbers p that all states have in common, a clearance or a viscosity, the run in a state s tells J_s^T I_s
+J_s, where I_s is what it tells of the coefficients there and J_s = d(coefficients)/dp.
 """
 
 from __future__ import annotations
@@ -56,8 +57,14 @@ COEFFICIENTS = tuple(f"{letter}_{row}{column}" for letter in "kc" for row in AXE
 class StatePlanSettings(Settings):
     """Which loads and speeds can be run, how a state is tested, and what the tests are to tell."""
 
-    model: str = setting("choice", "what will be identified: a floating bearing over load and speed", choices=(STATES,))
-    bearing: str = setting("file", "bearing file with `load` and `speed`; its y and z are the plan's x and y", file_kind="bearing")
+    model: str = setting(
+        "choice", "what will be identified: a floating bearing over load and speed", choices=(STATES,)
+    )
+    bearing: str = setting(
+        "file",
+        "bearing file with `load` and `speed`; its y and z are the plan's x and y",
+        file_kind="bearing",
+    )
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
@@ -68,20 +75,39 @@ class StatePlanSettings(Settings):
     run: float = setting("value", "measured time of one run in one state", unit="s")
     duration: float = setting("value", "of all runs with what lies between them", unit="s")
     force_limit: float = setting("value", "largest force of a shaker, 0-to-peak", unit="N")
-    displacement_limit: float | None = setting("value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None)
+    displacement_limit: float | None = setting(
+        "value", "largest displacement in x or y, 0-to-peak; default: none", unit="m", default=None
+    )
     changeover: float = setting("value", "time between runs", unit="s", default=0.0)
-    noise: NoiseSettings | None = setting("section", "noise of the sensors per sample", section=NoiseSettings, default=None)
-    noise_density: DensitySettings | None = setting("section", "or its density", section=DensitySettings, default=None)
+    noise: NoiseSettings | None = setting(
+        "section", "noise of the sensors per sample", section=NoiseSettings, default=None
+    )
+    noise_density: DensitySettings | None = setting(
+        "section", "or its density", section=DensitySettings, default=None
+    )
     estimate: tuple[str, ...] = setting(
-        "names", "numbers of the bearing file that all states have in common; default: none, every state by itself", default=()
+        "names",
+        "numbers of the bearing file that all states have in common; default: none, every state by itself",
+        default=(),
     )
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series", "relative standard errors that are wanted: {k_xy: 2 %, clearance: 1 %}; default: all alike", unit="1", default=()
+        "series",
+        "relative standard errors that are wanted: {k_xy: 2 %, clearance: 1 %}; default: all alike",
+        unit="1",
+        default=(),
     )
-    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
-    scheme: str = setting("choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", unit="Hz", default=())
-    mains: float | None = setting("value", "mains frequency, whose multiples are left out", unit="Hz", default=None)
+    criterion: str = setting(
+        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
+    )
+    scheme: str = setting(
+        "choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED
+    )
+    exclude: tuple[tuple[float, float], ...] = setting(
+        "bands", "frequencies that are not excited", unit="Hz", default=()
+    )
+    mains: float | None = setting(
+        "value", "mains frequency, whose multiples are left out", unit="Hz", default=None
+    )
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:
@@ -91,13 +117,19 @@ class StatePlanSettings(Settings):
             raise ConfigError("times are positive", field="duration")
         if self.periods < FEWEST_PERIODS:
             hint = f"a run of {FEWEST_PERIODS * self.period:g} s or more"
-            raise ConfigError(f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}", hint=hint, field="run")
+            raise ConfigError(
+                f"{self.periods} periods in a run, the noise is known from {FEWEST_PERIODS}",
+                hint=hint,
+                field="run",
+            )
         for name, values in self.goal:
             if name not in (*COEFFICIENTS, *self.estimate):
                 allowed = f"known: {', '.join((*COEFFICIENTS, *self.estimate))}"
                 raise ConfigError(f"no {name} is predicted", hint=allowed, field="goal")
             if len(values) != 1 or values[0] <= 0:
-                raise ConfigError(f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal")
+                raise ConfigError(
+                    f"the goal of {name} is one positive relative error", hint=f"{name}: 2 %", field="goal"
+                )
         self.at(self.speeds[0])
 
     @property
@@ -112,7 +144,16 @@ class StatePlanSettings(Settings):
 
     def at(self, speed: float) -> PlanSettings:
         """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
-        names = ("mass", "band", "period", "sample_rate", "force_limit", "displacement_limit", "noise", "noise_density")
+        names = (
+            "mass",
+            "band",
+            "period",
+            "sample_rate",
+            "force_limit",
+            "displacement_limit",
+            "noise",
+            "noise_density",
+        )
         return PlanSettings(
             FLOATING,
             **{name: getattr(self, name) for name in (*names, "scheme", "exclude", "mains", "skip")},
@@ -128,7 +169,9 @@ class StatePlanSettings(Settings):
 
 @dataclass(frozen=True)
 class Common:
-    """A number of the bearing that all states have in common: value [unit], standard error known before, None for nothing."""
+    """A number of the bearing that all states have in common: value [unit], standard error known before, None
+    for nothing.
+    """
 
     name: str
     value: float
@@ -140,7 +183,8 @@ class Common:
 class BearingState:
     """The bearing under a *load* [N] at a *speed* [Hz], with its expected coefficients in *model*.
 
-    slopes (8, n_common) [units of the coefficients per unit of each number]: their derivatives by what all states have in common.
+    slopes (8, n_common) [units of the coefficients per unit of each number]: their derivatives by what all
+    states have in common.
     """
 
     name: str
@@ -152,7 +196,9 @@ class BearingState:
 
 @dataclass(frozen=True)
 class StateTest:
-    """The test of a state: the rig, its multisine, the information (8, 8) [1/units] of the coefficients by one run, and what to note."""
+    """The test of a state: the rig, its multisine, the information (8, 8) [1/units] of the coefficients by
+    one run, and what to note.
+    """
 
     state: BearingState
     rig: Rig
@@ -172,14 +218,25 @@ def _test(settings: StatePlanSettings, state: BearingState) -> StateTest:
     rig = bench(state_settings, state.model)
     campaign = flat(rig, planned_lines(state_settings), settings.scheme, BOTH_LIMITS)
     factor = weighting_factor(settings.periods, of_spectra=True)
-    information = campaign.rate * settings.periods * settings.period / factor**2 / np.outer(state.model.scales, state.model.scales)
+    information = (
+        campaign.rate
+        * settings.periods
+        * settings.period
+        / factor**2
+        / np.outer(state.model.scales, state.model.scales)
+    )
     planned = planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
-    notes = tuple(f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip))
+    notes = tuple(
+        f"{state.name}: {note}" for note in settling_notes(rig, campaign, (settings.periods,), settings.skip)
+    )
     return StateTest(state, rig, campaign.tests[0], planned, information, notes)
 
 
-def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]) -> RunQuestion:
-    """What is asked of the runs: parameters are the numbers in common, or where there are none the coefficients of every state.
+def question_of(
+    settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]
+) -> RunQuestion:
+    """What is asked of the runs: parameters are the numbers in common, or where there are none the
+    coefficients of every state.
 
     Equation (plan-states).
     """
@@ -196,7 +253,9 @@ def question_of(settings: StatePlanSettings, tests: Sequence[StateTest], common:
         prior = np.zeros((len(parameters),) * 2)
     conditions = tuple(_condition(settings, test, slope) for test, slope in zip(tests, slopes, strict=True))
     quantities = tuple(_quantities(settings, tests, slopes, common))
-    return RunQuestion(parameters, units, prior, conditions, quantities, settings.duration, settings.criterion)
+    return RunQuestion(
+        parameters, units, prior, conditions, quantities, settings.duration, settings.criterion
+    )
 
 
 def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray) -> Condition:
@@ -210,7 +269,10 @@ def _condition(settings: StatePlanSettings, test: StateTest, slopes: FloatArray)
 
 
 def _quantities(
-    settings: StatePlanSettings, tests: Sequence[StateTest], slopes: Sequence[FloatArray], common: Sequence[Common]
+    settings: StatePlanSettings,
+    tests: Sequence[StateTest],
+    slopes: Sequence[FloatArray],
+    common: Sequence[Common],
 ) -> Iterator[Quantity]:
     """The numbers in common, and every coefficient of every state."""
     goals = {name: values[0] for name, values in settings.goal}
@@ -222,7 +284,9 @@ def _quantities(
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
             goal = goals[name] * float(scale) if name in goals else None
-            yield Quantity(f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale))
+            yield Quantity(
+                f"{name}[{test.state.name}]", UNITS[name[0]], float(value), row, goal, float(scale)
+            )
 
 
 # plan of a floating bearing at several loads and speeds: settings -> which states to run how often, their
@@ -230,7 +294,10 @@ def _quantities(
 
 # Half of a difference, relative to the number.
 STEP = 1e-2
-UNTESTED = "What all states have in common is taken from the theory: whether it holds in the states without a run is not tested."
+UNTESTED = (
+    "What all states have in common is taken from the theory: whether it holds in the states without "
+    "a run is not tested."
+)
 
 
 def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
@@ -254,12 +321,21 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
     return list(run_sentences(answered.plan)), names
 
 
-def plan_states(settings: StatePlanSettings, title: str, folder: Path) -> tuple[Answered, dict[str, StateTest]]:
-    """The runs that tell most within the time, with the tests of all states by name; ConfigError where the goals cannot be met."""
+def plan_states(
+    settings: StatePlanSettings, title: str, folder: Path
+) -> tuple[Answered, dict[str, StateTest]]:
+    """The runs that tell most within the time, with the tests of all states by name.
+
+    ConfigError where the goals cannot be met.
+    """
     bearing = open_bearing(folder / settings.bearing)
     for name in ("load", "speed"):
         if name not in settings_of(bearing.kind.settings):
-            raise ConfigError(f"a file of a {bearing.kind_name} has no '{name}'", hint="a journal bearing has", field="bearing")
+            raise ConfigError(
+                f"a file of a {bearing.kind_name} has no '{name}'",
+                hint="a journal bearing has",
+                field="bearing",
+            )
     common = [_common(bearing, name) for name in settings.estimate]
     tests = state_tests(settings, _states(settings, bearing, common))
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
@@ -273,26 +349,47 @@ def _common(bearing: BearingFile, name: str) -> Common:
     """A number of the bearing file, with its uncertainty as what is known before."""
     declared = settings_of(bearing.kind.settings)
     if name not in declared or declared[name][0].kind != "value" or name in ("load", "speed"):
-        numbers = tuple(key for key, (declaration, _) in declared.items() if declaration.kind == "value" and key not in ("load", "speed"))
-        raise ConfigError(f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate")
+        numbers = tuple(
+            key
+            for key, (declaration, _) in declared.items()
+            if declaration.kind == "value" and key not in ("load", "speed")
+        )
+        raise ConfigError(
+            f"'{name}' is no number of a {bearing.kind_name}", hint=nearest(name, numbers), field="estimate"
+        )
     value = getattr(bearing.settings(), name)
     if not value:
         raise ConfigError(f"the bearing file gives no {name}", hint="state it there", field="estimate")
     uncertainty = bearing.uncertainties.get(name)
-    return Common(name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error)
+    return Common(
+        name, float(value), declared[name][0].unit, None if uncertainty is None else uncertainty.std_error
+    )
 
 
-def _states(settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]) -> list[BearingState]:
+def _states(
+    settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
+) -> list[BearingState]:
     """Every load at every speed, with coefficients by theory and their slopes by central differences."""
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
-    changes: list[tuple[Common, float] | None] = [None, *((number, sign) for number in common for sign in (1.0, -1.0))]
+    changes: list[tuple[Common, float] | None] = [
+        None,
+        *((number, sign) for number in common for sign in (1.0, -1.0)),
+    ]
     wanted = [_settings(bearing, load, speed, change) for load, speed in points for change in changes]
-    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(len(points), len(changes), -1)
+    values = np.array([_eight(bearing, state) for state in bearing.coefficients(wanted)]).reshape(
+        len(points), len(changes), -1
+    )
     states = []
     for (load, speed), coefficients in zip(points, values, strict=True):
         steps = np.array([2 * STEP * number.value for number in common])
-        slopes = ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T if common else np.zeros((len(COEFFICIENTS), 0))
-        model = MODELS[FLOATING].model(dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass)
+        slopes = (
+            ((coefficients[1::2] - coefficients[2::2]) / steps[:, None]).T
+            if common
+            else np.zeros((len(COEFFICIENTS), 0))
+        )
+        model = MODELS[FLOATING].model(
+            dict(zip(COEFFICIENTS, coefficients[0].tolist(), strict=True)), settings.mass
+        )
         states.append(BearingState(_name(load, speed), load, speed, model, slopes))
     return states
 
@@ -326,8 +423,13 @@ def _evaluation(settings: StatePlanSettings, title: str, test: StateTest) -> Eva
     return Evaluation(settings.at(test.state.speed), title, (test.planned,), with_masses=False)
 
 
-def _pipeline(title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path) -> dict[str, Any]:
-    """The pipeline of all states, one test each with the lines of its own; recordings are looked for in recordings/."""
+def _pipeline(
+    title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict[str, StateTest], folder: Path
+) -> dict[str, Any]:
+    """The pipeline of all states, one test each with the lines of its own.
+
+    Recordings are looked for in recordings/.
+    """
     listed, entries = [], {}
     for run, evaluation in evaluations.items():
         entries, state = pipeline_entries(evaluation, folder), tests[run.name].state
@@ -339,7 +441,13 @@ def _pipeline(title: str, evaluations: dict[PlannedRun, Evaluation], tests: dict
                 "frf": entries["frf"],
             }
         )
-    return {"title": title, "rig": RIG, "tests": listed, "frf": entries["frf"], "identify": entries["identify"]}
+    return {
+        "title": title,
+        "rig": RIG,
+        "tests": listed,
+        "frf": entries["frf"],
+        "identify": entries["identify"],
+    }
 
 
 STATES_PLAN = PlanKind(StatePlanSettings, state_files)

@@ -1,16 +1,19 @@
 """Predicted uncertainty budgets: a planned test rehearsed, and what systematic sources add to its noise.
 
-A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter as the noise does.
+A planned test as it would be recorded if its noise were known: means free of noise, periods that scatter as
+the noise does.
 
-Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods these have the mean zero and are
-orthogonal to each other, so that the average is what the rig does, and its covariance by the scatter, a_c^2 / (P - 1), that of white noise
-in every sensor. What evaluates a recording, and its uncertainty budget, then give what is expected of the real one.
+Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
+these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
+covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor. What evaluates a recording,
+and its uncertainty budget, then give what is expected of the real one.
 
-Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a planned test, however long it
-is.
+Predicted uncertainty budgets: what the uncertainties of sensors, mass and directions add to the noise of a
+planned test, however long it is.
 
-The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the fit that will evaluate the
-test. Where an earlier result counts beside it, with information I_0 and changes c_0 of its own, they are (I_0 + I)^-1 (I_0 c_0 + I c).
+The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the
+fit that will evaluate the test. Where an earlier result counts beside it, with information I_0 and changes
+c_0 of its own, they are (I_0 + I)^-1 (I_0 c_0 + I c).
 """
 
 from __future__ import annotations
@@ -45,16 +48,26 @@ SPARE = 4
 SAMPLES = 2.6
 
 
-def rehearsed(rig: Rig, test: Multisines, channels: Sequence[Channel], seconds: float, skip: int, highest: int) -> Recording:
-    """The recording of *test* by *channels*, its noise that of an average over *seconds* [s], after *skip* periods that are dropped.
+def rehearsed(
+    rig: Rig, test: Multisines, channels: Sequence[Channel], seconds: float, skip: int, highest: int
+) -> Recording:
+    """The recording of *test* by *channels*, its noise that of an average over *seconds* [s], after *skip*
+    periods that are dropped.
 
-    highest: line of all tests, which have one sampling rate. ConfigError for a response whose noise the plan does not state.
+    highest: line of all tests, which have one sampling rate. ConfigError for a response whose noise the plan
+    does not state.
     """
-    density = {"force": rig.noise.force, "displacement": rig.noise.displacement, "acceleration": rig.noise.acceleration}
+    density = {
+        "force": rig.noise.force,
+        "displacement": rig.noise.displacement,
+        "acceleration": rig.noise.acceleration,
+    }
     mean = np.stack([_amplitudes(rig, test, channel) for channel in channels], axis=1)
     n_period, n_channel = len(channels) + SPARE, len(channels)
     n_sample = fft.next_fast_len(int(SAMPLES * highest) + 8, real=True)
-    size = np.array([density[channel.quantity] for channel in channels]) * np.sqrt(2 / seconds * (n_period - 1))
+    size = np.array([density[channel.quantity] for channel in channels]) * np.sqrt(
+        2 / seconds * (n_period - 1)
+    )
     number = np.arange(1, n_channel + 1)
     periods = []
     for period in range(n_period):
@@ -75,11 +88,18 @@ def _amplitudes(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
         return np.asarray(along)
     if channel.quantity == "acceleration":
         return np.asarray(-(rig.omega(test) ** 2) * along)
-    raise ConfigError(f"the plan states no noise of {channel.name}, a {channel.quantity}", hint="displacement or acceleration", field="rig")
+    raise ConfigError(
+        f"the plan states no noise of {channel.name}, a {channel.quantity}",
+        hint="displacement or acceleration",
+        field="rig",
+    )
 
 
 def _force(rig: Rig, test: Multisines, channel: Channel) -> ComplexArray:
-    """That of the shaker whose direction the channel has, or of a pedestal's only one; zero where that does not run."""
+    """That of the shaker whose direction the channel has, or of a pedestal's only one.
+
+    Zero where that does not run.
+    """
     shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
     return np.asarray(test.forces[:, shaker])
 
@@ -95,7 +115,8 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
 # planned test, however long it is.
 
 COVERAGE = 0.95
-# Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of the combined uncertainty.
+# Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of
+# the combined uncertainty.
 LASTING = 0.81
 # Share of the variance that a goal leaves to noise, at least, where a source is to be calibrated for it.
 FOR_NOISE = 0.1
@@ -106,7 +127,9 @@ Rehearse = Callable[[Rig, Sequence[Multisines], Sequence[int]], Budget | None]
 
 @dataclass(frozen=True)
 class Goals:
-    """Relative standard errors by noise and relative expanded uncertainties that are wanted, (n_coefficient,) [1] each; infinite: none."""
+    """Relative standard errors by noise and relative expanded uncertainties that are wanted, (n_coefficient,)
+    [1] each; infinite: none.
+    """
 
     random: FloatArray
     expanded: FloatArray
@@ -123,16 +146,21 @@ def goals_of(settings: PlanSettings, model: PlannedModel) -> Goals:
     for name, (value,) in settings.goal:
         coefficient = name.removesuffix(EXPANDED)
         if coefficient not in model.names:
-            raise ConfigError(f"the model has no coefficient {coefficient}", hint=nearest(coefficient, model.names), field="goal")
+            raise ConfigError(
+                f"the model has no coefficient {coefficient}",
+                hint=nearest(coefficient, model.names),
+                field="goal",
+            )
         goals[name.endswith(EXPANDED)][model.names.index(coefficient)] = value
     return Goals(goals[False], goals[True])
 
 
 def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArray:
-    """Relative standard errors by noise (n_coefficient,) [1] that meet all goals beside the systematic part; zero where none does.
+    """Relative standard errors by noise (n_coefficient,) [1] that meet all goals beside the systematic part;
+    zero where none does.
 
-    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. All one where nothing is wanted in particular.
-    Equation (plan-limits).
+    scales (n_coefficient,) [units of the coefficients]: what errors are relative to. All one where nothing is
+    wanted in particular. Equation (plan-limits).
     """
     if not goals.any:
         return np.ones(len(scales))
@@ -144,23 +172,32 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
 
 
 def factors(budget: Budget | None, n: int) -> FloatArray:
-    """Coverage factors (n_coefficient,) [1] by the effective degrees of freedom; *n* of the normal distribution without a budget."""
+    """Coverage factors (n_coefficient,) [1] by the effective degrees of freedom.
+
+    *n* of the normal distribution without a budget.
+    """
     if budget is None:
         return np.full(n, coverage_factor(COVERAGE, float("inf")))
     return np.array([coverage_factor(COVERAGE, float(dof)) for dof in budget.dof])
 
 
 def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
-    """What a design aims at (n_coefficient,) [1]: the limits, or where none meets the goal a tenth of it, so that noise adds little."""
+    """What a design aims at (n_coefficient,) [1]: the limits, or where none meets the goal a tenth of it, so
+    that noise adds little.
+    """
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
 
 
 def predicted(budget: Budget, random: FloatArray) -> Budget:
-    """The budget with the predicted standard uncertainties by noise (n_coefficient,) [units of the coefficients]."""
+    """The budget with the predicted standard uncertainties by noise (n_coefficient,) [units of the
+    coefficients].
+    """
     return replace(budget, random=random, drawn=None)
 
 
-def beside_earlier(budget: Budget, earlier: Earlier, campaign: Campaign, model: PlannedModel, duration: float) -> Budget:
+def beside_earlier(
+    budget: Budget, earlier: Earlier, campaign: Campaign, model: PlannedModel, duration: float
+) -> Budget:
     """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
     assert campaign.known is not None
     information, scales = campaign.rate * duration, model.scales
@@ -178,9 +215,15 @@ def beside_earlier(budget: Budget, earlier: Earlier, campaign: Campaign, model: 
     return replace(budget, changes=np.array(changes))
 
 
-def with_uncertainty(coefficients: Sequence[PlannedCoefficient], budget: Budget) -> tuple[PlannedCoefficient, ...]:
-    """The coefficients with systematic, combined and expanded uncertainty, relative to their scales, and the share of every source."""
-    columns = zip(coefficients, budget.systematic, budget.combined, factors(budget, len(coefficients)), strict=True)
+def with_uncertainty(
+    coefficients: Sequence[PlannedCoefficient], budget: Budget
+) -> tuple[PlannedCoefficient, ...]:
+    """The coefficients with systematic, combined and expanded uncertainty, relative to their scales, and the
+    share of every source.
+    """
+    columns = zip(
+        coefficients, budget.systematic, budget.combined, factors(budget, len(coefficients)), strict=True
+    )
     return tuple(
         replace(
             c,
@@ -189,7 +232,8 @@ def with_uncertainty(coefficients: Sequence[PlannedCoefficient], budget: Budget)
             coverage_factor=float(factor),
             expanded=float(factor * combined / c.scale),
             budget=tuple(
-                Contribution(source, float(np.sqrt(share) * combined / c.scale), share) for source, share in budget.shares(c.name).items()
+                Contribution(source, float(np.sqrt(share) * combined / c.scale), share)
+                for source, share in budget.shares(c.name).items()
             ),
         )
         for c, systematic, combined, factor in columns
@@ -204,16 +248,24 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
             largest = max((part for part in c.budget if part.source != "noise"), key=lambda part: part.share)
             by_source.setdefault(largest.source, []).append(f"{c.name} ({100 * largest.share:.0f} %)")
     for source, names in by_source.items():
-        yield f"Longer measuring hardly helps {', '.join(names)}: the share in brackets of the variance is that of {source}."
+        yield (
+            f"Longer measuring hardly helps {', '.join(names)}: the share in brackets of the variance is "
+            f"that of {source}."
+        )
 
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
-    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: as of `limits`."""
+    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: as of
+    `limits`.
+    """
     return np.asarray(np.isfinite(goals.expanded) & (allowed <= 0))
 
 
 def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: FloatArray) -> Iterator[str]:
-    """For every goal that no time meets, which source must be known how well; *random* (n_coefficient,) [units] of the planned test."""
+    """For every goal that no time meets, which source must be known how well.
+
+    *random* (n_coefficient,) [units] of the planned test.
+    """
     allowed = scales * goals.expanded / factors(budget, len(scales))
     for number in np.flatnonzero(unreachable(goals, limits(goals, budget, scales))):
         name, changes = budget.names[number], np.abs(budget.changes[:, number])
@@ -225,7 +277,10 @@ def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: 
         if rest > 0:
             source = budget.sources[largest]
             share = float(np.sqrt(rest)) / changes[largest]
-            yield f"{what}: {source.source} is known to {_size(source, 1.0)} and must be known to {_size(source, share)}."
+            yield (
+                f"{what}: {source.source} is known to {_size(source, 1.0)} and must be known to "
+                f"{_size(source, share)}."
+            )
         else:
             share = float(np.sqrt(left / np.sum(changes**2)))
             yield f"{what}: {_listed(budget, changes)} must all be known {1 / share:.2g} times better."
@@ -239,7 +294,10 @@ def _listed(budget: Budget, changes: FloatArray) -> str:
 
 
 def _size(source: Uncertainty, share: float) -> str:
-    """A standard uncertainty times a share, in per cent where it is relative; what has to be reached is rounded down."""
+    """A standard uncertainty times a share, in per cent where it is relative.
+
+    What has to be reached is rounded down.
+    """
     size = source.std_error * share
     unit = "%" if source.unit == "1" else shown_unit(source.unit, size)
     shown = 100 * size if unit == "%" else difference_in(size, unit)

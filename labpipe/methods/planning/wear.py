@@ -1,10 +1,12 @@
 """plan of wear tests: at which speeds and loads and in which bands to test.
 
-Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information of its receptance.
+Operating points of a worn rotor, and what a test at each would tell of its wear: the Fisher information of
+its receptance.
 
-With white forces of one-sided density S_F in y and then in z, each for T seconds, and noise densities S_n of the probes and S_m of the
-force transducer, I_ij = 2 T sum over terms of the integral of S_F Re(h_i* h_j) / (S_n + |H|^2 S_m) over the band, h_i the derivatives of
-the receptance H by the parameters (Pintelon and Schoukens 2012, System Identification, sec. 9.10).
+With white forces of one-sided density S_F in y and then in z, each for T seconds, and noise densities S_n of
+the probes and S_m of the force transducer, I_ij = 2 T sum over terms of the integral of S_F Re(h_i* h_j) /
+(S_n + |H|^2 S_m) over the band, h_i the derivatives of the receptance H by the parameters (Pintelon and
+Schoukens 2012, System Identification, sec. 9.10).
 """
 
 from __future__ import annotations
@@ -55,7 +57,9 @@ class WearNoise(Settings):
 
     def __post_init__(self) -> None:
         if self.displacement <= 0 or self.force < 0:
-            raise ConfigError("the noise of the displacement is positive", hint="for example displacement: 1 um")
+            raise ConfigError(
+                "the noise of the displacement is positive", hint="for example displacement: 1 um"
+            )
 
 
 @dataclass(frozen=True)
@@ -67,12 +71,16 @@ class WearGoal(Settings):
 
     def __post_init__(self) -> None:
         if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
-            raise ConfigError("a goal is a positive standard error", hint="for example {depth: 0.2 um, angle: 1 deg}")
+            raise ConfigError(
+                "a goal is a positive standard error", hint="for example {depth: 0.2 um, angle: 1 deg}"
+            )
 
 
 @dataclass(frozen=True)
 class WearPlanSettings(Settings):
-    """Which tests there could be, how they are measured, and what they are to tell; *rig*: contents of `rotor`."""
+    """Which tests there could be, how they are measured, and what they are to tell; *rig*: contents of
+    `rotor`.
+    """
 
     model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
@@ -81,24 +89,47 @@ class WearPlanSettings(Settings):
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
     duration: float = setting("value", "of all tests together", unit="s")
     sample_rate: float = setting("value", "of the recordings", unit="Hz")
-    bands: tuple[tuple[float, float], ...] = setting("bands", "bands that can be excited, one at a time", unit="Hz")
+    bands: tuple[tuple[float, float], ...] = setting(
+        "bands", "bands that can be excited, one at a time", unit="Hz"
+    )
     force: float = setting("value", "rms of the shaker's white force, in whatever band", unit="N")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     loads: tuple[float, ...] = setting(
-        "values", "static forces on the shaft that can be set, up; default: as in the file", unit="N", default=()
+        "values",
+        "static forces on the shaft that can be set, up; default: as in the file",
+        unit="N",
+        default=(),
     )
     load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
-    run: float = setting("value", "length of one run, under a force in y and again in z", unit="s", default=60.0)
+    run: float = setting(
+        "value", "length of one run, under a force in y and again in z", unit="s", default=60.0
+    )
     changeover: float = setting("value", "time between tests", unit="s", default=0.0)
     block: float = setting("value", "block length of the responses", unit="s", default=4.0)
-    noise: WearNoise = setting("section", "of the sensors, per sample", section=WearNoise, default=WearNoise())
-    viscosity: Uncertain | None = setting("uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None)
-    clearance: Uncertain | None = setting("uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None)
-    cavitation_pressure: Uncertain | None = setting("uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar", unit="Pa", default=None)
-    beta: Uncertain | None = setting("uncertain", "damping of the shaft, estimated along", unit="s", default=None)
-    angle_limit: float = setting("value", "largest angle there could be, either way", unit="rad", default=np.pi / 9)
-    goal: WearGoal = setting("section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal())
-    criterion: str = setting("choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX)
+    noise: WearNoise = setting(
+        "section", "of the sensors, per sample", section=WearNoise, default=WearNoise()
+    )
+    viscosity: Uncertain | None = setting(
+        "uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None
+    )
+    clearance: Uncertain | None = setting(
+        "uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None
+    )
+    cavitation_pressure: Uncertain | None = setting(
+        "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar", unit="Pa", default=None
+    )
+    beta: Uncertain | None = setting(
+        "uncertain", "damping of the shaft, estimated along", unit="s", default=None
+    )
+    angle_limit: float = setting(
+        "value", "largest angle there could be, either way", unit="rad", default=np.pi / 9
+    )
+    goal: WearGoal = setting(
+        "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
+    )
+    criterion: str = setting(
+        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
+    )
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
@@ -110,15 +141,21 @@ class WearPlanSettings(Settings):
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
             raise ConfigError("bands lie between 0 and half the sampling rate", field="bands")
         if self.run < 2 * self.block or self.changeover < 0:
-            raise ConfigError("a run holds two blocks or more, and no time between tests is negative", field="run")
+            raise ConfigError(
+                "a run holds two blocks or more, and no time between tests is negative", field="run"
+            )
         if self.expected.depth < 0 or abs(self.expected.angle) > self.angle_limit:
             raise ConfigError(
-                "the expected wear is beyond its limits", hint="a depth of zero or more, within angle_limit", field="expected"
+                "the expected wear is beyond its limits",
+                hint="a depth of zero or more, within angle_limit",
+                field="expected",
             )
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
                 raise ConfigError(
-                    f"{name} has no uncertainty", hint="90 um +- 2 %; what is certain belongs into the rotor file", field=name
+                    f"{name} has no uncertainty",
+                    hint="90 um +- 2 %; what is certain belongs into the rotor file",
+                    field=name,
                 )
         self._check_rig()
 
@@ -153,7 +190,8 @@ MESH = FilmMesh(240, 30)
 
 @dataclass(frozen=True)
 class ResponseTest:
-    """One test: rms *force* [N], *seconds* [s] under each of two directions, lines *spacing* [Hz] apart, without *exclude* [Hz].
+    """One test: rms *force* [N], *seconds* [s] under each of two directions, lines *spacing* [Hz] apart,
+    without *exclude* [Hz].
 
     displacement [m/sqrt(Hz)], force_noise [N/sqrt(Hz)]: one-sided densities of the sensors' noise.
     """
@@ -175,7 +213,9 @@ class ResponseTest:
 
 @dataclass(frozen=True)
 class ExpectedWear:
-    """A rotor with the expected *values* [SI] of the parameters, wear_depth and wear_angle of the *bearing* first."""
+    """A rotor with the expected *values* [SI] of the parameters, wear_depth and wear_angle of the *bearing*
+    first.
+    """
 
     rig: RotorRig
     bearing: str
@@ -186,8 +226,12 @@ class ExpectedWear:
         others = tuple(part for part in self.rig.loads if part[0] != node)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
-    def receptance_and_slopes(self, lines: FloatArray, mesh: FilmMesh = MESH) -> tuple[ComplexArray, ComplexArray]:
-        """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the parameters [m/N per SI unit]."""
+    def receptance_and_slopes(
+        self, lines: FloatArray, mesh: FilmMesh = MESH
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
+        parameters [m/N per SI unit].
+        """
         loads = self.rig.static_loads()
         supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
@@ -202,7 +246,9 @@ class ExpectedWear:
         """Damping of the shaft in proportion to its stiffness [s]."""
         return float(self.values.get("beta", self.rig.rotor.beta))
 
-    def _response(self, lines: FloatArray, supports: Sequence[VaryingSupport], beta: float) -> tuple[ComplexArray, ComplexArray]:
+    def _response(
+        self, lines: FloatArray, supports: Sequence[VaryingSupport], beta: float
+    ) -> tuple[ComplexArray, ComplexArray]:
         nodes = (*(place.node for place in self.rig.bearings), self.rig.force, self.rig.response)
         free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
         return response_with_slopes(free, supports, self.rig.response, self.rig.force)
@@ -213,7 +259,11 @@ class ExpectedWear:
         if not place.is_film:
             fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
             return VaryingSupport(Support(place.node, fixed.stiffness, fixed.damping), *slopes)
-        names = [name for name in self.values if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))]
+        names = [
+            name
+            for name in self.values
+            if name != "beta" and (place.name == self.bearing or name not in (DEPTH, ANGLE))
+        ]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
@@ -221,8 +271,11 @@ class ExpectedWear:
         return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
 
 
-def information(expected: ExpectedWear, testing: ResponseTest, band: tuple[float, float], terms: str = "full") -> FloatArray:
-    """What a test in a *band* [Hz] tells of the parameters, (n, n) [1/SI units squared], from these *terms* of the receptance.
+def information(
+    expected: ExpectedWear, testing: ResponseTest, band: tuple[float, float], terms: str = "full"
+) -> FloatArray:
+    """What a test in a *band* [Hz] tells of the parameters, (n, n) [1/SI units squared], from these *terms*
+    of the receptance.
 
     Equation (plan-wear).
     """
@@ -290,7 +343,10 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
 
 
 def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
-    """The tests that tell most within the time; ConfigError where a goal cannot be met however many there are."""
+    """The tests that tell most within the time.
+
+    ConfigError where a goal cannot be met however many there are.
+    """
     assert settings.rig is not None
     bearing = settings.rig.place(settings.bearing).name
     expected = _expected(settings, bearing, settings.expected)
@@ -320,15 +376,28 @@ def plan_wear(settings: WearPlanSettings, title: str) -> WearPlanned:
 
 def _expected(settings: WearPlanSettings, bearing: str, wear: Wear) -> ExpectedWear:
     assert settings.rig is not None
-    values = {DEPTH: wear.depth, ANGLE: wear.angle, **{name: given.value for name, given in settings.nuisances.items()}}
+    values = {
+        DEPTH: wear.depth,
+        ANGLE: wear.angle,
+        **{name: given.value for name, given in settings.nuisances.items()},
+    }
     return ExpectedWear(settings.rig, bearing, values)
 
 
 def _testing(settings: WearPlanSettings) -> ResponseTest:
     density = float(np.sqrt(2 / settings.sample_rate))
-    exclude = tuple((speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds)
+    exclude = tuple(
+        (speed - BESIDE / settings.block, speed + BESIDE / settings.block) for speed in settings.speeds
+    )
     noise = settings.noise
-    return ResponseTest(settings.force, settings.run, 1 / settings.block, noise.displacement * density, noise.force * density, exclude)
+    return ResponseTest(
+        settings.force,
+        settings.run,
+        1 / settings.block,
+        noise.displacement * density,
+        noise.force * density,
+        exclude,
+    )
 
 
 def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
@@ -336,7 +405,12 @@ def _points(settings: WearPlanSettings) -> Iterator[WearPoint]:
         for place, force in enumerate(settings.static_forces, 1):
             for number, band in enumerate(settings.bands, 1):
                 name = f"{speed:g}Hz" + (f"-load-{place}" if len(settings.static_forces) > 1 else "")
-                yield WearPoint(name.replace(".", "p") + (f"-band-{number}" if len(settings.bands) > 1 else ""), speed, force, band)
+                yield WearPoint(
+                    name.replace(".", "p") + (f"-band-{number}" if len(settings.bands) > 1 else ""),
+                    speed,
+                    force,
+                    band,
+                )
 
 
 def _conditions(
@@ -363,7 +437,11 @@ def _prior(settings: WearPlanSettings) -> FloatArray:
 def _units(settings: WearPlanSettings, expected: ExpectedWear) -> FloatArray:
     """Micrometres and degrees; of the others their uncertainty."""
     return np.array(
-        [1e-6, np.deg2rad(1.0), *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE))]
+        [
+            1e-6,
+            np.deg2rad(1.0),
+            *(settings.nuisances[name].std_error for name in expected.values if name not in (DEPTH, ANGLE)),
+        ]
     )
 
 
@@ -373,7 +451,9 @@ def _quantities(settings: WearPlanSettings, expected: ExpectedWear) -> Iterator[
         yield Quantity(name, UNITS[name], value, np.eye(len(expected.values))[number], goals.get(name))
 
 
-def _remedies(settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]) -> Iterator[Change]:
+def _remedies(
+    settings: WearPlanSettings, bearing: str, testing: ResponseTest, points: Sequence[WearPoint]
+) -> Iterator[Change]:
     """What would tell an angle that light wear does not show: waiting until there is some."""
     if settings.expected.depth < VISIBLE:
         worn = _expected(settings, bearing, Wear(VISIBLE, settings.expected.angle))
@@ -387,9 +467,10 @@ def _range_notes(settings: WearPlanSettings, answered: Answered) -> Iterator[str
     if error is not None and error > before / 2:
         longer = (error / (before / 5)) ** 2
         yield (
-            f"At a depth of {1e6 * settings.expected.depth:.3g} um these tests do not tell the angle: its standard error of "
-            f"{np.degrees(error):.2g} deg stands against {np.degrees(before):.2g} deg if every angle up to "
-            f"{np.degrees(settings.angle_limit):.3g} deg is alike. A fifth of that needs {longer:.2g} times the time, or deeper wear."
+            f"At a depth of {1e6 * settings.expected.depth:.3g} um these tests do not tell the angle: its "
+            f"standard error of {np.degrees(error):.2g} deg stands against {np.degrees(before):.2g} deg if "
+            f"every angle up to {np.degrees(settings.angle_limit):.3g} deg is alike. A fifth of that needs "
+            f"{longer:.2g} times the time, or deeper wear."
         )
 
 
@@ -402,11 +483,18 @@ def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
         for second in range(first):
             if abs(correlation[first, second]) > ALIKE:
                 pair = f"{names[second]} and {names[first]}"
-                yield f"{pair} are hardly told apart (correlation {correlation[first, second]:+.3f}): one decides on the other."
+                yield (
+                    f"{pair} are hardly told apart (correlation {correlation[first, second]:+.3f}): one "
+                    "decides on the other."
+                )
 
 
 def _term_notes(
-    settings: WearPlanSettings, expected: ExpectedWear, testing: ResponseTest, points: Sequence[WearPoint], answered: Answered
+    settings: WearPlanSettings,
+    expected: ExpectedWear,
+    testing: ResponseTest,
+    points: Sequence[WearPoint],
+    answered: Answered,
 ) -> Iterator[str]:
     """What the same tests tell from some terms of the response only."""
     counts = {run.name: run.count for run in answered.plan.runs}
@@ -430,7 +518,11 @@ def _rotor_name(run: PlannedRun) -> str:
 def rotor_entries(rotor: dict[str, Any], settings: WearPlanSettings, point: WearPoint) -> dict[str, Any]:
     """The rotor file at another speed, and with another static force at the loaded node."""
     others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
-    return {**rotor, "speed": f"{point.speed!r} Hz", "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}]}
+    return {
+        **rotor,
+        "speed": f"{point.speed!r} Hz",
+        "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
+    }
 
 
 def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoint) -> dict[str, Any]:
@@ -446,7 +538,10 @@ def virtual_entries(settings: WearPlanSettings, run: PlannedRun, point: WearPoin
         "bandwidth": f"{point.band[1]!r} Hz",
         "sample_rate": f"{settings.sample_rate!r} Hz",
         "duration": f"{run.count * settings.run!r} s",
-        "noise": {"displacement": f"{settings.noise.displacement!r} m", "force": f"{settings.noise.force!r} N"},
+        "noise": {
+            "displacement": f"{settings.noise.displacement!r} m",
+            "force": f"{settings.noise.force!r} N",
+        },
     }
 
 
@@ -461,24 +556,39 @@ def rig_entries(settings: WearPlanSettings) -> dict[str, Any]:
 
 
 def pipeline_entries(planned: WearPlanned, settings: WearPlanSettings) -> dict[str, Any]:
-    """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the last one knows all."""
+    """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the
+    last one knows all.
+    """
     tests, fits, last = [], {}, ""
     for run in planned.plan.runs:
         folder, point = f"recordings/{run.name}", planned.points[run.name]
-        recordings = [f"{folder}/worn-y.parquet", {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}}]
+        recordings = [
+            f"{folder}/worn-y.parquet",
+            {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
+        ]
         tests.append(
-            {"name": run.name, "recordings": recordings, "conditions": {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}}
+            {
+                "name": run.name,
+                "recordings": recordings,
+                "conditions": {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"},
+            }
         )
         wear: dict[str, Any] = {"rotor": _rotor_name(run), "bearing": planned.expected.bearing}
         if last:
             wear |= {"prior": last, "same_wear": True}
         else:
             wear |= {
-                name: f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}" for name, given in settings.nuisances.items()
+                name: f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}"
+                for name, given in settings.nuisances.items()
             }
         wear["angle_limit"] = f"{settings.angle_limit!r} rad"
         last = f"wear-{run.name}"
-        fits[last] = {"model": settings.model, "test": run.name, "band": f"{point.band[0]!r}-{point.band[1]!r} Hz", "wear": wear}
+        fits[last] = {
+            "model": settings.model,
+            "test": run.name,
+            "band": f"{point.band[0]!r}-{point.band[1]!r} Hz",
+            "wear": wear,
+        }
     ends = [end for run in planned.plan.runs for end in planned.points[run.name].band]
     frf = {
         "excitation": "random",

@@ -16,13 +16,15 @@ from labpipe.records.fit_details import AmplitudeLaw, OverAmplitude
 # The law A' = -w (z0 + z1 A) A, phase' = w + s A of one mode, fitted to its decays.
 
 SHARED = 4
-# Step of the differences, in parameters scaled to order one: their rounding and their curvature both stay below 1e-5 of a slope.
+# Step of the differences, in parameters scaled to order one: their rounding and their curvature both stay
+# below 1e-5 of a slope.
 STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class FittedLaw:
-    """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit], omega [rad/s]; converged.
+    """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit],
+    omega [rad/s]; converged.
 
     squares: sum of the squares of what it leaves [1], over the variances that the exponential fit leaves.
     """
@@ -34,9 +36,11 @@ class FittedLaw:
 
 
 def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
-    """A(t) (n_sample,) [unit of *first*] of A' = -w (z0 + z1 A) A from A(0) = *first* at *time* (n_sample,) [s].
+    """A(t) (n_sample,) [unit of *first*] of A' = -w (z0 + z1 A) A from A(0) = *first* at *time* (n_sample,)
+    [s].
 
-    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation (decay-law).
+    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation
+    (decay-law).
     """
     decay = np.exp(-rest * omega * time)
     return np.asarray(first * decay / (1 + slope * first * omega * time * _relative(rest * omega * time)))
@@ -49,31 +53,46 @@ def _relative(x: FloatArray) -> FloatArray:
 
 
 def travelled(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
-    """The integral of A over *time* (n_sample,) [unit of *first* times s]: ln(1 + z1 A0 (1 - E) / z0) / (w z1). Equation (decay-phase)."""
+    """The integral of A over *time* (n_sample,) [unit of *first* times s]: ln(1 + z1 A0 (1 - E) / z0) / (w
+    z1). Equation (decay-phase).
+    """
     linear = first * time * _relative(rest * omega * time)
     bent = slope * omega * linear
     safe = np.where(np.abs(bent) < 1e-9, 1.0, bent)
-    return np.asarray(linear * np.where(np.abs(bent) < 1e-9, 1.0, np.log1p(np.maximum(safe, -0.999999)) / safe))
+    return np.asarray(
+        linear * np.where(np.abs(bent) < 1e-9, 1.0, np.log1p(np.maximum(safe, -0.999999)) / safe)
+    )
 
 
 class _Problem:
-    """Whitened residual of one mode's law over z0, z1, s and w relative to the exponential fit, then ln A0 and phase of every piece."""
+    """Whitened residual of one mode's law over z0, z1, s and w relative to the exponential fit, then ln A0
+    and phase of every piece.
+    """
 
     def __init__(self, pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> None:
         self.pole = fitted.poles[mode]
         self.omega = abs(self.pole)
         self.zeta = -self.pole.real / self.omega
         self.pieces, self.deviation = pieces, np.sqrt(fitted.variance[:, output])
-        self.amplitudes: ComplexArray = np.array([solved.amplitudes[mode, output] for solved in fitted.pieces])
+        self.amplitudes: ComplexArray = np.array(
+            [solved.amplitudes[mode, output] for solved in fitted.pieces]
+        )
         self.largest = float(np.max(np.abs(self.amplitudes)))
         self.ranges = [np.linalg.qr(piece.nuisance)[0] for piece in pieces]
-        self.targets = [self._target(piece, number, fitted, mode, output) for number, piece in enumerate(pieces)]
-        self.size = float(np.sqrt(sum(np.sum((t / d) ** 2) for t, d in zip(self.targets, self.deviation, strict=True))))
+        self.targets = [
+            self._target(piece, number, fitted, mode, output) for number, piece in enumerate(pieces)
+        ]
+        self.size = float(
+            np.sqrt(sum(np.sum((t / d) ** 2) for t, d in zip(self.targets, self.deviation, strict=True)))
+        )
 
     def _target(self, piece: Piece, number: int, fitted: Decayed, mode: int, output: int) -> FloatArray:
         """The rows of one output without the other modes."""
         others = np.arange(fitted.poles.size) != mode
-        course = np.exp(piece.time[:, None] * fitted.poles_of(number)[others]) @ fitted.pieces[number].amplitudes[others, output]
+        course = (
+            np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
+            @ fitted.pieces[number].amplitudes[others, output]
+        )
         return self._free(number, piece.rows[:, output] - piece.project(course.real[:, None])[:, 0])
 
     def _free(self, number: int, rows: FloatArray) -> FloatArray:
@@ -91,7 +110,9 @@ class _Problem:
 
     @property
     def units(self) -> FloatArray:
-        return np.array([self.zeta, self.zeta / self.largest, self.zeta * self.omega / self.largest, self.omega])
+        return np.array(
+            [self.zeta, self.zeta / self.largest, self.zeta * self.omega / self.largest, self.omega]
+        )
 
     def course(self, number: int, parameters: FloatArray) -> FloatArray:
         """The model of one piece (n_row,) without its nuisance, whitened."""
@@ -100,11 +121,15 @@ class _Problem:
         first, piece = float(np.exp(min(log_first, 700.0))), self.pieces[number]
         size = amplitude(piece.time, first, omega, rest, slope)
         angle = omega * piece.time + turn * travelled(piece.time, first, omega, rest, slope) + phase
-        return self._free(number, piece.project((size * np.cos(angle))[:, None])[:, 0]) / self.deviation[number]
+        return (
+            self._free(number, piece.project((size * np.cos(angle))[:, None])[:, 0]) / self.deviation[number]
+        )
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         pairs = zip(self.targets, self.deviation, strict=True)
-        return np.concatenate([self.course(n, parameters) - target / deviation for n, (target, deviation) in enumerate(pairs)])
+        return np.concatenate(
+            [self.course(n, parameters) - target / deviation for n, (target, deviation) in enumerate(pairs)]
+        )
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """Central differences; amplitude and phase of a piece act on its own rows."""
@@ -115,7 +140,9 @@ class _Problem:
                 step = STEP * self.zeta if column == SHARED - 1 else STEP
                 change = np.zeros(parameters.size)
                 change[column] = step
-                block[:, column] = (self.course(number, parameters + change) - self.course(number, parameters - change)) / (2 * step)
+                block[:, column] = (
+                    self.course(number, parameters + change) - self.course(number, parameters - change)
+                ) / (2 * step)
             blocks.append(block)
         return np.concatenate(blocks)
 
@@ -124,7 +151,10 @@ class _Problem:
 
 
 def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> FittedLaw:
-    """The law of a mode from all pieces of one output, from the exponential fit on; standard errors from the residual it leaves."""
+    """The law of a mode from all pieces of one output, from the exponential fit on.
+
+    Standard errors from the residual it leaves.
+    """
     problem = _Problem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
     linear = linearised(problem, minimum.values)
@@ -137,18 +167,23 @@ def fitted_law(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int)
     parts = np.split(problem.residual(minimum.values), ends)
     series = [piece.series(part[:, None]) for piece, part in zip(pieces, parts, strict=True)]
     p_value = portmanteau(series, all(piece.lines is None for piece in pieces))
-    return FittedLaw(AmplitudeLaw(omega, rest, slope, turn, p_value), covariance, minimum.converged, float(linear.chi2))
+    return FittedLaw(
+        AmplitudeLaw(omega, rest, slope, turn, p_value), covariance, minimum.converged, float(linear.chi2)
+    )
 
 
 # Damping and frequency of a decay over its amplitude: piece by piece, and as a law.
 
-# Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below which nothing is seen.
+# Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
+# which nothing is seen.
 MOST_STRETCHES, LEAST_PERIODS, LEAST_RATIO = 16, 3.0, 10.0
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """A mode of one decay stretch by stretch: middle (n,) [s], complex amplitudes (n,) that decay, std_error (n,) [unit of the output]."""
+    """A mode of one decay stretch by stretch: middle (n,) [s], complex amplitudes (n,) that decay, std_error
+    (n,) [unit of the output].
+    """
 
     middle: FloatArray
     amplitudes: ComplexArray
@@ -156,14 +191,20 @@ class Stretches:
 
 
 def stretches(piece: Piece, fitted: Decayed, number: int, mode: int, output: int) -> Stretches:
-    """Amplitudes of a mode of the piece of this *number* on stretches of its rows in time, everything else subtracted as fitted.
+    """Amplitudes of a mode of the piece of this *number* on stretches of its rows in time, everything else
+    subtracted as fitted.
 
-    Each is a least-squares fit of C e^(lambda t) with the fitted lambda to one stretch: what differs from a constant C is what one
-    exponential does not say.
+    Each is a least-squares fit of C e^(lambda t) with the fitted lambda to one stretch: what differs from a
+    constant C is what one exponential does not say.
     """
     solved, pole = fitted.pieces[number], fitted.poles_of(number)[mode]
     n = piece.time.size
-    count = int(min(MOST_STRETCHES, n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0)))
+    count = int(
+        min(
+            MOST_STRETCHES,
+            n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0),
+        )
+    )
     # The residual in time: of a band without what lies outside it.
     left = _in_time(piece, solved.residual[:, output])
     amplitude = solved.amplitudes[mode, output]
@@ -197,7 +238,8 @@ def _in_time(piece: Piece, residual: FloatArray) -> FloatArray:
 def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: int) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
 
-    ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation (decay-stretches).
+    ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation
+    (decay-stretches).
     """
     rows: list[tuple[float, ...]] = []
     for number, piece in enumerate(pieces):
@@ -225,19 +267,22 @@ def over_amplitude(pieces: Sequence[Piece], fitted: Decayed, mode: int, output: 
 # One mode more than a fit has, where it explains better what looks like damping over amplitude: two close
 # modes beat.
 
-# Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence (Kass and Raftery 1995,
-# J. Am. Stat. Assoc. 90, 3.2).
+# Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
+# (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).
 STRONG = 10.0
-# Share of what the law leaves that the richer fit may leave to be named at all where it does not leave white noise either: a softening
-# bearing, whose law is another one, is fitted by two modes to 60 %, a beam with two modes to 35 % (docs/pages/validation/measured.md).
+# Share of what the law leaves that the richer fit may leave to be named at all where it does not leave white
+# noise either: a softening bearing, whose law is another one, is fitted by two modes to 60 %, a beam with two
+# modes to 35 % (docs/pages/validation/measured.md).
 LEFT = 0.5
 
 
 @dataclass(frozen=True)
 class MissingMode:
-    """The fit with a mode more: *frequencies* [Hz] that take the place of *mode*, by how much its criterion is *better* [1].
+    """The fit with a mode more: *frequencies* [Hz] that take the place of *mode*, by how much its criterion
+    is *better* [1].
 
-    white: whether it leaves white noise; otherwise neither it nor the law explains the decay, and a law of another form may be as good.
+    white: whether it leaves white noise; otherwise neither it nor the law explains the decay, and a law of
+    another form may be as good.
     """
 
     mode: int
@@ -255,23 +300,30 @@ def missing_mode(
     *,
     white: bool,
 ) -> MissingMode | None:
-    """What *richer*, with a mode more than *fitted*, explains better than the *laws* by their mode; None where it does not.
+    """What *richer*, with a mode more than *fitted*, explains better than the *laws* by their mode; None
+    where it does not.
 
-    *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law leaves.
+    *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law
+    leaves.
 
-    N ln(S) + p ln(N) of both, S the squares left in the output in which the mode is strongest: a law has two parameters more than an
-    exponential, a mode two more and two in every piece. Equation (decay-missing).
+    N ln(S) + p ln(N) of both, S the squares left in the output in which the mode is strongest: a law has two
+    parameters more than an exponential, a mode two more and two in every piece. Equation (decay-missing).
     """
     if not richer.converged or np.any(richer.poles.real >= 0):
         return None
     for mode, law in laws.items():
         output = strongest[mode][1]
         count = sum(piece.rows.shape[0] for piece in pieces)
-        left = sum(_squares(solved.residual[:, output], fitted.variance[n, output]) for n, solved in enumerate(richer.pieces))
+        left = sum(
+            _squares(solved.residual[:, output], fitted.variance[n, output])
+            for n, solved in enumerate(richer.pieces)
+        )
         better = count * float(np.log(law.squares / left)) - 2 * len(pieces) * float(np.log(count))
         if better > STRONG and (white or left < LEFT * law.squares):
             near = np.argsort(np.abs(richer.poles - fitted.poles[mode]))[:2]
-            return MissingMode(mode, tuple(sorted(float(abs(richer.poles[n])) / (2 * np.pi) for n in near)), better, white)
+            return MissingMode(
+                mode, tuple(sorted(float(abs(richer.poles[n])) / (2 * np.pi) for n in near)), better, white
+            )
     return None
 
 

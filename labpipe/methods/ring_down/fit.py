@@ -16,9 +16,21 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import correlation, derived, estimated, student_limit
-from labpipe.methods.ring_down.amplitude_law import FittedLaw, MissingMode, fitted_law, missing_mode, over_amplitude
+from labpipe.methods.ring_down.amplitude_law import (
+    FittedLaw,
+    MissingMode,
+    fitted_law,
+    missing_mode,
+    over_amplitude,
+)
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
-from labpipe.methods.ring_down.repeats import RepeatedDecays, drift_findings, repeat_notes, repeated_decays, with_repeats
+from labpipe.methods.ring_down.repeats import (
+    RepeatedDecays,
+    drift_findings,
+    repeat_notes,
+    repeated_decays,
+    with_repeats,
+)
 from labpipe.methods.ring_down.residual_test import Judged, judged
 from labpipe.methods.ring_down.settings import MOST_MODES, DecaySettings
 from labpipe.records.finding import Finding, Parameter
@@ -35,10 +47,11 @@ DOWN_TO = 0.1
 
 
 def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float | None:
-    """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less than three peaks.
+    """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less
+    than three peaks.
 
-    rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise makes small peaks too large, and
-    the decrement too small. Equation (decay-peaks).
+    rate, frequency [Hz]. The largest value of every period is sought, down to a tenth of the first: noise
+    makes small peaks too large, and the decrement too small. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)
@@ -58,7 +71,10 @@ MOST_STRETCHES = 700
 
 
 def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
-    """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches; short ones whole."""
+    """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches.
+
+    Short ones whole.
+    """
     if time.size <= 2 * MOST_STRETCHES:
         return (time, *series)
     length = -(-time.size // MOST_STRETCHES)
@@ -76,10 +92,11 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...]:
-    """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m w_n^2 and c = 2 zeta w_n m.
+    """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m
+    w_n^2 and c = 2 zeta w_n m.
 
-    w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors of first order.
-    Equation (decay-values).
+    w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors
+    of first order. Equation (decay-values).
     """
     parameters: list[Parameter] = []
     for mode, pole in enumerate(fitted.poles):
@@ -91,9 +108,17 @@ def mode_parameters(fitted: Decayed, mass: float | None) -> tuple[Parameter, ...
         )
         gradient = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
         decrement = float(-2 * np.pi * pole.real / pole.imag)
-        parameters.extend((f_n, zeta, derived("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof)))
+        parameters.extend(
+            (
+                f_n,
+                zeta,
+                derived("log_decrement" + suffix, "1", decrement, _error(gradient, block), fitted.dof),
+            )
+        )
         if mass is not None:
-            parameters.extend(_support(pole, block, mass, "" if fitted.poles.size == 1 else suffix, fitted.dof))
+            parameters.extend(
+                _support(pole, block, mass, "" if fitted.poles.size == 1 else suffix, fitted.dof)
+            )
     if not fitted.converged:
         return tuple(without_interval(parameter) for parameter in parameters)
     return tuple(parameters)
@@ -107,10 +132,14 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
     return ("f_n", "Hz", float(size / (2 * np.pi)), towards), ("zeta", "1", float(-pole.real / size), turned)
 
 
-def _support(pole: complex, block: FloatArray, mass: float, suffix: str, dof: int) -> tuple[Parameter, Parameter]:
+def _support(
+    pole: complex, block: FloatArray, mass: float, suffix: str, dof: int
+) -> tuple[Parameter, Parameter]:
     """k and c of the support under the mass."""
     stiffness, damping = float(mass * abs(pole) ** 2), float(-2 * mass * pole.real)
-    k = derived("k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof)
+    k = derived(
+        "k" + suffix, "N/m", stiffness, _error(2 * mass * np.array([pole.real, pole.imag]), block), dof
+    )
     return k, derived("c" + suffix, "N.s/m", damping, _error(np.array([-2 * mass, 0.0]), block), dof)
 
 
@@ -120,17 +149,35 @@ def _error(gradient: FloatArray, covariance: FloatArray) -> float:
 
 def without_interval(parameter: Parameter) -> Parameter:
     """The value alone, where no interval is right."""
-    return replace(parameter, std_error=None, std_error_inflated=None, t_ratio=None, ci95=None, significant=None, interval=None)
+    return replace(
+        parameter,
+        std_error=None,
+        std_error_inflated=None,
+        t_ratio=None,
+        ci95=None,
+        significant=None,
+        interval=None,
+    )
 
 
-def law_parameters(fitted: FittedLaw, mode: int, unit: str, dof: int) -> tuple[Parameter, Parameter, Parameter]:
-    """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of this number from 0."""
+def law_parameters(
+    fitted: FittedLaw, mode: int, unit: str, dof: int
+) -> tuple[Parameter, Parameter, Parameter]:
+    """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of
+    this number from 0.
+    """
     law, errors = fitted.law, np.sqrt(np.diag(fitted.covariance))
     per = f"1/{unit}" if "/" not in unit else f"1/({unit})"
     return (
         derived(f"zeta_rest_{mode + 1}", "1", law.zeta_rest, float(errors[0]), dof),
         derived(f"zeta_slope_{mode + 1}", per, law.zeta_slope, float(errors[1]), dof),
-        derived(f"f_slope_{mode + 1}", f"Hz{per[1:]}", law.frequency_slope / (2 * np.pi), float(errors[2]) / (2 * np.pi), dof),
+        derived(
+            f"f_slope_{mode + 1}",
+            f"Hz{per[1:]}",
+            law.frequency_slope / (2 * np.pi),
+            float(errors[2]) / (2 * np.pi),
+            dof,
+        ),
     )
 
 
@@ -144,36 +191,51 @@ def pole_correlation(fitted: Decayed) -> FloatArray:
     return correlation(slopes @ fitted.covariance @ slopes.T)
 
 
-# What the uncertainties of sensors and of a given mass do to decays: the law over the amplitude goes as one over
-# the sensor's gain.
+# What the uncertainties of sensors and of a given mass do to decays: the law over the amplitude goes as one
+# over the sensor's gain.
 
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
 
 
-def decay_sources(parameters: Sequence[Parameter], settings: FitSettings, ports: Mapping[int, Port]) -> list[Source]:
-    """The sources that change *parameters* of decays; *ports*: the sensor that the amplitude of every mode, from 0, was read by.
+def decay_sources(
+    parameters: Sequence[Parameter], settings: FitSettings, ports: Mapping[int, Port]
+) -> list[Source]:
+    """The sources that change *parameters* of decays; *ports*: the sensor that the amplitude of every mode,
+    from 0, was read by.
 
-    An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large. Poles do not know it.
+    An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
+    Poles do not know it.
     """
     uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, FloatArray] = {}
     for mode, port in ports.items():
         scaled = np.array(
-            [parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0 for parameter in parameters]
+            [
+                parameter.value if parameter.name in {f"{name}_{mode + 1}" for name in PER_AMPLITUDE} else 0.0
+                for parameter in parameters
+            ]
         )
         for calibration in port.uncertainties:
             if calibration.effect == "gain":
                 source = calibration.uncertainty.source
                 uncertainties.setdefault(source, calibration.uncertainty)
-                changes[source] = changes.get(source, np.zeros(len(parameters))) + calibration.uncertainty.std_error * scaled
-    return [*mass_source(parameters, settings), *((uncertainties[source], change) for source, change in changes.items())]
+                changes[source] = (
+                    changes.get(source, np.zeros(len(parameters)))
+                    + calibration.uncertainty.std_error * scaled
+                )
+    return [
+        *mass_source(parameters, settings),
+        *((uncertainties[source], change) for source, change in changes.items()),
+    ]
 
 
 # Findings and notes of a fit of free decays.
 
 
 def depends_on_amplitude(law: FittedLaw) -> bool:
-    """Whether a slope of the law differs significantly from zero, and the law is no worse than its noise allows to tell."""
+    """Whether a slope of the law differs significantly from zero, and the law is no worse than its noise
+    allows to tell.
+    """
     errors = np.sqrt(np.diag(law.covariance))
     slopes = np.array([law.law.zeta_slope, law.law.frequency_slope])
     ratios = np.divide(np.abs(slopes), errors[1:3], out=np.zeros(2), where=errors[1:3] > 0)
@@ -181,29 +243,46 @@ def depends_on_amplitude(law: FittedLaw) -> bool:
 
 
 def decay_findings(
-    fitted: Decayed, tested: Judged, laws: dict[int, FittedLaw], amplitudes: dict[int, float], missing: MissingMode | None
+    fitted: Decayed,
+    tested: Judged,
+    laws: dict[int, FittedLaw],
+    amplitudes: dict[int, float],
+    missing: MissingMode | None,
 ) -> tuple[Finding, ...]:
-    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes* by mode), other residuals.
+    """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes*
+    by mode), other residuals.
 
     *missing*: the mode that explains the residual better than a law.
     """
     warnings = []
     if not fitted.converged:
-        message = f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
+        message = (
+            f"the fit of the decay did not converge in {fitted.steps} steps; its numbers are not a result"
+        )
         warnings.append(Finding("no-convergence", message))
     lasting = _lasting(fitted)
     if lasting:
         where = ", ".join(f"{frequency:.4g} Hz" for frequency in lasting)
-        what = f"the damping ratio at {where} cannot be told from zero at 95 %: hum, an excitation that goes on, or too short a decay"
+        what = (
+            f"the damping ratio at {where} cannot be told from zero at 95 %: hum, an excitation that "
+            "goes on, or too short a decay"
+        )
         warnings.append(Finding("insignificant", what))
     growing = fitted.poles[fitted.poles.real >= 0]
     if growing.size:
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in growing)
         warnings.append(
-            Finding("unphysical", f"the oscillation at {where} does not decay: energy enters the structure, or it is an excitation")
+            Finding(
+                "unphysical",
+                f"the oscillation at {where} does not decay: energy enters the structure, "
+                "or it is an excitation",
+            )
         )
     beats = missing.mode if missing is not None else None
-    warnings.extend(_over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None) for mode, law in laws.items())
+    warnings.extend(
+        _over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None)
+        for mode, law in laws.items()
+    )
     gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
     warnings.extend(_gaining(mode, laws[mode].law.zeta_rest) for mode in gaining)
     if missing is not None and missing.white:
@@ -212,9 +291,10 @@ def decay_findings(
     if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
         p_value = min(tested.white, tested.amplitude)
         message = (
-            f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} Hz: another mode or hum, "
-            "forced motion at the start, or coloured noise. No interval is given, since those for white noise do not hold. Raise `modes`, "
-            "name a `band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
+            f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
+            f"{tested.strongest:.4g} Hz: another mode or hum, forced motion at the start, or coloured noise. "
+            "No interval is given, since those for white noise do not hold. Raise `modes`, name a `band` "
+            "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -231,15 +311,17 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
     law = fitted.law
     change = 100 * law.frequency_slope * first / law.omega
     message = (
-        f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over this decay without an "
-        f"interval. Damping ratio {law.zeta_rest:.4g} at rest, {law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude "
-        f"(zeta_rest_{mode + 1}, zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one amplitude."
+        f"mode {mode + 1}: damping or frequency depend on the amplitude, so zeta_{mode + 1} is a mean over "
+        f"this decay without an interval. Damping ratio {law.zeta_rest:.4g} at rest, "
+        f"{law.zeta_rest + law.zeta_slope * first:.4g} at the largest amplitude (zeta_rest_{mode + 1}, "
+        f"zeta_slope_{mode + 1}); the frequency differs by {change:.2g} % there. Compare decays of one "
+        "amplitude."
     )
     if missing is not None:
         where = " and ".join(f"{frequency:.5g}" for frequency in missing.frequencies)
         message += (
-            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of BIC {missing.better:.3g}), "
-            "but not all: they may beat. Try one more in `modes`."
+            f" Two modes in its place, at {where} Hz, explain more of the decay than this law (difference of "
+            f"BIC {missing.better:.3g}), but not all: they may beat. Try one more in `modes`."
         )
     return Finding("amplitude-dependent", message)
 
@@ -247,18 +329,18 @@ def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: Missing
 def _beating(missing: MissingMode, n_mode: int) -> Finding:
     first, second = missing.frequencies
     message = (
-        f"mode {missing.mode + 1} looks as if its damping or frequency depended on the amplitude, but two modes in its place, at "
-        f"{first:.5g} and {second:.5g} Hz, explain the decay better (difference of BIC {missing.better:.3g}): they beat. Set "
-        f"`modes: {n_mode + 1}`."
+        f"mode {missing.mode + 1} looks as if its damping or frequency depended on the amplitude, but two "
+        f"modes in its place, at {first:.5g} and {second:.5g} Hz, explain the decay better (difference of "
+        f"BIC {missing.better:.3g}): they beat. Set `modes: {n_mode + 1}`."
     )
     return Finding("missing-mode", message)
 
 
 def _gaining(mode: int, zeta_rest: float) -> Finding:
     message = (
-        f"mode {mode + 1}: the law over the amplitude has a damping ratio of {zeta_rest:.4g} at rest (zeta_rest_{mode + 1}), and a "
-        "structure at rest gains no energy. The amplitude is not what it depends on: two close modes that beat look like this. "
-        "Raise `modes`."
+        f"mode {mode + 1}: the law over the amplitude has a damping ratio of {zeta_rest:.4g} at rest "
+        f"(zeta_rest_{mode + 1}), and a structure at rest gains no energy. The amplitude is not what it "
+        "depends on: two close modes that beat look like this. Raise `modes`."
     )
     return Finding("unphysical", message)
 
@@ -273,7 +355,8 @@ MORE_LINES = 10.0
 def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     """The modes of all decays of a test together as one Fit.
 
-    ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too short.
+    ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too
+    short.
     """
     decay_settings: DecaySettings = settings.model_settings
     _check(settings)
@@ -283,7 +366,9 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     if len(pieces) > 1 and decay_settings.repeats == "each":
         repeated = repeated_decays(decays, columns, pieces, settings.band, decay_settings.modes)
     if repeated is None:
-        fitted = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes)
+        fitted = most_likely(
+            decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes
+        )
     else:
         fitted, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
@@ -294,7 +379,10 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
     laws = {} if missing and missing.white else laws
-    amplitudes = {mode: float(abs(fitted.pieces[piece].amplitudes[mode, output])) for mode, (piece, output) in strongest.items()}
+    amplitudes = {
+        mode: float(abs(fitted.pieces[piece].amplitudes[mode, output]))
+        for mode, (piece, output) in strongest.items()
+    }
     curves = tuple(
         replace(over_amplitude(pieces, fitted, mode, output), law=laws[mode].law if mode in laws else None)
         for mode, (_, output) in strongest.items()
@@ -309,8 +397,15 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
     return replace(
         fit,
-        findings=(*findings, *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))), *decays.findings),
-        notes=(*(() if repeated is None else repeat_notes(repeated, units)), *_notes(decays, columns, pieces, fitted, tested)),
+        findings=(
+            *findings,
+            *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))),
+            *decays.findings,
+        ),
+        notes=(
+            *(() if repeated is None else repeat_notes(repeated, units)),
+            *_notes(decays, columns, pieces, fitted, tested),
+        ),
         details=(_ring_down(decays, columns, pieces, fitted, strongest, curves),),
     )
 
@@ -324,27 +419,41 @@ def _check(settings: FitSettings) -> None:
 def _check_fitted(pieces: Sequence[Piece], fitted: Decayed) -> None:
     """FitError for few degrees of freedom, and for a mode that noise explains.
 
-    The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more, as if there were MORE_LINES
-    times as many.
+    The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more,
+    as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
-        raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint="a longer decay, fewer `modes`, or a wider `band`")
+        raise FitError(
+            f"the decays leave {fitted.dof} degrees of freedom",
+            hint="a longer decay, fewer `modes`, or a wider `band`",
+        )
     rows = sum(piece.rows.size for piece in pieces)
     weak = energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
     if np.any(weak):
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
-        raise FitError(f"what would be a mode at {where} is noise", hint="fewer `modes`, another `band`, or stronger hits")
+        raise FitError(
+            f"what would be a mode at {where} is noise",
+            hint="fewer `modes`, another `band`, or stronger hits",
+        )
 
 
 def _strongest(fitted: Decayed, mode: int) -> tuple[int, int]:
     """(piece, output) in which a mode is largest against the noise."""
-    ratios = [np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number]) for number, solved in enumerate(fitted.pieces)]
+    ratios = [
+        np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number])
+        for number, solved in enumerate(fitted.pieces)
+    ]
     piece, output = np.unravel_index(int(np.argmax(ratios)), np.shape(ratios))
     return int(piece), int(output)
 
 
-def _laws(pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]) -> dict[int, FittedLaw]:
-    """The laws of modes whose damping or frequency depends on the amplitude; none where the residual does not show it."""
+def _laws(
+    pieces: Sequence[Piece], fitted: Decayed, tested: Judged, strongest: dict[int, tuple[int, int]]
+) -> dict[int, FittedLaw]:
+    """The laws of modes whose damping or frequency depends on the amplitude.
+
+    None where the residual does not show it.
+    """
     if tested.amplitude >= MISMATCH_P or not fitted.converged:
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
@@ -364,7 +473,9 @@ def _missing(
     if not laws or fitted.poles.size == MOST_MODES:
         return None
     try:
-        richer = most_likely(decays.decays, columns, pieces, decays.sample_rate, settings.band, fitted.poles.size + 1)
+        richer = most_likely(
+            decays.decays, columns, pieces, decays.sample_rate, settings.band, fitted.poles.size + 1
+        )
     except FitError:
         return None
     white = judged(pieces, richer, decays.sample_rate).white >= MISMATCH_P
@@ -372,9 +483,16 @@ def _missing(
 
 
 def _parameters(
-    fitted: Decayed, settings: FitSettings, laws: dict[int, FittedLaw], units: Sequence[str], repeated: RepeatedDecays | None
+    fitted: Decayed,
+    settings: FitSettings,
+    laws: dict[int, FittedLaw],
+    units: Sequence[str],
+    repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
-    """Parameters of all modes; where a mode depends on its amplitude its means have no interval, and the law's follow."""
+    """Parameters of all modes.
+
+    Where a mode depends on its amplitude its means have no interval, and the law's follow.
+    """
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted, mass)
     if repeated is not None:
@@ -382,15 +500,30 @@ def _parameters(
     means = {f"{name}_{mode + 1}" for mode in laws for name in ("f_n", "zeta", "log_decrement", "k", "c")}
     if laws and fitted.poles.size == 1:
         means |= {"k", "c"}
-    plain = [without_interval(parameter) if parameter.name in means else parameter for parameter in parameters]
-    return (*plain, *(parameter for mode, law in laws.items() for parameter in law_parameters(law, mode, units[mode], fitted.dof)))
+    plain = [
+        without_interval(parameter) if parameter.name in means else parameter for parameter in parameters
+    ]
+    return (
+        *plain,
+        *(
+            parameter
+            for mode, law in laws.items()
+            for parameter in law_parameters(law, mode, units[mode], fitted.dof)
+        ),
+    )
 
 
 def _reported(
-    decays: FreeDecays, settings: FitSettings, pieces: Sequence[Piece], fitted: Decayed, parameters: tuple[Parameter, ...]
+    decays: FreeDecays,
+    settings: FitSettings,
+    pieces: Sequence[Piece],
+    fitted: Decayed,
+    parameters: tuple[Parameter, ...],
 ) -> Fit:
     equations = sum(piece.rows.size for piece in pieces)
-    r2 = 1 - _square_sum(solved.residual for solved in fitted.pieces) / _square_sum(_free_of_nuisance(piece) for piece in pieces)
+    r2 = 1 - _square_sum(solved.residual for solved in fitted.pieces) / _square_sum(
+        _free_of_nuisance(piece) for piece in pieces
+    )
     adjusted = 1 - (1 - r2) * equations / fitted.dof
     matrix = pole_correlation(fitted)
     return Fit(
@@ -419,15 +552,19 @@ def _free_of_nuisance(piece: Piece) -> FloatArray:
     return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
 
 
-def _notes(decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged) -> tuple[str, ...]:
+def _notes(
+    decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], fitted: Decayed, tested: Judged
+) -> tuple[str, ...]:
     """Size of the noise, the tests of the residual, and the decrement that peaks would give."""
     noise = ", ".join(
-        f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} {decays.units[column]}"
+        f"{decays.outputs[column].label} {np.sqrt(np.mean(fitted.variance[:, number])):.3g} "
+        f"{decays.units[column]}"
         for number, column in enumerate(columns)
     )
     notes = [
-        f"decay: standard deviation of the residual: {noise}. Chance of such a residual in white noise {tested.white:.2g}, of such a "
-        f"dependence on the amplitude: {tested.amplitude:.2g}. Intervals (factor {student_limit(fitted.dof):.3g}) hold for white noise."
+        f"decay: standard deviation of the residual: {noise}. Chance of such a residual in white noise "
+        f"{tested.white:.2g}, of such a dependence on the amplitude: {tested.amplitude:.2g}. Intervals "
+        f"(factor {student_limit(fitted.dof):.3g}) hold for white noise."
     ]
     if fitted.poles.size == 1 and pieces[0].lines is None:
         number, output = _strongest(fitted, 0)
@@ -437,7 +574,8 @@ def _notes(decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], 
         if read is not None:
             by_fit = -2 * np.pi * pole.real / pole.imag
             notes.append(
-                f"decay: the peaks alone would give the logarithmic decrement {read:.4g} (here {by_fit:.4g}); noise makes it too small."
+                f"decay: the peaks alone would give the logarithmic decrement {read:.4g} (here "
+                f"{by_fit:.4g}); noise makes it too small."
             )
     return tuple(notes)
 
@@ -458,12 +596,28 @@ def _ring_down(
     curves: tuple[OverAmplitude, ...],
 ) -> RingDown:
     """The decay in which the strongest mode is largest, thinned for drawing."""
-    number, output = max(strongest.values(), key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))))
+    number, output = max(
+        strongest.values(),
+        key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))),
+    )
     decay, piece = decays.decays[number], pieces[number]
     samples = decay.samples[:, columns[output]]
-    modes = (np.exp(piece.time[:, None] * fitted.poles_of(number)) @ fitted.pieces[number].amplitudes[:, output]).real
-    offset = float(np.mean(samples - modes)) if piece.lines is not None else _offset(piece, fitted, number, output)
-    time, measured, shown, left = trace(piece.time + decay.start, samples, modes + offset, samples - modes - offset)
+    modes = (
+        np.exp(piece.time[:, None] * fitted.poles_of(number)) @ fitted.pieces[number].amplitudes[:, output]
+    ).real
+    offset = (
+        float(np.mean(samples - modes)) if piece.lines is not None else _offset(piece, fitted, number, output)
+    )
+    time, measured, shown, left = trace(
+        piece.time + decay.start, samples, modes + offset, samples - modes - offset
+    )
     return RingDown(
-        decay.recording, decays.outputs[columns[output]].label, decays.units[columns[output]], time, measured, shown, left, curves
+        decay.recording,
+        decays.outputs[columns[output]].label,
+        decays.units[columns[output]],
+        time,
+        measured,
+        shown,
+        left,
+        curves,
     )

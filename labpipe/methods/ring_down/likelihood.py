@@ -1,4 +1,6 @@
-"""Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), pieces of the record, start values."""
+"""Maximum likelihood of decaying oscillations: y = offset + sum Re(C e^(lambda t)), pieces of the record,
+start values.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,10 @@ SMOOTH_TERMS = 3
 class Piece:
     """One decay whose rows carry white noise: *rows* (n_row, n_output) [unit of the outputs].
 
-    Without a band a row is a sample, and the *nuisance* (n_row, n) [1] is the offset. With a band the rows are the real and imaginary
-    parts of its DFT *lines* (n_line,): white noise is white there as well, and a mode outside the band adds C (1 - z^n) / (1 - z e^-jw)
-    [unit], which is smooth in it. time (n_sample,) [s].
+    Without a band a row is a sample, and the *nuisance* (n_row, n) [1] is the offset. With a band the rows
+    are the real and imaginary parts of its DFT *lines* (n_line,): white noise is white there as well, and a
+    mode outside the band adds C (1 - z^n) / (1 - z e^-jw) [unit], which is smooth in it. time (n_sample,)
+    [s].
     """
 
     time: FloatArray
@@ -35,11 +38,15 @@ class Piece:
     nuisance: FloatArray
 
     def project(self, columns: FloatArray) -> FloatArray:
-        """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps its size."""
+        """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps
+        its size.
+        """
         return _rows(columns, self.lines)
 
     def series(self, rows: FloatArray) -> ComplexArray:
-        """Rows (n_row, n) [any unit] as a series (n, n) in time: the samples, or the band as a complex baseband."""
+        """Rows (n_row, n) [any unit] as a series (n, n) in time: the samples, or the band as a complex
+        baseband.
+        """
         if self.lines is None:
             return rows.astype(np.complex128)
         half = self.lines.size
@@ -53,8 +60,13 @@ def _rows(columns: FloatArray, lines: IntArray | None) -> FloatArray:
     return np.concatenate([spectrum.real, spectrum.imag])
 
 
-def pieces_of(decays: Sequence[FreeDecay], columns: Sequence[int], rate: float, band: tuple[float, float] | None) -> tuple[Piece, ...]:
-    """The pieces of the decays' outputs *columns* at *rate* [Hz] in a *band* [Hz]; FitError where the band holds too few lines."""
+def pieces_of(
+    decays: Sequence[FreeDecay], columns: Sequence[int], rate: float, band: tuple[float, float] | None
+) -> tuple[Piece, ...]:
+    """The pieces of the decays' outputs *columns* at *rate* [Hz] in a *band* [Hz].
+
+    FitError where the band holds too few lines.
+    """
     return tuple(_piece(decay.samples[:, list(columns)], rate, band) for decay in decays)
 
 
@@ -79,7 +91,10 @@ def _smooth_terms(n_line: int) -> FloatArray:
 
 
 def shortened(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
-    """The first samples of a piece without a band; with one the whole piece, whose lines belong to its length."""
+    """The first samples of a piece without a band.
+
+    With one the whole piece, whose lines belong to its length.
+    """
     if band is not None or n_sample >= piece.time.size:
         return piece
     return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
@@ -98,10 +113,11 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Solved:
-    """One piece at given poles: amplitudes C (n_mode, n_output) [unit of the output], residual (n_row, n_output) [same unit].
+    """One piece at given poles: amplitudes C (n_mode, n_output) [unit of the output], residual (n_row,
+    n_output) [same unit].
 
-    range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent (n_row, 2 n_mode): t e^(lambda t), real and imaginary
-    parts [s], without what the linear part explains.
+    range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent (n_row, 2 n_mode): t
+    e^(lambda t), real and imaginary parts [s], without what the linear part explains.
     """
 
     amplitudes: ComplexArray
@@ -113,7 +129,9 @@ class Solved:
 def solve(piece: Piece, poles: ComplexArray) -> Solved:
     """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
     # Poles far from any solution may grow beyond all numbers on the way.
-    course = np.exp(np.minimum((piece.time[:, None] * poles.real), 50.0) + 1j * piece.time[:, None] * poles.imag)
+    course = np.exp(
+        np.minimum((piece.time[:, None] * poles.real), 50.0) + 1j * piece.time[:, None] * poles.imag
+    )
     n_mode = poles.size
     modes = piece.project(np.concatenate([course.real, course.imag], axis=1))
     range_, triangle = np.linalg.qr(np.concatenate([modes, piece.nuisance], axis=1))
@@ -133,10 +151,11 @@ def solve(piece: Piece, poles: ComplexArray) -> Solved:
 
 @dataclass(frozen=True)
 class Decayed:
-    """The fitted modes: *poles* (n_mode,) [rad/s] by ascending frequency, *covariance* (2 n_mode, 2 n_mode) [rad^2/s^2] of Re, Im of each.
+    """The fitted modes: *poles* (n_mode,) [rad/s] by ascending frequency, *covariance* (2 n_mode, 2 n_mode)
+    [rad^2/s^2] of Re, Im of each.
 
-    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less parameters. *each*
-    (n_piece, n_mode) [rad/s]: the poles of every piece where they are its own.
+    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less
+    parameters. *each* (n_piece, n_mode) [rad/s]: the poles of every piece where they are its own.
     """
 
     poles: ComplexArray
@@ -162,9 +181,10 @@ class Decayed:
 def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
     """The most likely poles from *start* (n_mode,) [rad/s] on, with the Cramer-Rao bound as their covariance.
 
-    Gauss-Newton on the residual that is left when amplitudes and offsets are eliminated (Golub and Pereyra 1973, with the Jacobian of
-    Kaufman 1975): the Schur complement of the poles in the Fisher information. The noise of each decay and output is that of its residual.
-    FitError where two modes become one. Equation (decay-likelihood).
+    Gauss-Newton on the residual that is left when amplitudes and offsets are eliminated (Golub and Pereyra
+    1973, with the Jacobian of Kaufman 1975): the Schur complement of the poles in the Fisher information. The
+    noise of each decay and output is that of its residual. FitError where two modes become one. Equation
+    (decay-likelihood).
     """
     poles, solved = start, [solve(piece, start) for piece in pieces]
     converged, steps = False, 0
@@ -188,7 +208,9 @@ def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
 def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     """Sum of squares (n_mode,) [1] of every mode over all pieces, each relative to its noise."""
     total = np.zeros(fitted.poles.size)
-    for number, (piece, solved, variance) in enumerate(zip(pieces, fitted.pieces, fitted.variance, strict=True)):
+    for number, (piece, solved, variance) in enumerate(
+        zip(pieces, fitted.pieces, fitted.variance, strict=True)
+    ):
         course = np.exp(piece.time[:, None] * fitted.poles_of(number))
         for amplitudes, variance_of_output in zip(solved.amplitudes.T, variance, strict=True):
             total += np.sum(piece.project((course * amplitudes).real) ** 2, axis=0) / variance_of_output
@@ -223,11 +245,15 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
     """Noise variance (n_piece, n_output) of one row; the poles count as parameters in equal shares."""
     n_series = sum(part.residual.shape[1] for part in solved)
     rows = [
-        np.sum(part.residual**2, axis=0) / max(part.residual.shape[0] - part.range_.shape[1] - 2 * n_mode / n_series, 1.0)
+        np.sum(part.residual**2, axis=0)
+        / max(part.residual.shape[0] - part.range_.shape[1] - 2 * n_mode / n_series, 1.0)
         for part in solved
     ]
     # Decays without noise leave rounding, which has a size as well.
-    floor = [np.finfo(float).eps ** 2 * np.sum(np.abs(part.amplitudes) ** 2, axis=0) + np.finfo(float).tiny for part in solved]
+    floor = [
+        np.finfo(float).eps ** 2 * np.sum(np.abs(part.amplitudes) ** 2, axis=0) + np.finfo(float).tiny
+        for part in solved
+    ]
     return np.maximum(rows, floor)
 
 
@@ -245,7 +271,9 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
 
 
 def _chain(amplitudes: ComplexArray) -> FloatArray:
-    """What multiplies the tangent columns for d/dRe and d/dIm of every pole: Re(C t e^(lambda t)), Re(jC t e^(lambda t))."""
+    """What multiplies the tangent columns for d/dRe and d/dIm of every pole: Re(C t e^(lambda t)), Re(jC t
+    e^(lambda t)).
+    """
     p, q = np.diag(amplitudes.real), np.diag(-amplitudes.imag)
     return np.block([[p, q], [q, -p]])
 
@@ -268,7 +296,10 @@ def _shorter_until_better(
 
 def _misfit(solved: Sequence[Solved]) -> float:
     tiny = np.finfo(float).tiny
-    return sum(float(part.residual.shape[0] * np.sum(np.log(np.sum(part.residual**2, axis=0) + tiny))) for part in solved)
+    return sum(
+        float(part.residual.shape[0] * np.sum(np.log(np.sum(part.residual**2, axis=0) + tiny)))
+        for part in solved
+    )
 
 
 # Start values of a free decay: the matrix pencil of the decimated record, followed over longer and longer
@@ -288,10 +319,17 @@ FILTER = 10
 
 
 def most_likely(
-    decays: Sequence[FreeDecay], columns: Sequence[int], pieces: Sequence[Piece], rate: float, band: tuple[float, float] | None, n_mode: int
+    decays: Sequence[FreeDecay],
+    columns: Sequence[int],
+    pieces: Sequence[Piece],
+    rate: float,
+    band: tuple[float, float] | None,
+    n_mode: int,
 ) -> Decayed:
     """The most likely fit from all starts; FitError where none leads to *n_mode* modes."""
-    strongest = sorted(decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, list(columns)], axis=0))))
+    strongest = sorted(
+        decays, key=lambda decay: -float(np.max(np.var(decay.samples[:, list(columns)], axis=0)))
+    )
     series = [decay.samples[:, column] for decay in strongest for column in columns][:MOST_SERIES]
     thinned, slower = _decimated(series, rate, band, n_mode)
     fits: list[Decayed] = []
@@ -307,13 +345,19 @@ def most_likely(
             break
         fits.append(fit)
     if not fits:
-        what = f"no {n_mode} decaying oscillation(s) stand out of the noise" + (f" in {band[0]:g}-{band[1]:g} Hz" if band else "")
+        what = f"no {n_mode} decaying oscillation(s) stand out of the noise" + (
+            f" in {band[0]:g}-{band[1]:g} Hz" if band else ""
+        )
         raise FitError(what, hint="fewer `modes`, another `band`, or a decay that begins earlier")
     return min(fits, key=lambda fit: (not fit.converged, fit.misfit))
 
 
-def _followed(pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None) -> Decayed:
-    """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole turn."""
+def _followed(
+    pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None
+) -> Decayed:
+    """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole
+    turn.
+    """
     longest = max(piece.time.size for piece in pieces)
     while band is None and n_sample < longest:
         poles = maximum_likelihood([shortened(piece, n_sample, band) for piece in pieces], poles).poles
@@ -324,21 +368,29 @@ def _followed(pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band:
 def pencil_poles(
     series: Sequence[FloatArray], rate: float, n_mode: int, rank: int, band: tuple[float, float] | None = None
 ) -> ComplexArray | None:
-    """The *n_mode* strongest oscillating poles (n_mode,) [rad/s] of series (n_sample,) [any unit] at *rate* [Hz]; None without so many.
+    """The *n_mode* strongest oscillating poles (n_mode,) [rad/s] of series (n_sample,) [any unit] at *rate*
+    [Hz]; None without so many.
 
-    Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace: the first *rank* left singular vectors of the Hankel
-    matrix of all series. Equation (decay-pencil).
+    Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace: the first *rank* left
+    singular vectors of the Hankel matrix of all series. Equation (decay-pencil).
     """
     rows = min(samples.size for samples in series) // 3
     if rows <= rank + 1:
-        raise FitError(f"the decay is {3 * rows} samples of its highest frequency long", hint="a longer decay, or a wider `band`")
-    hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(samples, rows).T for samples in series], axis=1)
+        raise FitError(
+            f"the decay is {3 * rows} samples of its highest frequency long",
+            hint="a longer decay, or a wider `band`",
+        )
+    hankel = np.concatenate(
+        [np.lib.stride_tricks.sliding_window_view(samples, rows).T for samples in series], axis=1
+    )
     vectors = np.linalg.eigh(hankel @ hankel.T)[1][:, -rank:]
     turns = np.linalg.eigvals(np.linalg.lstsq(vectors[:-1], vectors[1:], rcond=None)[0])
     turns = turns[(turns.imag > 1e-9) & (np.abs(turns) > 0)]
     poles = np.asarray(np.log(turns) * rate, np.complex128)
     low, high = band or (0.0, np.inf)
-    poles = poles[(poles.imag > 2 * np.pi * low) & (poles.imag < 2 * np.pi * high) & (np.abs(poles.real) < poles.imag)]
+    poles = poles[
+        (poles.imag > 2 * np.pi * low) & (poles.imag < 2 * np.pi * high) & (np.abs(poles.real) < poles.imag)
+    ]
     if poles.size < n_mode:
         return None
     return np.asarray(poles[np.argsort(-_energy(series, poles / rate))[:n_mode]])
@@ -356,8 +408,12 @@ def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
     return energy
 
 
-def _decimated(series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int) -> tuple[list[FloatArray], float]:
-    """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of each."""
+def _decimated(
+    series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int
+) -> tuple[list[FloatArray], float]:
+    """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of
+    each.
+    """
     centred = [_filtered(samples - np.mean(samples), rate, band) for samples in series]
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:
@@ -366,7 +422,9 @@ def _decimated(series: Sequence[FloatArray], rate: float, band: tuple[float, flo
     from scipy import signal
 
     slow = [signal.resample_poly(samples, 1, factor) for samples in centred]
-    inside = [samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow]
+    inside = [
+        samples[FILTER:-FILTER][:MOST_SAMPLES] if samples.size > 4 * FILTER else samples for samples in slow
+    ]
     return inside, rate / factor
 
 
@@ -388,7 +446,10 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
         return band[1]
     power = np.abs(fft.rfft(samples)) ** 2
     inner = power[1:-1]
-    peaks = np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]) & (inner > STANDS_OUT * np.median(power))) + 1
+    peaks = (
+        np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:]) & (inner > STANDS_OUT * np.median(power)))
+        + 1
+    )
     strongest = peaks[np.argsort(-power[peaks])][: 2 * n_mode]
     number = int(np.max(strongest)) if strongest.size else power.size - 1
     return 1.2 * max(number, 1) * rate / samples.size

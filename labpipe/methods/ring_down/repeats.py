@@ -1,4 +1,6 @@
-"""The modes of several decays as repeats: each decay is fitted alone, and the values are their means with the part between them."""
+"""The modes of several decays as repeats: each decay is fitted alone, and the values are their means with the
+part between them.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +12,33 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, hartung_knapp, kept_repeats, paule_mandel, repeat_mean
+from labpipe.estimation.repeats import (
+    PRIOR_SCALE,
+    Kept,
+    RepeatMean,
+    hartung_knapp,
+    kept_repeats,
+    paule_mandel,
+    repeat_mean,
+)
 from labpipe.estimation.statistics import student_limit
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.spectra import FreeDecays
 
-# Decays from which on a course over the amplitude is looked for, and its t-ratio. Amplitudes within a quarter of each other tell no
-# course: where a decay is used from a while after the hit on, its damping alone moves its amplitude.
+# Decays from which on a course over the amplitude is looked for, and its t-ratio. Amplitudes within a quarter
+# of each other tell no course: where a decay is used from a while after the hit on, its damping alone moves
+# its amplitude.
 LEAST_FOR_COURSE, COURSE, LEAST_RANGE = 5, 2.0, 0.25
 
 
 @dataclass(frozen=True)
 class RepeatedDecays:
-    """Decays that were fitted alone: their *numbers*, *fits* of one decay each, and those that could not be, in words.
+    """Decays that were fitted alone: their *numbers*, *fits* of one decay each, and those that could not be,
+    in words.
 
-    *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude (n_mode,) [unit] at which the
-    values hold where they follow it, nan elsewhere.
+    *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude
+    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere.
     """
 
     total: int
@@ -61,9 +73,16 @@ class RepeatedDecays:
 
 
 def repeated_decays(
-    decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], band: tuple[float, float] | None, n_mode: int
+    decays: FreeDecays,
+    columns: Sequence[int],
+    pieces: Sequence[Piece],
+    band: tuple[float, float] | None,
+    n_mode: int,
 ) -> RepeatedDecays | None:
-    """Every decay fitted alone, and the means; None where fewer than two can be, or one mode does not decay in most of them."""
+    """Every decay fitted alone, and the means.
+
+    None where fewer than two can be, or one mode does not decay in most of them.
+    """
     fits: dict[int, Decayed] = {}
     failed = []
     for number, (decay, piece) in enumerate(zip(decays.decays, pieces, strict=True)):
@@ -81,14 +100,26 @@ def repeated_decays(
     sizes = np.array([np.max(np.abs(fit.pieces[0].amplitudes), axis=1) for fit in own])[used]
     means, at = [], np.full(n_mode, np.nan)
     for mode in range(n_mode):
-        pair, at[mode] = _means(logs[used][:, [mode, n_mode + mode]], variances[used][:, [mode, n_mode + mode]], sizes[:, mode])
+        pair, at[mode] = _means(
+            logs[used][:, [mode, n_mode + mode]], variances[used][:, [mode, n_mode + mode]], sizes[:, mode]
+        )
         means.append(pair)
     failed.extend(_outliers(decays, numbers, kept, logs, n_mode))
     return RepeatedDecays(len(pieces), numbers, own, tuple(failed), kept, tuple(means), at)
 
 
-def _alone(decays: FreeDecays, number: int, columns: Sequence[int], piece: Piece, band: tuple[float, float] | None, n_mode: int) -> Decayed:
-    """The fit of one decay; FitError where it does not converge, or a mode of it is noise or does not decay."""
+def _alone(
+    decays: FreeDecays,
+    number: int,
+    columns: Sequence[int],
+    piece: Piece,
+    band: tuple[float, float] | None,
+    n_mode: int,
+) -> Decayed:
+    """The fit of one decay.
+
+    FitError where it does not converge, or a mode of it is noise or does not decay.
+    """
     fitted = most_likely([decays.decays[number]], columns, [piece], decays.sample_rate, band, n_mode)
     if not fitted.converged:
         raise FitError("its fit does not converge")
@@ -112,19 +143,27 @@ def _logarithms(fitted: Decayed) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([np.log(sizes / (2 * np.pi)), np.log(zeta)]), np.array(variances).T.ravel()
 
 
-def _means(logs: FloatArray, variances: FloatArray, sizes: FloatArray) -> tuple[tuple[RepeatMean, RepeatMean], float]:
-    """Means of ln f and ln zeta (n, 2) of one mode, and the amplitude they hold at where either follows the *sizes* (n,), else nan."""
+def _means(
+    logs: FloatArray, variances: FloatArray, sizes: FloatArray
+) -> tuple[tuple[RepeatMean, RepeatMean], float]:
+    """Means of ln f and ln zeta (n, 2) of one mode, and the amplitude they hold at where either follows the
+    *sizes* (n,), else nan.
+    """
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
     follows = any(_follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
     chosen = covariate if follows else None
-    frequency, damping = (repeat_mean(logs[:, which], variances[:, which], scales[which], chosen) for which in (0, 1))
+    frequency, damping = (
+        repeat_mean(logs[:, which], variances[:, which], scales[which], chosen) for which in (0, 1)
+    )
     return (frequency, damping), middle if follows else np.nan
 
 
 def _follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
-    """Whether *values* (n,) follow the *covariate* (n,) by more than two standard errors by Hartung and Knapp."""
+    """Whether *values* (n,) follow the *covariate* (n,) by more than two standard errors by Hartung and
+    Knapp.
+    """
     if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
         return False
     turned = np.stack([covariate, np.ones_like(covariate)], axis=1)
@@ -132,38 +171,59 @@ def _follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -
     return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > COURSE * np.sqrt(variance)
 
 
-def _outliers(decays: FreeDecays, numbers: Sequence[int], kept: Kept, logs: FloatArray, n_mode: int) -> list[Finding]:
+def _outliers(
+    decays: FreeDecays, numbers: Sequence[int], kept: Kept, logs: FloatArray, n_mode: int
+) -> list[Finding]:
     """Notes on decays that stand out, and a warning where they are a second population."""
     if kept.two_populations:
-        message = "more than a quarter of the decays lie apart from the others: two populations, and the mean is of both. Name the groups"
+        message = (
+            "more than a quarter of the decays lie apart from the others: two populations, and the "
+            "mean is of both. Name the groups"
+        )
         return [Finding("two-populations", message)]
     findings = []
     for place in np.flatnonzero(~kept.used).tolist():
         decay = decays.decays[numbers[place]]
         f, zeta = np.exp(logs[place, :n_mode]), np.exp(logs[place, n_mode:])
-        values = ", ".join(f"{frequency:.6g} Hz and {ratio:.3g}" for frequency, ratio in zip(f, zeta, strict=True))
+        values = ", ".join(
+            f"{frequency:.6g} Hz and {ratio:.3g}" for frequency, ratio in zip(f, zeta, strict=True)
+        )
         where = f"decay {numbers[place] + 1} ('{decay.recording}', {decay.start:.3f} s)"
-        findings.append(note("repeat-left-out", f"{where} is left out: its frequency and damping ratio, {values}, stand out"))
+        findings.append(
+            note(
+                "repeat-left-out",
+                f"{where} is left out: its frequency and damping ratio, {values}, stand out",
+            )
+        )
     return findings
 
 
 def drift_findings(repeated: RepeatedDecays) -> list[Finding]:
     """A note where neighbours in time are alike."""
-    modes = [str(number) for number, pair in enumerate(repeated.means, start=1) if pair[0].ordered or pair[1].ordered]
+    modes = [
+        str(number)
+        for number, pair in enumerate(repeated.means, start=1)
+        if pair[0].ordered or pair[1].ordered
+    ]
     if not modes:
         return []
     message = (
-        f"mode {', '.join(modes)}: the values of neighbouring decays are alike, so they drift or come in steps (temperature, mounting). "
+        f"mode {', '.join(modes)}: the values of neighbouring decays are alike, so they drift or come in "
+        "steps (temperature, mounting). "
         "The interval allows for it; record the decays in groups, or what changes"
     )
     return [note("repeats-in-order", message)]
 
 
-def with_repeats(parameters: Sequence[Parameter], repeated: RepeatedDecays, dof: int, mass: float | None) -> tuple[Parameter, ...]:
-    """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their spread.
+def with_repeats(
+    parameters: Sequence[Parameter], repeated: RepeatedDecays, dof: int, mass: float | None
+) -> tuple[Parameter, ...]:
+    """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their
+    spread.
 
-    ln f and ln zeta have a mean and an interval; ln delta = ln zeta + ..., ln k = 2 ln f + ..., ln c = ln f + ln zeta + ... follow. The
-    standard error stays that of noise alone. *dof* of the fit, *mass* [kg] of k and c. Equation (repeats-mean).
+    ln f and ln zeta have a mean and an interval; ln delta = ln zeta + ..., ln k = 2 ln f + ..., ln c = ln f +
+    ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit, *mass* [kg] of k and
+    c. Equation (repeats-mean).
     """
     entries: dict[str, Parameter] = {}
     alone, n_mode = (len(repeated.means) == 1), len(repeated.means)
@@ -182,7 +242,9 @@ def with_repeats(parameters: Sequence[Parameter], repeated: RepeatedDecays, dof:
             kinds.append(("c" + of_support, (1.0, 1.0), 4 * np.pi * mass))
         for name, powers, factor in kinds:
             own = np.exp(logs[:, [mode, n_mode + mode]] @ powers) * factor
-            errors = [np.sqrt(mean.weights**2 @ noise[:, which * n_mode + mode]) for which, mean in enumerate(pair)]
+            errors = [
+                np.sqrt(mean.weights**2 @ noise[:, which * n_mode + mode]) for which, mean in enumerate(pair)
+            ]
             law = (np.array(powers), factor, repeated.at[mode])
             entries[name] = _parameter(by_name[name], pair, law, (own, np.array(errors)), repeated, dof)
     return tuple(entries.get(parameter.name, parameter) for parameter in parameters)
@@ -196,7 +258,9 @@ def _parameter(
     repeated: RepeatedDecays,
     dof: int,
 ) -> Parameter:
-    """factor f^p zeta^q of two means, with its interval by both; *law*: (p, q), the factor, and the amplitude it holds at or nan."""
+    """factor f^p zeta^q of two means, with its interval by both; *law*: (p, q), the factor, and the amplitude
+    it holds at or nan.
+    """
     powers, factor, at = law
     value = factor * float(np.exp(powers @ [mean.value for mean in pair]))
     reach = float(np.hypot(*(powers * [mean.half_width for mean in pair])))
@@ -233,11 +297,14 @@ def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, .
     notes = []
     for mode, (frequency, damping) in enumerate(repeated.means):
         text = (
-            f"decay: f_n_{mode + 1} and zeta_{mode + 1} are means over {over}, each fitted alone; from decay to decay they scatter by "
-            f"{100 * frequency.spread:.2g} and {100 * damping.spread:.2g} % beyond their noise. What all decays have wrong alike is not in "
-            "this interval."
+            f"decay: f_n_{mode + 1} and zeta_{mode + 1} are means over {over}, each fitted alone; from decay "
+            f"to decay they scatter by {100 * frequency.spread:.2g} and {100 * damping.spread:.2g} % beyond "
+            "their noise. What all decays have wrong alike is not in this interval."
         )
         if np.isfinite(repeated.at[mode]):
-            text += f" They follow the amplitude, and are stated at {repeated.at[mode]:.3g} {units[mode]}, the middle one of the decays."
+            text += (
+                f" They follow the amplitude, and are stated at {repeated.at[mode]:.3g} {units[mode]}, "
+                "the middle one of the decays."
+            )
         notes.append(text)
     return tuple(notes)

@@ -1,4 +1,6 @@
-"""The figures of fits of free decays: the course over time with what the fit leaves, and damping and frequency over amplitude."""
+"""The figures of fits of free decays: the course over time with what the fit leaves, and damping and
+frequency over amplitude.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ Law = Callable[[AmplitudeLaw, FloatArray], FloatArray]
 
 def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
     """Decay over time, and for every mode damping and frequency over amplitude."""
-    modes = [over_amplitude_figure(fit, shown, n, mode) for n, mode in enumerate(shown.modes, start=1) if mode.amplitude.size > 1]
+    modes = [
+        over_amplitude_figure(fit, shown, n, mode)
+        for n, mode in enumerate(shown.modes, start=1)
+        if mode.amplitude.size > 1
+    ]
     return [decay_figure(fit, shown), *modes]
 
 
@@ -41,32 +47,67 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
             ),
             share=2.0,
         ),
-        Panel(time, Axis("residual", unit), (curve("residual", shown.time, factor * shown.residual, GREY, width=0.8), level(0.0))),
+        Panel(
+            time,
+            Axis("residual", unit),
+            (curve("residual", shown.time, factor * shown.residual, GREY, width=0.8), level(0.0)),
+        ),
     )
     caption = (
-        f"{fit_title(fit)}: free decay of {shown.output} in recording '{shown.recording}', the largest of those fitted, and what the fit "
-        "leaves of it. A residual that swells and fades with the decay shows that one exponential per mode does not say it all."
+        f"{fit_title(fit)}: free decay of {shown.output} in recording '{shown.recording}', the largest of "
+        "those fitted, and what the fit leaves of it. A residual that swells and fades with the decay shows "
+        "that one exponential per mode does not say it all."
     )
     return Figure(stacked(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}")
 
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:
-    """Damping ratio and frequency of a mode between neighbouring stretches of the decays, over the amplitude there."""
+    """Damping ratio and frequency of a mode between neighbouring stretches of the decays, over the amplitude
+    there.
+    """
     across = Axis("amplitude", unit_text(shown.unit), logarithmic=True)
     amplitude = scale_of(shown.unit) * mode.amplitude
     panels = (
-        _over(across, Axis(f"damping ratio {number}", "%"), amplitude, 100 * mode.damping, 100 * mode.damping_std_error, mode, _damping),
-        _over(across, Axis(f"frequency {number}", "Hz"), amplitude, mode.frequency, mode.frequency_std_error, mode, _frequency),
+        _over(
+            across,
+            Axis(f"damping ratio {number}", "%"),
+            amplitude,
+            100 * mode.damping,
+            100 * mode.damping_std_error,
+            mode,
+            _damping,
+        ),
+        _over(
+            across,
+            Axis(f"frequency {number}", "Hz"),
+            amplitude,
+            mode.frequency,
+            mode.frequency_std_error,
+            mode,
+            _frequency,
+        ),
     )
     law = " The line is the fitted law of both." if mode.law is not None else ""
     caption = (
-        f"{fit_title(fit)}: mode {number} stretch by stretch, with 95 % intervals. Level: the mode is linear over the amplitudes of "
-        f"the decay.{law}"
+        f"{fit_title(fit)}: mode {number} stretch by stretch, with 95 % intervals. Level: the mode is linear "
+        f"over the amplitudes of the decay.{law}"
     )
-    return Figure(Chart(panels, 2, 1, (WIDTH, MODE_HEIGHT), "x"), caption, f"Mode {number} of fit {fit_title(fit)} over amplitude")
+    return Figure(
+        Chart(panels, 2, 1, (WIDTH, MODE_HEIGHT), "x"),
+        caption,
+        f"Mode {number} of fit {fit_title(fit)} over amplitude",
+    )
 
 
-def _over(across: Axis, along: Axis, x: FloatArray, y: FloatArray, spread: FloatArray, mode: OverAmplitude, course: Law) -> Panel:
+def _over(
+    across: Axis,
+    along: Axis,
+    x: FloatArray,
+    y: FloatArray,
+    spread: FloatArray,
+    mode: OverAmplitude,
+    course: Law,
+) -> Panel:
     ends = (y - TWO_SIGMA * spread, y + TWO_SIGMA * spread)
     series = [curve("stretches", x, y, 0, "", marker="o", bars=ends)]
     if mode.law is not None:

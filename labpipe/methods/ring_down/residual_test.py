@@ -13,7 +13,8 @@ from labpipe.distributions import chi2_tail, f_tail
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, Solved
 
 LAGS = 32
-# Rows of a piece for each lag: the residual lacks what its parameters took, which must stay small against a lag.
+# Rows of a piece for each lag: the residual lacks what its parameters took, which must stay small against a
+# lag.
 ROWS_PER_LAG = 8
 # Singular value of the columns of a test below which one of them is a sum of the others.
 DEPENDENT = 1e-6
@@ -23,8 +24,8 @@ DEPENDENT = 1e-6
 class Judged:
     """Chances of such a residual in white noise [1], and the frequency [Hz] at which most of it is left.
 
-    amplitude: by terms that follow the amplitude of each mode (damping or frequency that depend on it). white: by likeness of neighbouring
-    samples, and by the strongest line, the lesser times two.
+    amplitude: by terms that follow the amplitude of each mode (damping or frequency that depend on it).
+    white: by likeness of neighbouring samples, and by the strongest line, the lesser times two.
     """
 
     amplitude: float
@@ -49,7 +50,9 @@ def _real(pieces: Sequence[Piece]) -> bool:
 
 
 def _next_terms(rows: Sequence[tuple[Piece, Solved]], poles: ComplexArray) -> float:
-    """F-test of |E| E and |E|^2 E, E = e^(lambda t), the first terms of a damping or frequency over amplitude; exact for white noise."""
+    """F-test of |E| E and |E|^2 E, E = e^(lambda t), the first terms of a damping or frequency over
+    amplitude; exact for white noise.
+    """
     explained, left, numerator, denominator = 0.0, 0.0, 0, 0
     for piece, solved in rows:
         course = np.exp(piece.time[:, None] * poles)
@@ -76,10 +79,11 @@ def _orthonormal(columns: FloatArray, sizes: FloatArray | None = None) -> FloatA
 
 
 def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
-    """Chance [1] of so much likeness of neighbours in white noise, of series (n, n_output) [any unit]; *real* or complex ones.
+    """Chance [1] of so much likeness of neighbours in white noise, of series (n, n_output) [any unit]; *real*
+    or complex ones.
 
-    Q = n (n + 2) sum |r_d|^2 / (n - d) over lags d is chi-square with one degree of freedom per lag (Ljung and Box 1978), of complex
-    circular series 2 Q with two. Equation (decay-portmanteau).
+    Q = n (n + 2) sum |r_d|^2 / (n - d) over lags d is chi-square with one degree of freedom per lag (Ljung
+    and Box 1978), of complex circular series 2 Q with two. Equation (decay-portmanteau).
     """
     statistic, dof = 0.0, 0
     for series in residuals:
@@ -95,7 +99,9 @@ def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
 
 
 def _strongest_line(residuals: Sequence[tuple[Piece, ComplexArray]], rate: float) -> tuple[float, float]:
-    """Chance of so strong a line among all, and its frequency [Hz] (Fisher 1929: (1 - g)^(m - 1) m at most)."""
+    """Chance of so strong a line among all, and its frequency [Hz] (Fisher 1929: (1 - g)^(m - 1) m at
+    most).
+    """
     chance, frequency, n_series = 1.0, 0.0, 0
     for piece, series in residuals:
         n = piece.time.size

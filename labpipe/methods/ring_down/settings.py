@@ -22,7 +22,10 @@ class DecaySettings(Settings):
 
     modes: int = setting("integer", "modes that decay together", default=1)
     repeats: str = setting(
-        "choice", "several decays: each fitted, and their mean; or pool, one fit of all", choices=("each", "pool"), default="each"
+        "choice",
+        "several decays: each fitted, and their mean; or pool, one fit of all",
+        choices=("each", "pool"),
+        default="each",
     )
 
     def __post_init__(self) -> None:

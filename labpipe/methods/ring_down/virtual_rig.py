@@ -1,4 +1,6 @@
-"""A virtual mass on springs that is struck and left to itself: free decays of one mode, of two close modes, and with a joint that slips."""
+"""A virtual mass on springs that is struck and left to itself: free decays of one mode, of two close modes,
+and with a joint that slips.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, setting
-from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, require_positive, whole_numbers
+from labpipe.simulate.virtual_rigs import (
+    Simulation,
+    VirtualRigKind,
+    generator,
+    require_positive,
+    whole_numbers,
+)
 
 KIND = "virtual-decay-rig"
 RUNS = ("struck", "beating", "joint")
@@ -21,19 +29,24 @@ PRETRIGGER = 0.2
 
 @dataclass(frozen=True)
 class DecayRig(Settings):
-    """y = offset + sum of decaying oscillations after every hit, each hit weaker than the one before; white noise on the probe.
+    """y = offset + sum of decaying oscillations after every hit, each hit weaker than the one before; white
+    noise on the probe.
 
     The run *joint* has the first mode alone, with A' = -w (zeta + joint A / amplitude) A.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    frequencies: tuple[float, ...] = setting("values", "natural frequencies; the runs struck and joint have the first alone", unit="Hz")
+    frequencies: tuple[float, ...] = setting(
+        "values", "natural frequencies; the runs struck and joint have the first alone", unit="Hz"
+    )
     damping_ratios: tuple[float, ...] = setting("values", "damping ratio of every mode", unit="1")
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual mass on springs, struck")
     mass: float = setting("value", "mass that moves", unit="kg", default=2.0)
     amplitude: float = setting("value", "amplitude of every mode after the first hit", unit="m", default=1e-4)
-    joint: float = setting("value", "damping ratio that the joint adds at that amplitude", unit="1", default=0.003)
+    joint: float = setting(
+        "value", "damping ratio that the joint adds at that amplitude", unit="1", default=0.003
+    )
     hits: int = setting("integer", "hits in a run", default=3)
     interval: float = setting("value", "time from hit to hit", unit="s", default=4.0)
     weaker: float = setting("value", "amplitude of a hit over that of the one before", unit="1", default=0.8)
@@ -45,14 +58,19 @@ class DecayRig(Settings):
         if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
             raise ConfigError("'damping_ratios' needs one value for every frequency", field="damping_ratios")
         if not all(0 < frequency < self.sample_rate / 2 for frequency in self.frequencies):
-            raise ConfigError(f"frequencies must lie between 0 and {self.sample_rate / 2:g} Hz", field="frequencies")
+            raise ConfigError(
+                f"frequencies must lie between 0 and {self.sample_rate / 2:g} Hz", field="frequencies"
+            )
         if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
             raise ConfigError("damping ratios must lie between 0 and 100 %", field="damping_ratios")
         require_positive(self, "mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
-    """The named runs: displacement y [m] with noise; the motion after a hit replaces what is left of the one before."""
+    """The named runs: displacement y [m] with noise.
+
+    The motion after a hit replaces what is left of the one before.
+    """
     return tuple(_run(rig, name, generator(seed, name)) for name in names)
 
 
@@ -60,14 +78,17 @@ def _run(rig: DecayRig, name: str, rng: np.random.Generator) -> Recording:
     count = round(rig.interval * rig.sample_rate)
     time = np.arange(count) / rig.sample_rate
     quiet = np.zeros(round(PRETRIGGER * rig.sample_rate))
-    motions = [rig.amplitude * rig.weaker**hit * motion(rig, name, time, rig.weaker**hit) for hit in range(rig.hits)]
+    motions = [
+        rig.amplitude * rig.weaker**hit * motion(rig, name, time, rig.weaker**hit) for hit in range(rig.hits)
+    ]
     samples = np.concatenate([quiet, *motions]) + rig.offset
     samples = samples + rig.noise * rng.standard_normal(samples.size)
     return Recording((Channel("y", "displacement", "output", "y"),), samples[:, None], rig.sample_rate, name)
 
 
 def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> FloatArray:
-    """The motion (n_sample,) over its first amplitude [1] at *time* (n_sample,) [s] after a hit of relative *strength*.
+    """The motion (n_sample,) over its first amplitude [1] at *time* (n_sample,) [s] after a hit of relative
+    *strength*.
 
     Equation (sim-decay).
     """
@@ -82,18 +103,29 @@ def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> Float
 
 
 def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
-    """A' = -w (z0 + z1 A) A in closed form: A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t), for z0 > 0."""
+    """A' = -w (z0 + z1 A) A in closed form: A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t), for z0
+    > 0.
+    """
     omega, rest = 2 * np.pi * rig.frequencies[0], max(rig.damping_ratios[0], 1e-9)
     decay = np.exp(-rest * omega * time)
     return np.asarray(rest * decay / (rest + rig.joint * strength * (1 - decay)) * np.sin(omega * time))
 
 
 def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:
-    """f_n, zeta and logarithmic decrement of every mode of the named runs, k and c of the first; of a joint its law [SI, Hz]."""
+    """f_n, zeta and logarithmic decrement of every mode of the named runs, k and c of the first.
+
+    Of a joint its law [SI, Hz].
+    """
     modes = len(rig.frequencies) if "beating" in names else 1
     entries: dict[str, float] = {}
-    for n, (frequency, ratio) in enumerate(zip(rig.frequencies[:modes], rig.damping_ratios[:modes], strict=True), start=1):
-        entries |= {f"f_n_{n}": frequency, f"zeta_{n}": ratio, f"log_decrement_{n}": 2 * np.pi * ratio / float(np.sqrt(1 - ratio**2))}
+    for n, (frequency, ratio) in enumerate(
+        zip(rig.frequencies[:modes], rig.damping_ratios[:modes], strict=True), start=1
+    ):
+        entries |= {
+            f"f_n_{n}": frequency,
+            f"zeta_{n}": ratio,
+            f"log_decrement_{n}": 2 * np.pi * ratio / float(np.sqrt(1 - ratio**2)),
+        }
     omega = 2 * np.pi * rig.frequencies[0]
     entries |= {"mass": rig.mass, "k": rig.mass * omega**2, "c": 2 * rig.damping_ratios[0] * rig.mass * omega}
     if "joint" in names:

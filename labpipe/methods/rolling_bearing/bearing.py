@@ -1,4 +1,6 @@
-"""Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once, and ball passage."""
+"""Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once,
+and ball passage.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labpipe.arrays import BoolArray, FloatArray
-from labpipe.bearings.kinds import Amount, Bearing, BearingCoefficients, BearingKind, OperatingPoint, not_on_rotor
+from labpipe.bearings.kinds import (
+    Amount,
+    Bearing,
+    BearingCoefficients,
+    BearingKind,
+    OperatingPoint,
+    not_on_rotor,
+)
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import DOFS, RollingBearing
-from labpipe.methods.rolling_bearing.settings import LOAD_OF_DOF, BallBearingSettings, RollerBearingSettings, RollingSettings
+from labpipe.methods.rolling_bearing.settings import (
+    LOAD_OF_DOF,
+    BallBearingSettings,
+    RollerBearingSettings,
+    RollingSettings,
+)
 from labpipe.methods.rolling_bearing.shaft import modes, sdof_stiffness, theoretical_response
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
@@ -25,9 +39,11 @@ POSITIONS = 24
 
 @dataclass(frozen=True)
 class Passage:
-    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m, rad] over one passage.
+    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m,
+    rad] over one passage.
 
-    cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so that the mean over positions is the mean over time.
+    cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so that the mean over
+    positions is the mean over time.
     """
 
     cage_angle: FloatArray
@@ -60,17 +76,24 @@ def ball_passage(
     fixed_dofs: Sequence[str] = (),
     positions: int = POSITIONS,
 ) -> Passage:
-    """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in `equilibrium`.
+    """Equilibrium and stiffness at *positions* cage angles of one passage; arguments and errors as in
+    `equilibrium`.
 
     Equation (roll-passage).
     """
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     n_case = max(len(f), len(q))
     angles = 2 * np.pi / bearing.elements * np.arange(positions) / positions
-    cases = [np.tile(np.broadcast_to(values, (n_case, values.shape[-1])), (positions, 1)) for values in (f, q)]
+    cases = [
+        np.tile(np.broadcast_to(values, (n_case, values.shape[-1])), (positions, 1)) for values in (f, q)
+    ]
     state = equilibrium(bearing, cases[0], cases[1], fixed_dofs, np.repeat(angles, n_case))
     n = len(DOFS)
-    return Passage(angles, state.stiffness.reshape(positions, n_case, n, n), state.displacement.reshape(positions, n_case, n))
+    return Passage(
+        angles,
+        state.stiffness.reshape(positions, n_case, n, n),
+        state.displacement.reshape(positions, n_case, n),
+    )
 
 
 # Ball and roller bearings as kinds of bearing: from their settings to coefficients, a whole sweep at once.
@@ -80,7 +103,10 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
-    """Coefficients of all settings, in order; those of one bearing with the same fixed dofs are solved together."""
+    """Coefficients of all settings, in order.
+
+    Those of one bearing with the same fixed dofs are solved together.
+    """
     groups: dict[object, list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
@@ -105,11 +131,15 @@ class _Solved:
 def _group(settings: Sequence[RollingSettings]) -> list[BearingCoefficients]:
     first = settings[0]
     bearing, fixed_dofs = first.bearing(), first.fixed_dofs
-    loads = np.array([[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings])
+    loads = np.array(
+        [[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings]
+    )
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
     state = equilibrium(bearing, loads, moves, fixed_dofs, np.array([entry.cage_angle for entry in settings]))
     passage = ball_passage(bearing, loads, moves, fixed_dofs)
-    solved = _Solved(state, state.contact_angle, state.mirrored, state.determinate, passage.lowest, passage.highest)
+    solved = _Solved(
+        state, state.contact_angle, state.mirrored, state.determinate, passage.lowest, passage.highest
+    )
     return [_case(entry, solved, case) for case, entry in enumerate(settings)]
 
 
@@ -137,9 +167,15 @@ def _case(settings: RollingSettings, solved: _Solved, case: int) -> BearingCoeff
 
 def _rest(state: Equilibrium, case: int) -> tuple[Amount, ...]:
     """Displacements, loads of the inner ring, and the number of loaded elements."""
-    rest = [Amount(name, float(q), unit) for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)]
+    rest = [
+        Amount(name, float(q), unit)
+        for name, q, unit in zip(DOFS, state.displacement[case], UNITS, strict=True)
+    ]
     names = [f"load_{name}" for name in LOAD_OF_DOF.values()]
-    rest += [Amount(name, float(f), unit) for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)]
+    rest += [
+        Amount(name, float(f), unit)
+        for name, f, unit in zip(names, state.load[case], LOAD_UNITS, strict=True)
+    ]
     return (*rest, Amount("loaded_elements", float(np.sum(state.contacts.load[case] > 0)), "1"))
 
 
@@ -152,46 +188,67 @@ def _notes(settings: RollingSettings) -> tuple[Amount, ...]:
 
 
 def _shaft(settings: RollingSettings, stiffness: FloatArray) -> tuple[Amount, ...]:
-    """Natural frequencies and damping ratios of the shaft, and the results of one-dof fits of its direct transfer functions."""
+    """Natural frequencies and damping ratios of the shaft, and the results of one-dof fits of its direct
+    transfer functions.
+    """
     if settings.shaft is None:
         return ()
     shaft_modes = modes(settings.shaft.body, stiffness)
     amounts = [Amount(f"f_{n + 1}", float(f), "Hz") for n, f in enumerate(shaft_modes.frequency)]
     if settings.damping_factor > 0:
-        amounts += [Amount(f"zeta_{n + 1}", float(zeta), "1") for n, zeta in enumerate(shaft_modes.damping_ratio(settings.damping_factor))]
+        amounts += [
+            Amount(f"zeta_{n + 1}", float(zeta), "1")
+            for n, zeta in enumerate(shaft_modes.damping_ratio(settings.damping_factor))
+        ]
     fitted = sdof_stiffness(settings.shaft.body, stiffness)
     units = ("N/m", "N/m", "N/m", "N.m/rad", "N.m/rad")
-    return (*amounts, *(Amount(f"sdof_k_{dof}", float(k), unit) for dof, k, unit in zip(DOFS, fitted, units, strict=True)))
+    return (
+        *amounts,
+        *(Amount(f"sdof_k_{dof}", float(k), unit) for dof, k, unit in zip(DOFS, fitted, units, strict=True)),
+    )
 
 
-def rolling_response(settings: RollingSettings, coefficients: BearingCoefficients) -> FrequencyResponse | None:
+def rolling_response(
+    settings: RollingSettings, coefficients: BearingCoefficients
+) -> FrequencyResponse | None:
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
         return None
     frequency = np.linspace(*settings.shaft.band, settings.shaft.lines)
-    return theoretical_response(settings.shaft.body, coefficients.stiffness, frequency, settings.damping_factor)
+    return theoretical_response(
+        settings.shaft.body, coefficients.stiffness, frequency, settings.damping_factor
+    )
 
 
 def _findings(solved: _Solved, case: int) -> list[Finding]:
     warnings = []
     if solved.mirrored[case]:
-        message = "elements carry at the opposite contact angle, across the groove: a bearing with one shoulder cannot carry this load"
+        message = (
+            "elements carry at the opposite contact angle, across the groove: a bearing with one "
+            "shoulder cannot carry this load"
+        )
         warnings.append(Finding("mirrored", message))
     if not solved.determinate[case]:
         number = int(np.sum(solved.state.contacts.load[case] > 0))
-        message = f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not unique, the stiffness is singular"
+        message = (
+            f"{number} of {solved.state.bearing.elements} elements carry: the rest position is not "
+            "unique, the stiffness is singular"
+        )
         warnings.append(Finding("indeterminate", message))
     return warnings
 
 
 @dataclass(frozen=True)
 class RollingOnRotor:
-    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those of its settings."""
+    """A rolling bearing on a rotor: its x and y are the rotor's y and z, its axial load and moments are those
+    of its settings.
+    """
 
     settings: RollingSettings
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Coefficients (2, 2) in y and z [N/m, N.s/m] under a radial load; they depend neither on speed nor on frequency.
+        """Coefficients (2, 2) in y and z [N/m, N.s/m] under a radial load; they depend neither on speed nor
+        on frequency.
 
         Dofs that the settings do not hold (axial, tilts) follow without force: K = K_aa - K_ab K_bb^-1 K_ba.
         """
@@ -203,9 +260,15 @@ def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> Bearin
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
     free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
     k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
-    coupling = np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0] if free else np.zeros((0, 2))
+    coupling = (
+        np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0]
+        if free
+        else np.zeros((0, 2))
+    )
     stiffness = k[np.ix_(a, a)] - k[np.ix_(a, free)] @ coupling
-    return BearingCoefficients(("y", "z"), stiffness, settings.damping_factor * stiffness, findings=whole.findings)
+    return BearingCoefficients(
+        ("y", "z"), stiffness, settings.damping_factor * stiffness, findings=whole.findings
+    )
 
 
 def _mounted(settings: RollingSettings) -> Bearing:
@@ -220,8 +283,16 @@ def _mounted(settings: RollingSettings) -> Bearing:
 
 
 BALL = BearingKind(
-    BallBearingSettings, rolling_coefficients, bare_units={"stiffness_constant": "N/m^1.5"}, response=rolling_response, mount=_mounted
+    BallBearingSettings,
+    rolling_coefficients,
+    bare_units={"stiffness_constant": "N/m^1.5"},
+    response=rolling_response,
+    mount=_mounted,
 )
 ROLLER = BearingKind(
-    RollerBearingSettings, rolling_coefficients, bare_units={"stiffness_constant": "N/m^(10/9)"}, response=rolling_response, mount=_mounted
+    RollerBearingSettings,
+    rolling_coefficients,
+    bare_units={"stiffness_constant": "N/m^(10/9)"},
+    response=rolling_response,
+    mount=_mounted,
 )

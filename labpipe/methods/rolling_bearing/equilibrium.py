@@ -1,9 +1,12 @@
-"""Equilibrium of rolling bearings under prescribed loads and displacements: Newton's method on the convex load potential.
+"""Equilibrium of rolling bearings under prescribed loads and displacements: Newton's method on the convex
+load potential.
 
-Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load potential.
+Equilibrium of a rolling bearing under prescribed loads and displacements: Newton's method on the load
+potential.
 
-The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for balls, linear for rollers),
-so a line search makes the solution independent of its start; loose elements, clearance and zero contact angle need no special case.
+The potential Phi(q) = sum_j K_n delta_j^(n+1) / (n+1) - f . q is convex (delta is a convex function of q for
+balls, linear for rollers), so a line search makes the solution independent of its start; loose elements,
+clearance and zero contact angle need no special case.
 """
 
 from __future__ import annotations
@@ -16,7 +19,15 @@ from numpy.typing import ArrayLike
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.loads import DOFS, Contacts, ElementFrame, RollingBearing, contacts, load_sum, stiffness_sum
+from labpipe.methods.rolling_bearing.loads import (
+    DOFS,
+    Contacts,
+    ElementFrame,
+    RollingBearing,
+    contacts,
+    load_sum,
+    stiffness_sum,
+)
 from labpipe.registry import nearest
 
 # Limits of the rolling-bearing model: loads that a bearing cannot carry, and their error messages.
@@ -26,7 +37,11 @@ UNITS = ("N", "N", "N", "N m", "N m")
 
 
 def check_request(
-    bearing: RollingBearing, loads: FloatArray, displacements: FloatArray, fixed_dofs: Sequence[str], cage_angle: FloatArray
+    bearing: RollingBearing,
+    loads: FloatArray,
+    displacements: FloatArray,
+    fixed_dofs: Sequence[str],
+    cage_angle: FloatArray,
 ) -> None:
     """ConfigError for an ill-posed request: wrong shapes, missing numbers, dofs without support by rollers.
 
@@ -36,10 +51,16 @@ def check_request(
         if name not in DOFS:
             raise ConfigError(f"no displacement '{name}'", hint=nearest(name, DOFS))
     if loads.shape[-1] != len(DOFS) or displacements.shape[-1] != len(DOFS):
-        raise ConfigError(f"a load case has {len(DOFS)} loads and displacements, found {loads.shape[-1]} and {displacements.shape[-1]}")
+        raise ConfigError(
+            f"a load case has {len(DOFS)} loads and displacements, found {loads.shape[-1]} "
+            f"and {displacements.shape[-1]}"
+        )
     sizes = {len(loads), len(displacements), cage_angle.size}
     if cage_angle.ndim > 1 or len(sizes - {1}) > 1:
-        numbers = f"{len(loads)} load cases, {len(displacements)} of displacements and {cage_angle.size} cage angles"
+        numbers = (
+            f"{len(loads)} load cases, {len(displacements)} of displacements and {cage_angle.size} "
+            "cage angles"
+        )
         raise ConfigError(f"{numbers} do not go together", hint="one, or as many as load cases")
     for what, values in (("load", loads), ("displacement", displacements), ("cage angle", cage_angle)):
         if not np.all(np.isfinite(values)):
@@ -53,37 +74,58 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
     loose = [name for name in ("bx", "by") if name not in fixed_dofs]
     if loose:
         raise ConfigError(
-            f"rollers at a fixed contact angle leave the tilt {loose[0]} without support", hint=f"hold it: displacements.{loose[0]}"
+            f"rollers at a fixed contact angle leave the tilt {loose[0]} without support",
+            hint=f"hold it: displacements.{loose[0]}",
         )
     if bearing.contact_angle == 0 and "z" not in fixed_dofs:
         if np.any(loads[:, 2] != 0):
-            raise ConfigError("rollers at contact angle 0 carry no axial load", hint="remove loads.z, or give a contact angle")
-        raise ConfigError("rollers at contact angle 0 leave z without support", hint="hold it: displacements.z")
+            raise ConfigError(
+                "rollers at contact angle 0 carry no axial load",
+                hint="remove loads.z, or give a contact angle",
+            )
+        raise ConfigError(
+            "rollers at contact angle 0 leave z without support", hint="hold it: displacements.z"
+        )
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90 deg."""
+    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
+    deg.
+    """
     beyond = at.deflection > bearing.reach
     if np.any(beyond):
         case, element = (int(n) for n in np.argwhere(beyond)[0])
         raise FitError(
-            f"{_case(case, len(beyond))}element {element + 1} is pressed in by {1e6 * at.deflection[case, element]:.4g} um",
+            f"{_case(case, len(beyond))}element {element + 1} is pressed in by "
+            f"{1e6 * at.deflection[case, element]:.4g} um",
             hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
         )
     inside = (at.deflection > 0) & (at.cos < 0)
     if np.any(inside):
         case, element = (int(n) for n in np.argwhere(inside)[0])
         raise FitError(
-            f"{_case(case, len(inside))}element {element + 1} carries at a contact angle beyond 90 deg: the rings have come apart",
+            f"{_case(case, len(inside))}element {element + 1} carries at a contact angle beyond 90 deg: the "
+            "rings have come apart",
             hint="the bearing cannot carry this load",
         )
 
 
 def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
     """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
-    acting = ", ".join(f"{name} {amount:.4g} {unit}" for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True) if amount)
-    hint = "the load does not press the elements onto their tracks" if not bearing.is_ball else "check the size of the loads"
-    raise FitError(f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}", hint=hint)
+    acting = ", ".join(
+        f"{name} {amount:.4g} {unit}"
+        for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True)
+        if amount
+    )
+    hint = (
+        "the load does not press the elements onto their tracks"
+        if not bearing.is_ball
+        else "check the size of the loads"
+    )
+    raise FitError(
+        f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}",
+        hint=hint,
+    )
 
 
 def _case(case: int, n_case: int) -> str:
@@ -96,8 +138,11 @@ def _case(case: int, n_case: int) -> str:
 TOLERANCE = 1e-12  # of the residual against the loads
 ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
 ROUNDING = 4 * np.finfo(np.float64).eps
-NEGLIGIBLE = 1e-6  # deflection over the longest step that counts as zero: an unloaded bearing is in equilibrium as well
-MAX_ITERATIONS = 1000  # a dozen as a rule; changing to the opposite contact angle takes hundreds of short steps
+# Deflection over the longest step that counts as zero: an unloaded bearing is in equilibrium as well.
+NEGLIGIBLE = 1e-6
+MAX_ITERATIONS = (
+    1000  # a dozen as a rule; changing to the opposite contact angle takes hundreds of short steps
+)
 MAX_CUTS = 40
 # Largest displacement of an equilibrium over the pitch radius.
 REACH = 0.2
@@ -107,7 +152,8 @@ REACH = 0.2
 class Problem:
     """Load cases of one bearing: u with F_i(u) = f_i for the *free* dofs (indices), the others fixed.
 
-    load (n_case, 5) [N]; moments are divided and tilts multiplied by the pitch radius, so that all five have one unit.
+    load (n_case, 5) [N]; moments are divided and tilts multiplied by the pitch radius, so that all five have
+    one unit.
     """
 
     bearing: RollingBearing
@@ -137,7 +183,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class Trial:
-    """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the potential [J]."""
+    """A position u (n_case, 5) [m], the contacts there, the residual f - F of the free dofs [N], and the
+    potential [J].
+    """
 
     u: FloatArray
     state: Contacts
@@ -151,7 +199,9 @@ class Trial:
 
 
 def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements, zero where free."""
+    """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements,
+    zero where free.
+    """
     u = starting_point(problem, fixed)
     unsolved = np.arange(len(u))
     solved = np.zeros(len(u), dtype=bool)
@@ -166,13 +216,19 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
         if not active.any():
             return u, solved
         if not active.all():
-            unsolved, problem, trial, step = unsolved[active], problem.of_cases(active), trial.of_cases(active), step[active]
+            unsolved, problem, trial, step = (
+                unsolved[active],
+                problem.of_cases(active),
+                trial.of_cases(active),
+                step[active],
+            )
         u[unsolved] = line_search(problem, trial, step)
     return u, solved
 
 
 def newton_step(problem: Problem, trial: Trial) -> FloatArray:
-    """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness, converging quadratically.
+    """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness,
+    converging quadratically.
 
     Equation (roll-newton).
     """
@@ -186,10 +242,12 @@ def newton_step(problem: Problem, trial: Trial) -> FloatArray:
 
 
 def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
-    """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope along p is not positive.
+    """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
+    along p is not positive.
 
-    A convex potential decreases as long as its slope at the end of the step is not positive; that test also works where differences of
-    the potential are below rounding. A reduction goes to the zero of the secant of the slope.
+    A convex potential decreases as long as its slope at the end of the step is not positive; that test also
+    works where differences of the potential are below rounding. A reduction goes to the zero of the secant of
+    the slope.
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
@@ -216,7 +274,8 @@ def _mask(indices: IntArray, size: int) -> BoolArray:
 
 
 def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
-    """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the loads; rollers at 0 deg: radial.
+    """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
+    loads; rollers at 0 deg: radial.
 
     *fixed* (n_case, 5): fixed displacements. At q = 0 a bearing with contact angle 0 has no stiffness.
     """
@@ -236,7 +295,9 @@ def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
 
 
 def _axial_approach(bearing: RollingBearing, size: FloatArray, side: FloatArray) -> FloatArray:
-    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1), by fixed-point steps of the contact angle."""
+    """dz [m] at which *size* [N] loads all elements equally towards *side* (+1, -1), by fixed-point steps of
+    the contact angle.
+    """
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
     per_element = size / bearing.elements / bearing.stiffness_constant
     if bearing.groove_distance is None:
@@ -263,9 +324,9 @@ CASES_AT_ONCE = 512
 class Equilibrium:
     """The state of n_case load cases.
 
-    displacement (n_case, 5) [m, rad]; load (n_case, 5) [N, N m] on the inner ring, reactions of fixed dofs included; stiffness K = dF/dq
-    (n_case, 5, 5); contacts: deflection, load and direction of every element; angles psi_j (n_case, z) [rad]; free: names of the dofs
-    with prescribed load.
+    displacement (n_case, 5) [m, rad]; load (n_case, 5) [N, N m] on the inner ring, reactions of fixed dofs
+    included; stiffness K = dF/dq (n_case, 5, 5); contacts: deflection, load and direction of every element;
+    angles psi_j (n_case, z) [rad]; free: names of the dofs with prescribed load.
     """
 
     bearing: RollingBearing
@@ -284,12 +345,15 @@ class Equilibrium:
 
     @property
     def mirrored(self) -> BoolArray:
-        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite contact angle.
+        """Load cases (n_case,) in which an element of an angular-contact bearing carries at the opposite
+        contact angle.
 
         The equations allow it; a bearing with one shoulder does not.
         """
         opposite = self.contacts.sin * np.sign(self.bearing.contact_angle) < 0
-        return np.any(opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1)
+        return np.any(
+            opposite & (self.contacts.load > 1e-9 * self.contacts.load.max(axis=1, keepdims=True)), axis=1
+        )
 
     @property
     def determinate(self) -> BoolArray:
@@ -312,9 +376,10 @@ def equilibrium(
 ) -> Equilibrium:
     """The equilibrium of the bearing: F_i(q) = f_i for every dof except *fixed_dofs*, where q_i is given.
 
-    *loads* (5,) or (n_case, 5) [N, N m]; *displacements* (5,) or (n_case, 5) [m, rad], used for the dofs named in *fixed_dofs* (x y z
-    bx by); *cage_angle* scalar or (n_case,) [rad], angle of the first element from x. Raises ConfigError for a load that this kind of
-    bearing cannot carry or displacements beyond the model's reach, FitError naming the load case when there is no equilibrium.
+    *loads* (5,) or (n_case, 5) [N, N m]; *displacements* (5,) or (n_case, 5) [m, rad], used for the dofs
+    named in *fixed_dofs* (x y z bx by); *cage_angle* scalar or (n_case,) [rad], angle of the first element
+    from x. Raises ConfigError for a load that this kind of bearing cannot carry or displacements beyond the
+    model's reach, FitError naming the load case when there is no equilibrium.
     """
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     cage = np.asarray(cage_angle, np.float64)
@@ -327,12 +392,19 @@ def equilibrium(
     for start in range(0, n_case, CASES_AT_ONCE):
         part = slice(start, start + CASES_AT_ONCE)
         part_cage = cage[part] if cage.ndim else cage
-        parts.append(_state(bearing, _solve_part(bearing, f, q, fixed_dofs, part_cage, part), fixed_dofs, part_cage))
+        parts.append(
+            _state(bearing, _solve_part(bearing, f, q, fixed_dofs, part_cage, part), fixed_dofs, part_cage)
+        )
     return _joined(parts)
 
 
 def _solve_part(
-    bearing: RollingBearing, f: FloatArray, q: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray, part: slice
+    bearing: RollingBearing,
+    f: FloatArray,
+    q: FloatArray,
+    fixed_dofs: Sequence[str],
+    cage: FloatArray,
+    part: slice,
 ) -> FloatArray:
     """Displacements of a part of the load cases; tilts are solved in metres at the pitch radius."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
@@ -345,20 +417,32 @@ def _solve_part(
     return u / scale
 
 
-def _state(bearing: RollingBearing, displacement: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray) -> Equilibrium:
+def _state(
+    bearing: RollingBearing, displacement: FloatArray, fixed_dofs: Sequence[str], cage: FloatArray
+) -> Equilibrium:
     angles = bearing.angles(cage)
     frame = ElementFrame.at(angles, bearing.pitch_radius)
     at = contacts(bearing, displacement, frame)
     free = tuple(name for name in DOFS if name not in fixed_dofs)
     case_angles = np.broadcast_to(angles, at.load.shape)
-    return Equilibrium(bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free)
+    return Equilibrium(
+        bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free
+    )
 
 
 def _joined(parts: Sequence[Equilibrium]) -> Equilibrium:
     """The load cases of all parts as one."""
-    at = Contacts(*(np.concatenate([getattr(part.contacts, field.name) for part in parts]) for field in fields(Contacts)))
+    at = Contacts(
+        *(
+            np.concatenate([getattr(part.contacts, field.name) for part in parts])
+            for field in fields(Contacts)
+        )
+    )
     check_carried(parts[0].bearing, at)
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("displacement", "load", "stiffness", "angles")}
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("displacement", "load", "stiffness", "angles")
+    }
     return Equilibrium(parts[0].bearing, contacts=at, free=parts[0].free, **joined)
 
 

@@ -1,7 +1,9 @@
-"""Rolling bearings after Lim and Singh: loads between displaced rings, and their exact derivative, the stiffness matrix.
+"""Rolling bearings after Lim and Singh: loads between displaced rings, and their exact derivative, the
+stiffness matrix.
 
-Coordinates q = (x, y, z, bx, by): displacement of the inner relative to the outer ring, z along the axis, bx and by tilts about x, y;
-loads f = (Fx, Fy, Fz, Mx, My). T. C. Lim and R. Singh, J. Sound Vib. 139 (1990) 179-199, eqs. 2-8.
+Coordinates q = (x, y, z, bx, by): displacement of the inner relative to the outer ring, z along the axis, bx
+and by tilts about x, y; loads f = (Fx, Fy, Fz, Mx, My). T. C. Lim and R. Singh, J. Sound Vib. 139 (1990)
+179-199, eqs. 2-8.
 """
 
 from __future__ import annotations
@@ -28,10 +30,11 @@ ROLLER_REACH = 0.02
 class RollingBearing:
     """One row of *elements* balls or rollers with Q = K_n delta^n, n = 3/2 (balls) or 10/9 (rollers).
 
-    stiffness_constant: K_n of inner and outer contact in series [N/m^n]; pitch_radius: radius r of the inner groove's curvature centres
-    (balls) or of the pitch circle (rollers) [m]; contact_angle: unloaded angle a0 [rad]; clearance: radial clearance r_L, half the
-    diametral one; negative means interference [m]; groove_distance: unloaded distance A0 of the groove centres [m], balls only: with it
-    the contact angle changes under load, without it (rollers) it is constant. Raises ConfigError for an impossible geometry.
+    stiffness_constant: K_n of inner and outer contact in series [N/m^n]; pitch_radius: radius r of the inner
+    groove's curvature centres (balls) or of the pitch circle (rollers) [m]; contact_angle: unloaded angle a0
+    [rad]; clearance: radial clearance r_L, half the diametral one; negative means interference [m];
+    groove_distance: unloaded distance A0 of the groove centres [m], balls only: with it the contact angle
+    changes under load, without it (rollers) it is constant. Raises ConfigError for an impossible geometry.
     """
 
     elements: int
@@ -43,17 +46,26 @@ class RollingBearing:
 
     def __post_init__(self) -> None:
         if self.elements < MIN_ELEMENTS:
-            raise ConfigError(f"{self.elements} rolling elements do not make a bearing", hint=f"{MIN_ELEMENTS} or more")
+            raise ConfigError(
+                f"{self.elements} rolling elements do not make a bearing", hint=f"{MIN_ELEMENTS} or more"
+            )
         if self.elements > MAX_ELEMENTS:
-            raise ConfigError(f"a bearing of {self.elements} rolling elements is not computed", hint=f"up to {MAX_ELEMENTS}")
+            raise ConfigError(
+                f"a bearing of {self.elements} rolling elements is not computed", hint=f"up to {MAX_ELEMENTS}"
+            )
         for name in ("stiffness_constant", "pitch_radius", "groove_distance"):
             amount = getattr(self, name)
             if amount is not None and not 0 < amount < np.inf:
                 raise ConfigError(f"{name} must be above zero, found {amount:g}")
         if not abs(self.contact_angle) < np.pi / 2:
             raise ConfigError("the contact angle must lie between -90 and 90 deg")
-        if self.groove_distance is not None and self.clearance >= self.groove_distance * np.cos(self.contact_angle):
-            raise ConfigError("the clearance is larger than the groove centres' radial distance", hint="it is the radial clearance")
+        if self.groove_distance is not None and self.clearance >= self.groove_distance * np.cos(
+            self.contact_angle
+        ):
+            raise ConfigError(
+                "the clearance is larger than the groove centres' radial distance",
+                hint="it is the radial clearance",
+            )
 
     @property
     def is_ball(self) -> bool:
@@ -66,7 +78,8 @@ class RollingBearing:
 
     @property
     def reach(self) -> float:
-        """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the pitch radius for rollers.
+        """Largest deflection of the model [m]: the groove centres' distance, about 5 % of a ball; 2 % of the
+        pitch radius for rollers.
 
         Hertzian contacts are small against the element.
         """
@@ -80,10 +93,11 @@ class RollingBearing:
 
 @dataclass(frozen=True)
 class ElementFrame:
-    """Directions of the elements: dr_j = e_r . q, dz_j = e_z . q, e_r = (cos, sin, 0, 0, 0), e_z = (0, 0, 1, l sin, -l cos) of psi_j.
+    """Directions of the elements: dr_j = e_r . q, dz_j = e_z . q, e_r = (cos, sin, 0, 0, 0), e_z = (0, 0, 1,
+    l sin, -l cos) of psi_j.
 
-    radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch radius, or 1 where tilts are multiplied by it.
-    Equation (roll-kinematics).
+    radial, axial: (z, 5) [-] for all load cases, or (n_case, z, 5). l is the pitch radius, or 1 where tilts
+    are multiplied by it. Equation (roll-kinematics).
     """
 
     radial: FloatArray
@@ -98,10 +112,17 @@ class ElementFrame:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]; for a frame common to all load cases."""
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-].
+
+        For a frame common to all load cases.
+        """
         r, a = self.radial, self.axial
         mixed = r[:, :, None] * a[:, None, :]
-        pairs = (r[:, :, None] * r[:, None, :], mixed + np.swapaxes(mixed, 1, 2), a[:, :, None] * a[:, None, :])
+        pairs = (
+            r[:, :, None] * r[:, None, :],
+            mixed + np.swapaxes(mixed, 1, 2),
+            a[:, :, None] * a[:, None, :],
+        )
         return np.concatenate(pairs).reshape(-1, 25)
 
     def of_cases(self, cases: BoolArray | slice) -> ElementFrame:
@@ -127,8 +148,9 @@ def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contacts of the elements, all (n_case, z): deflection delta [m] (zero where loose), load Q [N], direction of the load
-    cos, sin of the contact angle, slope dQ/ddelta [N/m], and turning Q/A [N/m], the geometric stiffness across the load (balls).
+    """Contacts of the elements, all (n_case, z): deflection delta [m] (zero where loose), load Q [N],
+    direction of the load cos, sin of the contact angle, slope dQ/ddelta [N/m], and turning Q/A [N/m], the
+    geometric stiffness across the load (balls).
     """
 
     deflection: FloatArray
@@ -140,10 +162,12 @@ class Contacts:
 
 
 def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Contacts:
-    """Deflections and loads of the elements at displacements *q* (n_case, 5) [m, rad] or, with tilts times the pitch radius, [m].
+    """Deflections and loads of the elements at displacements *q* (n_case, 5) [m, rad] or, with tilts times
+    the pitch radius, [m].
 
-    Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference of nearly equal lengths:
-    A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta = dr cos a0 + dz sin a0. Equation (roll-deflection).
+    Balls: delta = A - A0 with A^2 = (A0 sin a0 + dz)^2 + (A0 cos a0 + dr)^2, written without the difference
+    of nearly equal lengths: A - A0 = (2 A0 (dz sin a0 + dr cos a0) + dz^2 + dr^2) / (A + A0). Rollers: delta
+    = dr cos a0 + dz sin a0. Equation (roll-deflection).
     """
     dz, dr = _along(frame.axial, q), _along(frame.radial, q) - bearing.clearance
     sin0, cos0 = np.sin(bearing.contact_angle), np.cos(bearing.contact_angle)
@@ -206,7 +230,9 @@ def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike =
 
 
 def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad], symmetric."""
+    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
+    symmetric.
+    """
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return stiffness_sum(contacts(bearing, displacement, frame), frame)

@@ -1,10 +1,12 @@
-"""Fit against theory: the theory's transfer function fitted like the measured one, and the ratio over all tests.
+"""Fit against theory: the theory's transfer function fitted like the measured one, and the ratio over all
+tests.
 
 Fit against fit: the theory's transfer function, fitted like the measured one, and the factor between the two.
 
-A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still. Therefore the theory's
-stiffness matrix is multiplied by a factor and put in series with the shaft, its curve is fitted on the measured lines with the
-measured weights, and factor and damping are changed until that fit gives the measured k and c. Neighbouring modes affect both alike.
+A one-dof fit of a coupled transfer function is not K_ii, and a bending shaft makes radial fits softer still.
+Therefore the theory's stiffness matrix is multiplied by a factor and put in series with the shaft, its curve
+is fitted on the measured lines with the measured weights, and factor and damping are changed until that fit
+gives the measured k and c. Neighbouring modes affect both alike.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ LARGEST_MOVE = 1.0
 
 @dataclass(frozen=True)
 class TheoryAt:
-    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share *step*, and the shaft."""
+    """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
+    *step*, and the shaft.
+    """
 
     stiffness: FloatArray
     near: FloatArray
@@ -59,7 +63,9 @@ class TheoryAt:
 
 @dataclass(frozen=True)
 class Rig:
-    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts [m]."""
+    """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts
+    [m].
+    """
 
     bending: Uncertain
     arm: float | None
@@ -67,11 +73,12 @@ class Rig:
 
 @dataclass(frozen=True)
 class Matched:
-    """The factor on the theory's K at which its curve gives the measured fit: ln ratio and ln beta (2,) [1] with covariance (2, 2).
+    """The factor on the theory's K at which its curve gives the measured fit: ln ratio and ln beta (2,) [1]
+    with covariance (2, 2).
 
     *to_sources*: change (2,) [1] of both by one standard uncertainty of each source of the fit's budget.
-    *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of the condition. *theory*:
-    (k, c) of the fit of the theory's curve, with the measured damping.
+    *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of
+    the condition. *theory*: (k, c) of the fit of the theory's curve, with the measured damping.
     """
 
     log: FloatArray
@@ -92,11 +99,13 @@ class _Curve:
     arms: float
 
 
-def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig) -> Matched:
+def match(
+    fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
+) -> Matched:
     """Solve ln(k, c)(ratio, beta) = ln(k, c) measured by Newton's method with numerical slopes.
 
-    Raises ConfigError for a response whose dofs are not the bearing's, FitError where no ratio gives the measured fit.
-    Equation (comp-match).
+    Raises ConfigError for a response whose dofs are not the bearing's, FitError where no ratio gives the
+    measured fit. Equation (comp-match).
     """
     fit = fit.as_fitted
     curve = _curve(fit, response, settings, rig)
@@ -111,7 +120,11 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     log, slopes = _solved(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
     solution = fitted(log, theory.stiffness, bending)
-    to_bending = np.zeros(2) if np.isinf(bending) else (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
+    to_bending = (
+        np.zeros(2)
+        if np.isinf(bending)
+        else (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
+    )
     to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
     theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
@@ -119,8 +132,13 @@ def match(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: 
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
-def _solved(function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The root of function(u) = target and the slopes (2, 2) near it; FitError where there is none within reach."""
+def _solved(
+    function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The root of function(u) = target and the slopes (2, 2) near it.
+
+    FitError where there is none within reach.
+    """
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)
@@ -150,13 +168,18 @@ def _log_changes(fit: Fit) -> dict[str, FloatArray]:
         return {}
     names = ("k", "c")
     return {
-        source.source: np.array([change_in(fit, source.source, name) / fit.parameter(name).value for name in names])
+        source.source: np.array(
+            [change_in(fit, source.source, name) / fit.parameter(name).value for name in names]
+        )
         for source in fit.budget.sources
     }
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation; FitError without standard errors."""
+    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation.
+
+    FitError without standard errors.
+    """
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     places = [names.index("k"), names.index("c")]
     chosen = [fit.parameters[place] for place in places]
@@ -166,8 +189,12 @@ def log_covariance(fit: Fit) -> FloatArray:
     return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
 
 
-def overlay(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched) -> Overlay:
-    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory times the ratio."""
+def overlay(
+    fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched
+) -> Overlay:
+    """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory
+    times the ratio.
+    """
     curve = _curve(fit, response, settings, rig, whole=True)
     beta = float(np.exp(matched.log[1]))
     curves = [
@@ -178,35 +205,54 @@ def overlay(fit: Fit, response: FrequencyResponse, settings: FitSettings, theory
     return Overlay(fit.test, response.form, tuple(curve.response.frequency.tolist()), *sizes)
 
 
-def _theory_curve(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> ComplexArray:
+def _theory_curve(
+    curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
+) -> ComplexArray:
     """The measured term of the theory's transfer matrix, (n_frequency,)."""
     frequency = curve.response.frequency
-    receptance = bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
+    receptance = (
+        bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
+    )
     return receptance * receptance_factor(curve.response.form, frequency)
 
 
-def _log_fit(curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float) -> FloatArray:
+def _log_fit(
+    curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
+) -> FloatArray:
     """ln(k, c) of the fit on the theory's curve."""
     matrix = _theory_curve(curve, shaft, stiffness, beta, bending)[:, None, None]
     (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
     return np.log([_positive(fit, "k"), _positive(fit, "c")])
 
 
-def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False) -> _Curve:
+def _curve(
+    fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
+) -> _Curve:
     """The part of the response that belongs to *fit*; *whole*: its term on all lines."""
     if not settings.kind.one_frf or fit.curve is None:
-        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint="only one-dof fits are compared with those of the theory")
+        raise ConfigError(
+            f"fit '{fit.name}' is not of the model sdof",
+            hint="only one-dof fits are compared with those of the theory",
+        )
     if settings.subtract is not None or settings.share != 1:
-        raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint="compare the fit of the whole with the theory")
+        raise ConfigError(
+            f"fit '{fit.name}' is corrected for support or share",
+            hint="compare the fit of the whole with the theory",
+        )
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
     lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
     element = row * len(response.inputs) + column
-    covariance = None if response.covariance is None else response.covariance[lines][:, element, None][:, :, element, None]
+    covariance = (
+        None
+        if response.covariance is None
+        else response.covariance[lines][:, element, None][:, :, element, None]
+    )
     part = FrequencyResponse(
         response.frequency[lines],
         response.matrix[lines][:, row, None][:, :, column, None],
-        # Fits of the theory's curve give values alone: no uncertainty of a sensor need be propagated in each of them.
+        # Fits of the theory's curve give values alone: no uncertainty of a sensor need be propagated in each
+        # of them.
         (replace(response.outputs[row], uncertainties=()),),
         (replace(response.inputs[column], uncertainties=()),),
         form=response.form,
@@ -215,14 +261,27 @@ def _curve(fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Ri
         covariance_dof=response.covariance_dof,
     )
     places = (_place(response.outputs[row]), _place(response.inputs[column]))
-    alone = replace(settings, peaks=(), bands=(fit.band_hz,), band=None, sliding=None, input=(), output=(), bootstrap=0, compare=False)
+    alone = replace(
+        settings,
+        peaks=(),
+        bands=(fit.band_hz,),
+        band=None,
+        sliding=None,
+        input=(),
+        output=(),
+        bootstrap=0,
+        compare=False,
+    )
     return _Curve(part, alone, places, _arm(rig, places[0]) * _arm(rig, places[1]))
 
 
 def _place(port: Port) -> int:
     name = next((name for name in (port.dof, port.label) if name in DOFS), None)
     if name is None:
-        raise ConfigError(f"'{port.label}' is no dof of the bearing's theory", hint=f"give its dof in the rig file: {', '.join(DOFS)}")
+        raise ConfigError(
+            f"'{port.label}' is no dof of the bearing's theory",
+            hint=f"give its dof in the rig file: {', '.join(DOFS)}",
+        )
     return DOFS.index(name)
 
 
@@ -231,7 +290,10 @@ def _arm(rig: Rig, place: int) -> float:
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
-        raise ConfigError(f"the tilt {DOFS[place]} is compared without an arm", hint="theory: {arm: 100 mm}, the place of the shaker")
+        raise ConfigError(
+            f"the tilt {DOFS[place]} is compared without an arm",
+            hint="theory: {arm: 100 mm}, the place of the shaker",
+        )
     return rig.arm
 
 
@@ -241,7 +303,9 @@ NORMAL_95 = 1.959963984540054
 SERIES = "; corrected for the bending shaft"
 
 
-def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float) -> Comparison:
+def stiffness_ratio(
+    campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float
+) -> Comparison:
     """Mean of ln(measured / theory) over the tests by generalised least squares with `joint_covariance`.
 
     *bending_error*: relative standard error of the shaft's stiffness. Equation (comp-ratio).
@@ -260,7 +324,13 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
         points=_points(campaign, matched, np.sqrt(np.diag(covariance))),
         amounts=(ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True)),
         verdict=verdict,
-        statement=_ratio_statement(campaign, ratio.value, ratio.ci95, mean, SERIES if any(m.to_bending.any() for m in matched) else ""),
+        statement=_ratio_statement(
+            campaign,
+            ratio.value,
+            ratio.ci95,
+            mean,
+            SERIES if any(m.to_bending.any() for m in matched) else "",
+        ),
         condition=campaign.settings.condition,
         condition_unit=campaign.condition_unit,
         second=campaign.settings.second,
@@ -269,33 +339,55 @@ def stiffness_ratio(campaign: Campaign, matched: Sequence[Matched], overlays: tu
     )
 
 
-def joint_covariance(matched: Sequence[Matched], number: int, setting_error: float, bending_error: float) -> FloatArray:
+def joint_covariance(
+    matched: Sequence[Matched], number: int, setting_error: float, bending_error: float
+) -> FloatArray:
     """Covariance (n, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
 
-    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the setting of the condition are
-    independent between tests, the errors of the shaft's stiffness and of sensors (c) are common to all that have them.
-    Equation (comp-joint).
+    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the
+    setting of the condition are independent between tests, the errors of the shaft's stiffness and of sensors
+    (c) are common to all that have them. Equation (comp-joint).
     """
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
     shared = np.array([test.to_bending[number] for test in matched]) * bending_error
     sources = dict.fromkeys(source for test in matched for source in test.to_sources)
-    common = np.array([[test.to_sources.get(source, np.zeros(2))[number] for test in matched] for source in sources])
+    common = np.array(
+        [[test.to_sources.get(source, np.zeros(2))[number] for test in matched] for source in sources]
+    )
     common = common.reshape(len(sources), len(matched))
     return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
 
 
 def _ratio_verdict(interval: tuple[float, float] | None) -> str:
     assert interval is not None
-    return "as theory" if interval[0] <= 1 <= interval[1] else "stiffer than theory" if interval[0] > 1 else "softer than theory"
+    return (
+        "as theory"
+        if interval[0] <= 1 <= interval[1]
+        else "stiffer than theory"
+        if interval[0] > 1
+        else "softer than theory"
+    )
 
 
-def _ratio_statement(campaign: Campaign, ratio: float, interval: tuple[float, float] | None, mean: WeightedFit, series: str) -> str:
+def _ratio_statement(
+    campaign: Campaign, ratio: float, interval: tuple[float, float] | None, mean: WeightedFit, series: str
+) -> str:
     assert interval is not None
-    result = f"{campaign.subject}: measured / theory {ratio:.4f} (95 %: {interval[0]:.4f} to {interval[1]:.4f}), fit against fit{series}."
+    result = (
+        f"{campaign.subject}: measured / theory {ratio:.4f} (95 %: {interval[0]:.4f} to "
+        f"{interval[1]:.4f}), fit against fit{series}."
+    )
     if mean.inflated:
-        return f"{result} One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is widened by their scatter."
-    return result if mean.p_value is None else f"{result} One factor holds for all tests (p = {mean.p_value:.2g})."
+        return (
+            f"{result} One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is "
+            "widened by their scatter."
+        )
+    return (
+        result
+        if mean.p_value is None
+        else (f"{result} One factor holds for all tests (p = {mean.p_value:.2g}).")
+    )
 
 
 def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) -> tuple[ComparedPoint, ...]:
@@ -307,10 +399,12 @@ def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) 
 
 
 def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_error: float = 0.0) -> Comparison:
-    """Test of Rayleigh damping c = beta k: chi-square of the tests' beta = c / k about one value, and exponent of c over k.
+    """Test of Rayleigh damping c = beta k: chi-square of the tests' beta = c / k about one value, and
+    exponent of c over k.
 
-    With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping, without the influence of
-    neighbouring modes and of the bending shaft; without, the fit's c / k. Equation (comp-rayleigh).
+    With a theory (*matched*), beta is the factor by which the theory's curve has the measured damping,
+    without the influence of neighbouring modes and of the bending shaft; without, the fit's c / k. Equation
+    (comp-rayleigh).
     """
     if matched is None:
         logs, covariance = _log_betas([observation.fit for observation in campaign.observations])
@@ -326,7 +420,9 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         raise FitError("one test cannot show whether damping is proportional to stiffness")
     verdict = "not proportional" if mean.p_value < campaign.settings.level else "proportional"
     beta = from_log("beta", "s", float(mean.values[0]), mean.std_error(0), mean.quantile)
-    result = f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
+    result = (
+        f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
+    )
     rows = zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True)
     points = tuple(_beta_point(*row, beta.value) for row in rows)
     return Comparison(
@@ -346,7 +442,9 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in common."""
+    """ln(c / k) and its covariance (n, n), from that of c and k in each fit and from what the fits have in
+    common.
+    """
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
     variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
@@ -356,7 +454,10 @@ def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
 
 def _log_beta_change(fit: Fit, source: str) -> float:
     """Change of ln(c / k) by one standard uncertainty of a source."""
-    return change_in(fit, source, "c") / fit.parameter("c").value - change_in(fit, source, "k") / fit.parameter("k").value
+    return (
+        change_in(fit, source, "c") / fit.parameter("c").value
+        - change_in(fit, source, "k") / fit.parameter("k").value
+    )
 
 
 def _beta_point(point: ComparedPoint, log: float, error: float, beta: float) -> ComparedPoint:
@@ -383,7 +484,10 @@ class _Solved:
 
 
 def theory_of(folder: Path, settings: TheorySettings) -> Theory:
-    """The bearing file as a function of the condition [SI]; ConfigError for a bearing without five dofs, or without a shaft on it."""
+    """The bearing file as a function of the condition [SI].
+
+    ConfigError for a bearing without five dofs, or without a shaft on it.
+    """
     file = open_bearing(folder / settings.bearing)
 
     def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
@@ -394,7 +498,9 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
         shaft = getattr(low, "shaft", None)
         if here.dofs != DOFS or shaft is None:
             hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
-            raise ConfigError("the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint)
+            raise ConfigError(
+                "the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint
+            )
         return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body)
 
     return at
@@ -447,14 +553,22 @@ def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named
         conditions = pairs[: len(campaign.settings.over)]
         key = repr(conditions)
         theories[key] = theories.get(key) or theory(conditions)
-        inputs = (observation.fit, evidence.response(observation.fit.test), evidence.settings_of(observation.fit.name), theories[key], rig)
+        inputs = (
+            observation.fit,
+            evidence.response(observation.fit.test),
+            evidence.settings_of(observation.fit.name),
+            theories[key],
+            rig,
+        )
         matched.append(_named(observation.fit.test, *inputs))
         if number in (0, last):
             overlays.append(overlay(*inputs, matched[-1]))
     return _Solved(matched, tuple(overlays))
 
 
-def _named(test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig) -> Matched:
+def _named(
+    test: str, fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
+) -> Matched:
     try:
         return match(fit, response, settings, theory, rig)
     except LabpipeError as error:
@@ -462,5 +576,12 @@ def _named(test: str, fit: Fit, response: FrequencyResponse, settings: FitSettin
         raise
 
 
-RATIO = ComparisonKind(ratio_of_tests, keys=(*OF_TESTS, "setting_error", "theory"), needs=("fit", "over", "theory"), conditions=2)
-RAYLEIGH = ComparisonKind(rayleigh_of_tests, keys=(*OF_TESTS, "setting_error", "theory", "level"), needs=("fit", "over"), conditions=2)
+RATIO = ComparisonKind(
+    ratio_of_tests, keys=(*OF_TESTS, "setting_error", "theory"), needs=("fit", "over", "theory"), conditions=2
+)
+RAYLEIGH = ComparisonKind(
+    rayleigh_of_tests,
+    keys=(*OF_TESTS, "setting_error", "theory", "level"),
+    needs=("fit", "over"),
+    conditions=2,
+)

@@ -1,8 +1,11 @@
-"""Settings of ball-bearing and roller-bearing files, and the Hertzian contact behind their stiffness constant.
+"""Settings of ball-bearing and roller-bearing files, and the Hertzian contact behind their stiffness
+constant.
 
-Hertzian contact of balls and rollers with their raceways: stiffness constant K_n of Q = K_n delta^n from geometry and material.
+Hertzian contact of balls and rollers with their raceways: stiffness constant K_n of Q = K_n delta^n from
+geometry and material.
 
-K. L. Johnson, Contact Mechanics (1985), eqs. 4.26-4.32; T. A. Harris, Rolling Bearing Analysis (2001), chapters 2 and 6.
+K. L. Johnson, Contact Mechanics (1985), eqs. 4.26-4.32; T. A. Harris, Rolling Bearing Analysis (2001),
+chapters 2 and 6.
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ class Material:
 
     def __post_init__(self) -> None:
         if not (0 < self.youngs_modulus < np.inf and -1 < self.poissons_ratio <= 0.5):
-            raise ConfigError("a material needs Young's modulus above zero and Poisson's ratio between -1 and 0.5")
+            raise ConfigError(
+                "a material needs Young's modulus above zero and Poisson's ratio between -1 and 0.5"
+            )
 
     @property
     def compliance(self) -> float:
@@ -45,7 +50,8 @@ STEEL = Material()
 
 @dataclass(frozen=True)
 class BallGeometry:
-    """Balls between two grooves: ball diameter D, pitch diameter d [m], conformities f = groove radius / D, contact angle a0 [rad].
+    """Balls between two grooves: ball diameter D, pitch diameter d [m], conformities f = groove radius / D,
+    contact angle a0 [rad].
 
     Raises ConfigError where the groove is not wider than the ball, or the ball as large as the pitch circle.
     """
@@ -61,26 +67,45 @@ class BallGeometry:
             raise ConfigError("the ball diameter must lie between zero and the pitch diameter")
         for name in ("inner_conformity", "outer_conformity"):
             if not 0.5 < getattr(self, name) < 2:
-                raise ConfigError(f"{name} must lie above 0.5 (a groove as narrow as the ball) and below 2", hint="0.52 is usual")
+                raise ConfigError(
+                    f"{name} must lie above 0.5 (a groove as narrow as the ball) and below 2",
+                    hint="0.52 is usual",
+                )
 
     @property
     def groove_distance(self) -> float:
-        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load. Equation (roll-groove-distance)."""
+        """A0 = (f_i + f_o - 1) D [m]: distance of the groove centres at zero contact load.
+
+        Equation (roll-groove-distance).
+        """
         return (self.inner_conformity + self.outer_conformity - 1) * self.ball_diameter
 
     @property
     def groove_centre_radius(self) -> float:
-        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie. Equation (roll-groove-radius)."""
-        return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(np.cos(self.contact_angle))
+        """r = d/2 + (f_i - 1/2) D cos a0 [m]: radius on which the inner groove's centres lie.
+
+        Equation (roll-groove-radius).
+        """
+        return self.pitch_diameter / 2 + (self.inner_conformity - 0.5) * self.ball_diameter * float(
+            np.cos(self.contact_angle)
+        )
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
     def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
-        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2). Equation (roll-ball-constant)."""
-        contacts = (self._contact(1, self.inner_conformity, rings, balls), self._contact(-1, self.outer_conformity, rings, balls))
+        """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
+
+        Equation (roll-ball-constant).
+        """
+        contacts = (
+            self._contact(1, self.inner_conformity, rings, balls),
+            self._contact(-1, self.outer_conformity, rings, balls),
+        )
         return in_series(contacts, 3 / 2)
 
     def _contact(self, side: int, conformity: float, rings: Material, balls: Material) -> float:
-        """One contact, *side* +1 inner (convex track), -1 outer: curvatures along rolling 2/D (1 + gamma/(1 - gamma)), across 2/D - 1/r."""
+        """One contact, *side* +1 inner (convex track), -1 outer: curvatures along rolling 2/D (1 + gamma/(1 -
+        gamma)), across 2/D - 1/r.
+        """
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
         across = (2 - 1 / conformity) / self.ball_diameter
@@ -88,23 +113,33 @@ class BallGeometry:
 
 
 def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:
-    """K of Q = K delta^1.5 [N/m^1.5] for two bodies whose summed principal curvatures are *along* and *across* [1/m].
+    """K of Q = K delta^1.5 [N/m^1.5] for two bodies whose summed principal curvatures are *along* and
+    *across* [1/m].
 
-    With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus sqrt(1 - k^2), rho their summed curvatures:
-    delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3), 1/E* = sum (1 - nu^2)/E. Raises ConfigError for other bodies.
-    Equation (roll-point-contact).
+    With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus sqrt(1 - k^2), rho
+    their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3), 1/E* = sum (1 -
+    nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
     """
     if not (along > 0 and across > 0):
-        raise ConfigError("the bodies do not touch in a point", hint="both summed curvatures must be positive")
+        raise ConfigError(
+            "the bodies do not touch in a point", hint="both summed curvatures must be positive"
+        )
     modulus = 1 / (first.compliance + second.compliance)
     k = ellipse_ratio(min(along, across) / max(along, across))
     first_kind, second_kind = float(special.ellipk(1 - k**2)), float(special.ellipe(1 - k**2))
-    per_load = 3 * k * first_kind / (2 * np.pi * modulus) * (np.pi * modulus * (along + across) / (3 * k * second_kind)) ** (1 / 3)
+    per_load = (
+        3
+        * k
+        * first_kind
+        / (2 * np.pi * modulus)
+        * (np.pi * modulus * (along + across) / (3 * k * second_kind)) ** (1 / 3)
+    )
     return float(per_load ** (-3 / 2))
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:
-    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0, 1, k^2) (Carlson).
+    """k = b/a of the contact ellipse from the ratio A/B <= 1 of the curvatures: A/B = R_D(0, k^2, 1) / R_D(0,
+    1, k^2) (Carlson).
 
     Equation (roll-ellipse).
     """
@@ -113,13 +148,16 @@ def ellipse_ratio(curvature_ratio: float) -> float:
 
     def mismatch(log_k: float) -> float:
         square = np.exp(2 * log_k)
-        return float(np.log(special.elliprd(0, square, 1) / special.elliprd(0, 1, square)) - np.log(curvature_ratio))
+        return float(
+            np.log(special.elliprd(0, square, 1) / special.elliprd(0, 1, square)) - np.log(curvature_ratio)
+        )
 
     return float(np.exp(optimize.brentq(mismatch, -18.0, 0.0, xtol=1e-14)))
 
 
 def line_contact(length: float) -> float:
-    """K of Q = K delta^(10/9) [N/m^(10/9)] for a steel roller of the *length* l [m] on one track: delta = 3.84e-5 Q^0.9 / l^0.8 in N, mm.
+    """K of Q = K delta^(10/9) [N/m^(10/9)] for a steel roller of the *length* l [m] on one track: delta =
+    3.84e-5 Q^0.9 / l^0.8 in N, mm.
 
     Palmgren's measured formula, Harris eq. 6.53; it holds for steel only. Equation (roll-line-contact).
     """
@@ -135,7 +173,10 @@ def roller_stiffness_constant(length: float) -> float:
 
 
 def in_series(constants: tuple[float, ...], exponent: float) -> float:
-    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n). Equation (roll-series)."""
+    """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n).
+
+    Equation (roll-series).
+    """
     return float(sum(constant ** (-1 / exponent) for constant in constants) ** -exponent)
 
 
@@ -175,10 +216,18 @@ class BallGeometrySettings(Settings):
     pitch_diameter: float = setting("value", "diameter of the circle of ball centres", unit="m")
     inner_conformity: float = setting("value", "inner groove radius / ball diameter", unit="1", default=0.52)
     outer_conformity: float = setting("value", "outer groove radius / ball diameter", unit="1", default=0.52)
-    youngs_modulus: float = setting("value", "Young's modulus of the rings", unit="Pa", default=STEEL.youngs_modulus)
-    poissons_ratio: float = setting("value", "Poisson's ratio of the rings", unit="1", default=STEEL.poissons_ratio)
-    ball_youngs_modulus: float | None = setting("value", "Young's modulus of the balls; default: the rings'", unit="Pa", default=None)
-    ball_poissons_ratio: float | None = setting("value", "Poisson's ratio of the balls; default: the rings'", unit="1", default=None)
+    youngs_modulus: float = setting(
+        "value", "Young's modulus of the rings", unit="Pa", default=STEEL.youngs_modulus
+    )
+    poissons_ratio: float = setting(
+        "value", "Poisson's ratio of the rings", unit="1", default=STEEL.poissons_ratio
+    )
+    ball_youngs_modulus: float | None = setting(
+        "value", "Young's modulus of the balls; default: the rings'", unit="Pa", default=None
+    )
+    ball_poissons_ratio: float | None = setting(
+        "value", "Poisson's ratio of the balls; default: the rings'", unit="1", default=None
+    )
 
     @property
     def rings(self) -> Material:
@@ -187,7 +236,10 @@ class BallGeometrySettings(Settings):
     @property
     def balls(self) -> Material:
         modulus, ratio = self.ball_youngs_modulus, self.ball_poissons_ratio
-        return Material(self.rings.youngs_modulus if modulus is None else modulus, self.rings.poissons_ratio if ratio is None else ratio)
+        return Material(
+            self.rings.youngs_modulus if modulus is None else modulus,
+            self.rings.poissons_ratio if ratio is None else ratio,
+        )
 
     def __post_init__(self) -> None:
         self.at(0.0)
@@ -195,17 +247,29 @@ class BallGeometrySettings(Settings):
 
     def at(self, contact_angle: float) -> BallGeometry:
         """The geometry at a contact angle [rad]; ConfigError where it is impossible."""
-        return BallGeometry(self.ball_diameter, self.pitch_diameter, self.inner_conformity, self.outer_conformity, contact_angle)
+        return BallGeometry(
+            self.ball_diameter,
+            self.pitch_diameter,
+            self.inner_conformity,
+            self.outer_conformity,
+            contact_angle,
+        )
 
 
 @dataclass(frozen=True)
 class ShaftSettings(Settings):
-    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the theoretical transfer matrix."""
+    """A rigid shaft whose centre of mass is at the bearing's centre, for natural frequencies and the
+    theoretical transfer matrix.
+    """
 
     mass: float = setting("value", "mass of the shaft", unit="kg")
     inertia_x: float = setting("value", "moment of inertia about x", unit="kg.m^2")
-    inertia_y: float | None = setting("value", "moment of inertia about y; default: as about x", unit="kg.m^2", default=None)
-    band: tuple[float, float] = setting("band", "frequencies of the transfer matrix", unit="Hz", default=(5.0, 3000.0))
+    inertia_y: float | None = setting(
+        "value", "moment of inertia about y; default: as about x", unit="kg.m^2", default=None
+    )
+    band: tuple[float, float] = setting(
+        "band", "frequencies of the transfer matrix", unit="Hz", default=(5.0, 3000.0)
+    )
     lines: int = setting("integer", "frequency lines in the band", default=1200)
 
     def __post_init__(self) -> None:
@@ -215,7 +279,9 @@ class ShaftSettings(Settings):
 
     @property
     def body(self) -> RigidShaft:
-        return RigidShaft(self.mass, self.inertia_x, self.inertia_x if self.inertia_y is None else self.inertia_y)
+        return RigidShaft(
+            self.mass, self.inertia_x, self.inertia_x if self.inertia_y is None else self.inertia_y
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,19 +292,32 @@ class RollingSettings(Settings, ABC):
     elements: int = setting("integer", "number of rolling elements")
     name: str = setting("text", "name of the bearing", default="")
     contact_angle: float = setting("value", "unloaded contact angle", unit="rad", default=0.0)
-    clearance: float = setting("value", "radial clearance, half the diametral one; negative: interference", unit="m", default=0.0)
+    clearance: float = setting(
+        "value", "radial clearance, half the diametral one; negative: interference", unit="m", default=0.0
+    )
     cage_angle: float = setting("value", "angle of the first element from x", unit="rad", default=0.0)
-    damping_factor: float = setting("value", "beta of the stiffness-proportional damping C = beta K", unit="s", default=0.0)
-    pitch_radius: float | None = setting("value", "radius of the groove centres (balls) or roller centres", unit="m", default=None)
+    damping_factor: float = setting(
+        "value", "beta of the stiffness-proportional damping C = beta K", unit="s", default=0.0
+    )
+    pitch_radius: float | None = setting(
+        "value", "radius of the groove centres (balls) or roller centres", unit="m", default=None
+    )
     loads: Loads = setting("section", "loads; zero by default", section=Loads, default=Loads())
-    displacements: Displacements = setting("section", "fixed displacements", section=Displacements, default=Displacements())
+    displacements: Displacements = setting(
+        "section", "fixed displacements", section=Displacements, default=Displacements()
+    )
 
-    shaft: ShaftSettings | None = setting("section", "a rigid shaft on the bearing", section=ShaftSettings, default=None)
+    shaft: ShaftSettings | None = setting(
+        "section", "a rigid shaft on the bearing", section=ShaftSettings, default=None
+    )
 
     def __post_init__(self) -> None:
         for dof, load in LOAD_OF_DOF.items():
             if getattr(self.displacements, dof) is not None and getattr(self.loads, load) is not None:
-                raise ConfigError(f"displacements.{dof} and loads.{load} are both given", hint="one follows from the other: give one")
+                raise ConfigError(
+                    f"displacements.{dof} and loads.{load} are both given",
+                    hint="one follows from the other: give one",
+                )
         if self.damping_factor < 0:
             raise ConfigError("damping_factor is negative")
         self.bearing()
@@ -259,16 +338,30 @@ class RollingSettings(Settings, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class BallBearingSettings(RollingSettings):
-    """A ball bearing: its constants, or the geometry they follow from; an explicit constant takes precedence."""
+    """A ball bearing: its constants, or the geometry they follow from.
 
-    stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None)
-    groove_distance: float | None = setting("value", "unloaded distance A0 of the groove centres", unit="m", default=None)
-    geometry: BallGeometrySettings | None = setting("section", "balls and grooves", section=BallGeometrySettings, default=None)
+    An explicit constant takes precedence.
+    """
+
+    stiffness_constant: float | None = setting(
+        "value", "K_n of Q = K_n delta^1.5", unit="N/m^1.5", default=None
+    )
+    groove_distance: float | None = setting(
+        "value", "unloaded distance A0 of the groove centres", unit="m", default=None
+    )
+    geometry: BallGeometrySettings | None = setting(
+        "section", "balls and grooves", section=BallGeometrySettings, default=None
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.geometry and self.geometry.ball_diameter > self.geometry.pitch_diameter * np.sin(np.pi / self.elements):
-            raise ConfigError(f"{self.elements} balls of {1e3 * self.geometry.ball_diameter:g} mm do not fit on the pitch circle")
+        if self.geometry and self.geometry.ball_diameter > self.geometry.pitch_diameter * np.sin(
+            np.pi / self.elements
+        ):
+            raise ConfigError(
+                f"{self.elements} balls of {1e3 * self.geometry.ball_diameter:g} mm do not "
+                "fit on the pitch circle"
+            )
 
     def bearing(self) -> RollingBearing:
         shape = None if self.geometry is None else self.geometry.at(self.contact_angle)
@@ -284,15 +377,24 @@ class BallBearingSettings(RollingSettings):
     def hertz_constant(self) -> float | None:
         if self.geometry is None:
             return None
-        return self.geometry.at(self.contact_angle).stiffness_constant(self.geometry.rings, self.geometry.balls)
+        return self.geometry.at(self.contact_angle).stiffness_constant(
+            self.geometry.rings, self.geometry.balls
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class RollerBearingSettings(RollingSettings):
-    """A roller bearing; tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given."""
+    """A roller bearing.
 
-    stiffness_constant: float | None = setting("value", "K_n of Q = K_n delta^(10/9)", unit="N/m^(10/9)", default=None)
-    roller_length: float | None = setting("value", "effective length of a steel roller", unit="m", default=None)
+    Tilts (and z at contact angle 0) are fixed at zero where neither load nor displacement is given.
+    """
+
+    stiffness_constant: float | None = setting(
+        "value", "K_n of Q = K_n delta^(10/9)", unit="N/m^(10/9)", default=None
+    )
+    roller_length: float | None = setting(
+        "value", "effective length of a steel roller", unit="m", default=None
+    )
 
     @property
     def fixed_dofs(self) -> tuple[str, ...]:
@@ -302,8 +404,16 @@ class RollerBearingSettings(RollingSettings):
         return tuple(dof for dof in LOAD_OF_DOF if dof in explicit or dof in silent)
 
     def bearing(self) -> RollingBearing:
-        constant = needed("stiffness_constant", self.stiffness_constant, self.hertz_constant(), "roller_length")
-        return RollingBearing(self.elements, constant, needed("pitch_radius", self.pitch_radius, None), self.contact_angle, self.clearance)
+        constant = needed(
+            "stiffness_constant", self.stiffness_constant, self.hertz_constant(), "roller_length"
+        )
+        return RollingBearing(
+            self.elements,
+            constant,
+            needed("pitch_radius", self.pitch_radius, None),
+            self.contact_angle,
+            self.clearance,
+        )
 
     def hertz_constant(self) -> float | None:
         return None if self.roller_length is None else roller_stiffness_constant(self.roller_length)
@@ -313,5 +423,8 @@ def needed(name: str, explicit: float | None, derived: float | None, source: str
     """The explicit value, else the derived one; ConfigError where there is neither."""
     amount = derived if explicit is None else explicit
     if amount is None:
-        raise ConfigError(f"{name}: is missing", hint=f"give it, or {source} from which it follows" if name != "pitch_radius" else "")
+        raise ConfigError(
+            f"{name}: is missing",
+            hint=f"give it, or {source} from which it follows" if name != "pitch_radius" else "",
+        )
     return amount

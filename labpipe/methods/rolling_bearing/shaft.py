@@ -1,12 +1,16 @@
-"""A shaft on one rolling bearing: natural frequencies, transfer matrices, and bending in series with the bearing.
+"""A shaft on one rolling bearing: natural frequencies, transfer matrices, and bending in series with the
+bearing.
 
-Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five coordinates.
+Rigid shaft on one rolling bearing: natural frequencies and the theoretical transfer matrix of its five
+coordinates.
 
-M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is the shaft's centre of mass; C = beta K.
+M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is the shaft's centre of mass; C
+= beta K.
 
 Bending shaft in series with its bearing: the bearing's share of a measured radial stiffness.
 
-R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and axial ones need no correction.
+R. J. W. Knaapen (1997), chapter 3: 1/k_total = 1/k_bearing + 1/k_shaft for radial coefficients; tilts and
+axial ones need no correction.
 """
 
 from __future__ import annotations
@@ -50,7 +54,8 @@ class RigidShaft:
 class Modes:
     """Undamped modes in ascending order: frequency (5,) [Hz]; shape (5, 5), columns with phi^T M phi = 1.
 
-    share (5, 5): share of dof i (row) of the modal mass of mode r (column), M_ii phi_ir^2; rows and columns sum to one.
+    share (5, 5): share of dof i (row) of the modal mass of mode r (column), M_ii phi_ir^2; rows and columns
+    sum to one.
     """
 
     frequency: FloatArray
@@ -67,10 +72,11 @@ class Modes:
 
 
 def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
-    """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness gives 0 Hz.
+    """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness
+    gives 0 Hz.
 
-    Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium is unstable.
-    Equation (roll-modes).
+    Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an equilibrium
+    is unstable. Equation (roll-modes).
     """
     scale = 1 / np.sqrt(shaft.inertias)
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
@@ -80,18 +86,23 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     return Modes(frequency, scale[:, None] * vectors, vectors**2)
 
 
-def transfer_matrix(shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float) -> ComplexArray:
-    """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)]; *frequency* [Hz], *beta* [s].
+def transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
+) -> ComplexArray:
+    """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)];
+    *frequency* [Hz], *beta* [s].
 
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a dof without stiffness, or on
-    an undamped resonance. Equation (roll-transfer).
+    *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
+    dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic: ComplexArray = -(w**2) * np.diag(shaft.inertias) + (1 + 1j * w * beta) * stiffness
     try:
         receptance: ComplexArray = np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
-        raise FitError("the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz") from None
+        raise FitError(
+            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
+        ) from None
     return receptance
 
 
@@ -100,19 +111,28 @@ def theoretical_response(
 ) -> FrequencyResponse:
     """The transfer matrix as a frequency response, for comparison with a measured one or for a fit.
 
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as transfer_matrix does.
+    *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as
+    transfer_matrix does.
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
-    return FrequencyResponse(frequency, transfer_matrix(shaft, stiffness, frequency, beta), ports, ports, form="receptance", name=name)
+    return FrequencyResponse(
+        frequency,
+        transfer_matrix(shaft, stiffness, frequency, beta),
+        ports,
+        ports,
+        form="receptance",
+        name=name,
+    )
 
 
 def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:
-    """Stiffness from a one-dof fit at each dof's main peak, lightly damped: k_i = w_r^2 / phi_ir^2, (5,) [N/m, N m/rad].
+    """Stiffness from a one-dof fit at each dof's main peak, lightly damped: k_i = w_r^2 / phi_ir^2, (5,)
+    [N/m, N m/rad].
 
-    With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither equals K_ii: at the peak the
-    coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir, which makes the lower mode of a coupled pair appear softer
-    and the upper one stiffer. A measured fit is therefore to be compared with the fit of the theoretical curve, not with K_ii.
-    Equation (roll-sdof).
+    With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither
+    equals K_ii: at the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
+    which makes the lower mode of a coupled pair appear softer and the upper one stiffer. A measured fit is
+    therefore to be compared with the fit of the theoretical curve, not with K_ii. Equation (roll-sdof).
     """
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]
@@ -128,13 +148,17 @@ RADIAL = (0, 1)
 
 
 def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
-    """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and y, (..., 5, 5).
+    """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
+    y, (..., 5, 5).
 
-    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial coefficient becomes
-    k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s not above zero. Equation (roll-series-matrix).
+    By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular. An uncoupled radial
+    coefficient becomes k k_s / (k + k_s), the series formula. Infinite k_s has no effect. ConfigError for k_s
+    not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
-        raise ConfigError(f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero")
+        raise ConfigError(
+            f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero"
+        )
     whole = np.asarray(stiffness, np.complex128)
     if np.isinf(bending):
         return whole
@@ -144,18 +168,22 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     return total
 
 
-def bent_transfer_matrix(shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float) -> ComplexArray:
+def bent_transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float
+) -> ComplexArray:
     """Receptance H(w) = (-w^2 M + K_total(w))^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
 
-    The bearing's (1 + j w beta) K, *beta* [s], in series with the bending shaft [N/m], which has no losses; *frequency* [Hz].
-    FitError where the dynamic stiffness is singular.
+    The bearing's (1 + j w beta) K, *beta* [s], in series with the bending shaft [N/m], which has no losses;
+    *frequency* [Hz]. FitError where the dynamic stiffness is singular.
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
         receptance: ComplexArray = np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
-        raise FitError("the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz") from None
+        raise FitError(
+            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
+        ) from None
     return receptance
 
 
@@ -166,7 +194,8 @@ NORMAL_95 = normal_quantile(0.975)
 
 @dataclass(frozen=True)
 class BendingShaft:
-    """A round shaft that bends between two supports, loaded by a bearing: E [Pa], diameter, span [m], density [kg/m^3].
+    """A round shaft that bends between two supports, loaded by a bearing: E [Pa], diameter, span [m], density
+    [kg/m^3].
 
     ends: length that overhangs both supports together [m].
     """
@@ -178,8 +207,17 @@ class BendingShaft:
     ends: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.youngs_modulus > 0 and self.diameter > 0 and self.span > 0 and self.density > 0 and self.ends >= 0):
-            raise ConfigError("Young's modulus, diameter, span and density of the shaft must be above zero, its ends not below")
+        if not (
+            self.youngs_modulus > 0
+            and self.diameter > 0
+            and self.span > 0
+            and self.density > 0
+            and self.ends >= 0
+        ):
+            raise ConfigError(
+                "Young's modulus, diameter, span and density of the shaft must be above zero, "
+                "its ends not below"
+            )
 
     @property
     def rigidity(self) -> float:
@@ -187,10 +225,11 @@ class BendingShaft:
         return self.youngs_modulus * np.pi * self.diameter**4 / 64
 
     def static_stiffness(self, load_point: float | None = None) -> float:
-        """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I / l^3 for mid span.
+        """k = 48 E I / (3 l^2 s - 4 s^3) [N/m], the load s from a support, the deflection at mid span; 48 E I
+        / l^3 for mid span.
 
-        *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the middle.
-        Equation (roll-bending).
+        *load_point* s in (0, l/2] [m]: the contact angle of an angular-contact bearing moves the load off the
+        middle. Equation (roll-bending).
         """
         s = self.span / 2 if load_point is None else load_point
         if not 0 < s <= self.span / 2 * (1 + 1e-12):
@@ -198,14 +237,16 @@ class BendingShaft:
         return 48 * self.rigidity / (3 * self.span**2 * s - 4 * s**3)
 
     def energy_stiffness(self) -> float:
-        """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above the static one.
+        """k = int E I y''^2 dx = pi^4 E I / (2 l^3) [N/m] for the first mode y = cos(pi x / l), 1.5 % above
+        the static one.
 
         Equation (roll-bending-energy).
         """
         return float(np.pi**4 * self.rigidity / (2 * self.span**3))
 
     def equivalent_mass(self) -> float:
-        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves with mid span.
+        """m = int rho A y^2 dx = rho A l / 2 [kg] for y = cos(pi x / l), without the ends: mass that moves
+        with mid span.
 
         Equation (roll-bending-mass).
         """
@@ -218,7 +259,9 @@ class BendingShaft:
 
 @dataclass(frozen=True)
 class SeriesCorrection:
-    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of the relative error."""
+    """A bearing's stiffness without the shaft's bending [N/m], its 95 % interval, and the amplification of
+    the relative error.
+    """
 
     bearing: Uncertain
     ci95: tuple[float, float]
@@ -226,11 +269,12 @@ class SeriesCorrection:
 
 
 def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
-    """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft) s_shaft/k_shaft.
+    """k_b = 1 / (1/k_total - 1/k_shaft); s_b/k_b = (k_b/k_total) s_total/k_total combined with (k_b/k_shaft)
+    s_shaft/k_shaft.
 
-    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted: it is wider upwards, and
-    open (infinite) where the measurement is compatible with a rigid bearing. Raises FitError for k_total >= k_shaft.
-    Equation (roll-series-shaft).
+    The interval is formed on the compliance, which is nearly linear in the measured stiffness, and inverted:
+    it is wider upwards, and open (infinite) where the measurement is compatible with a rigid bearing. Raises
+    FitError for k_total >= k_shaft. Equation (roll-series-shaft).
     """
     if not (total.value > 0 and shaft.value > 0):
         raise FitError("a stiffness in series must be above zero", hint="check the fit and the shaft")
@@ -248,14 +292,19 @@ def without_shaft(total: Uncertain, shaft: Uncertain) -> SeriesCorrection:
 
 
 def damping_without_shaft(damping: Uncertain, total: Uncertain, shaft: Uncertain) -> Uncertain:
-    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three uncertainties to first order.
+    """c_b = c_total (k_b / k_total)^2 [N s/m] for w c << k and a shaft without losses; all three
+    uncertainties to first order.
 
-    The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total) in series.
-    Equation (roll-series-damping).
+    The damper is in the bearing, whose motion is k_total / k_b of the measured one: (k_total + j w c_total)
+    in series. Equation (roll-series-damping).
     """
     stiffness = without_shaft(total, shaft).bearing.value
     factor = (stiffness / total.value) ** 2
     gap = shaft.value - total.value
-    slopes = (factor, 2 * factor * damping.value / gap, 2 * factor * damping.value * total.value / (shaft.value * gap))
+    slopes = (
+        factor,
+        2 * factor * damping.value / gap,
+        2 * factor * damping.value * total.value / (shaft.value * gap),
+    )
     errors = (damping.std_error, total.std_error, shaft.std_error)
     return Uncertain(factor * damping.value, float(np.linalg.norm(np.multiply(slopes, errors))))

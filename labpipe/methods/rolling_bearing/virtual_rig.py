@@ -1,7 +1,9 @@
-"""The virtual ball-bearing rig: a shaft on one preloaded bearing, shaken along x, z and about y; RUNS are listed by `run_names`.
+"""The virtual ball-bearing rig: a shaft on one preloaded bearing, shaken along x, z and about y; RUNS are
+listed by `run_names`.
 
-After R. J. W. Knaapen (1997), chapters 3 and 5: accelerations against shaker forces at four axial preloads, which are set by a
-threaded shaft through a long string, and read from the string's frequency or from a strain strip.
+After R. J. W. Knaapen (1997), chapters 3 and 5: accelerations against shaker forces at four axial preloads,
+which are set by a threaded shaft through a long string, and read from the string's frequency or from a strain
+strip.
 """
 
 from __future__ import annotations
@@ -40,12 +42,18 @@ CALIBRATION_POINTS = 12
 
 @dataclass(frozen=True)
 class TestedBearing(Settings):
-    """One bearing on the rig, the preloads at which it is tested, and the shaft's bending stiffness under its load."""
+    """One bearing on the rig, the preloads at which it is tested, and the shaft's bending stiffness under its
+    load.
+    """
 
     name: str = setting("text", "short name, with which the names of the runs begin")
-    bearing: BallBearingSettings = setting("section", "the bearing, with the shaft on it", section=BallBearingSettings)
+    bearing: BallBearingSettings = setting(
+        "section", "the bearing, with the shaft on it", section=BallBearingSettings
+    )
     preloads: tuple[float, ...] = setting("values", "axial preloads", unit="N")
-    bending_stiffness: float = setting("value", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=np.inf)
+    bending_stiffness: float = setting(
+        "value", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=np.inf
+    )
 
     def __post_init__(self) -> None:
         if self.bearing.shaft is None:
@@ -81,13 +89,21 @@ class VirtualBallBearingRig(Settings):
     """Bearings, shaft, sensors, and the deviation from theory: ratio of true to theoretical stiffness."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    deep_groove: TestedBearing = setting("section", "first bearing: tested up and down and repeatedly", section=TestedBearing)
-    angular: TestedBearing | None = setting("section", "second bearing: tested up", section=TestedBearing, default=None)
+    deep_groove: TestedBearing = setting(
+        "section", "first bearing: tested up and down and repeatedly", section=TestedBearing
+    )
+    angular: TestedBearing | None = setting(
+        "section", "second bearing: tested up", section=TestedBearing, default=None
+    )
     name: str = setting("text", "name of the rig", default="Virtual ball-bearing rig")
     stiffness_ratio: float = setting("value", "true stiffness over the theory's", unit="1", default=1.12)
-    damping_factor: float = setting("value", "beta of the bearings' damping C = beta K", unit="s", default=2e-5)
+    damping_factor: float = setting(
+        "value", "beta of the bearings' damping C = beta K", unit="s", default=2e-5
+    )
     hysteresis: float = setting("value", "stiffness gained on the way down, relative", unit="1", default=0.0)
-    arm: float = setting("value", "distance of tilting shakers and accelerometers from the bearing", unit="m", default=0.1)
+    arm: float = setting(
+        "value", "distance of tilting shakers and accelerometers from the bearing", unit="m", default=0.1
+    )
     mountings: int = setting("integer", "times the preload is set anew for the repeatability test", default=5)
     repeats: int = setting("integer", "tests after each setting", default=3)
     string_factor: float = setting("value", "a of the string's P = a f^2", unit="N/Hz^2", default=0.009189)
@@ -102,7 +118,9 @@ class VirtualBallBearingRig(Settings):
 
 @dataclass(frozen=True)
 class ShakerTest:
-    """One run: a bearing at one nominal *preload* [N]; *setting*: name of the setting of the preload, *way*: up or down."""
+    """One run: a bearing at one nominal *preload* [N]; *setting*: name of the setting of the preload, *way*:
+    up or down.
+    """
 
     tested: TestedBearing
     preload: float
@@ -119,7 +137,9 @@ def shaker_tests(rig: VirtualBallBearingRig) -> dict[str, ShakerTest]:
     for tested, way in ways:
         for preload in tested.preloads:
             start = f"{tested.name}-{preload:g}N-{way}"
-            tests.update({f"{start}-{force}": ShakerTest(tested, preload, start, way, force) for force in FORCES})
+            tests.update(
+                {f"{start}-{force}": ShakerTest(tested, preload, start, way, force) for force in FORCES}
+            )
     preload = first.preloads[min(1, len(first.preloads) - 1)]
     for mounting in range(1, rig.mountings + 1):
         start = f"{first.name}-{preload:g}N-m{mounting}"
@@ -133,11 +153,16 @@ def run_names(rig: VirtualBallBearingRig) -> tuple[str, ...]:
     return (*shaker_tests(rig), "string", "strip")
 
 
-def simulate_ball_bearing(rig: VirtualBallBearingRig, seed: int, runs: Sequence[str] | None = None) -> tuple[SimulatedRun, ...]:
+def simulate_ball_bearing(
+    rig: VirtualBallBearingRig, seed: int, runs: Sequence[str] | None = None
+) -> tuple[SimulatedRun, ...]:
     """The named runs (all unless named); a run's samples depend on rig, seed and its name only."""
     tests = shaker_tests(rig)
     names = chosen_runs(rig, runs)
-    return tuple(_shaken(rig, tests[name], name, seed) if name in tests else _calibration(rig, name, seed) for name in names)
+    return tuple(
+        _shaken(rig, tests[name], name, seed) if name in tests else _calibration(rig, name, seed)
+        for name in names
+    )
 
 
 def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> float:
@@ -146,7 +171,10 @@ def true_preload(rig: VirtualBallBearingRig, test: ShakerTest, seed: int) -> flo
 
 
 def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float) -> FloatArray:
-    """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N]. Equation (sim-ball)."""
+    """K of the bearing (5, 5): ratio (1 + hysteresis on the way down) times the theory's at the preload [N].
+
+    Equation (sim-ball).
+    """
     loads = replace(test.tested.bearing.loads, z=preload)
     (theory,) = rolling_coefficients([replace(test.tested.bearing, loads=loads)])
     factor = rig.stiffness_ratio * (1 + rig.hysteresis if test.way == "down" else 1.0)
@@ -154,7 +182,9 @@ def true_stiffness(rig: VirtualBallBearingRig, test: ShakerTest, preload: float)
 
 
 def lever(rig: VirtualBallBearingRig) -> FloatArray:
-    """Displacement measured per dof, (5,) [m/m, m/rad]: a tilt is measured as displacement at the arm, its moment is a force there."""
+    """Displacement measured per dof, (5,) [m/m, m/rad]: a tilt is measured as displacement at the arm, its
+    moment is a force there.
+    """
     return np.array([1.0, 1.0, 1.0, rig.arm, rig.arm])
 
 
@@ -166,17 +196,26 @@ def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) 
     stiffness = true_stiffness(rig, test, preload)
     force = design_multisine(sampling.band, sampling.spacing, sampling.force)
     omega = line_frequencies(force)
-    receptance = bent_transfer_matrix(shaft.body, stiffness, omega / (2 * np.pi), rig.damping_factor, test.tested.bending_stiffness)
+    receptance = bent_transfer_matrix(
+        shaft.body, stiffness, omega / (2 * np.pi), rig.damping_factor, test.tested.bending_stiffness
+    )
     column = DOFS.index(test.force)
     n_sample = round(sampling.rate / sampling.spacing)
     samples = [force.samples(sampling.rate, sampling.periods)]
     for dof in FORCES:
         row = DOFS.index(dof)
         arms = lever(rig)[row] * lever(rig)[column]
-        samples.append(steady_state(force, -(omega**2) * arms * receptance[:, row, column], n_sample, sampling.periods))
+        samples.append(
+            steady_state(force, -(omega**2) * arms * receptance[:, row, column], n_sample, sampling.periods)
+        )
     noise = [rig.noise.force, *[rig.noise.acceleration] * len(FORCES)]
     recording = sensed(name, _channels(test.force), samples, noise, sampling.rate, rng)
-    truth = {"preload_set": test.preload, "preload": preload, "ratio": rig.stiffness_ratio, "stiffness": stiffness.tolist()}
+    truth = {
+        "preload_set": test.preload,
+        "preload": preload,
+        "ratio": rig.stiffness_ratio,
+        "stiffness": stiffness.tolist(),
+    }
     return SimulatedRun(name, {**truth, "beta": rig.damping_factor}, recording)
 
 
@@ -186,12 +225,17 @@ def _channels(force: str) -> tuple[Channel, ...]:
 
 
 def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedRun:
-    """Force read on a reference cell against the string's frequency (P = a f^2), or the strip's voltage (F = b S + c)."""
+    """Force read on a reference cell against the string's frequency (P = a f^2), or the strip's voltage (F =
+    b S + c).
+    """
     rng = generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
     if name == "string":
         frequency = np.sqrt(force / rig.string_factor)
-        table = {"frequency [Hz]": frequency, "force [N]": force + rng.normal(0.0, rig.noise.string, force.size)}
+        table = {
+            "frequency [Hz]": frequency,
+            "force [N]": force + rng.normal(0.0, rig.noise.string, force.size),
+        }
         return SimulatedRun(name, {"a": rig.string_factor}, table=table)
     voltage = (force - rig.strip_offset) / rig.strip_factor
     table = {"strip [V]": voltage, "force [N]": force + rng.normal(0.0, rig.noise.strip, force.size)}
@@ -199,23 +243,31 @@ def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> SimulatedR
 
 
 def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> Truth:
-    """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was to be set; k of a single run.
+    """k and k_row_column of the dofs that are shaken [N/m], as measured at the arm, at the preload that was
+    to be set; k of a single run.
 
     ConfigError for runs of several bearings or preloads, and for calibrations.
     """
     tests = [test for name, test in shaker_tests(rig).items() if name in runs]
     if len({(test.tested.name, test.preload, test.way) for test in tests}) != 1 or len(tests) != len(runs):
-        raise ConfigError("'runs' of one bearing, preload and way give one FRF matrix", hint="for example runs: [6208-427N-up-z]")
+        raise ConfigError(
+            "'runs' of one bearing, preload and way give one FRF matrix",
+            hint="for example runs: [6208-427N-up-z]",
+        )
     stiffness = true_stiffness(rig, tests[0], tests[0].preload) / np.outer(lever(rig), lever(rig))
     places = [DOFS.index(dof) for dof in FORCES]
-    terms = {f"k_{DOFS[row]}_{DOFS[column]}": float(stiffness[row, column]) for row in places for column in places}
+    terms = {
+        f"k_{DOFS[row]}_{DOFS[column]}": float(stiffness[row, column]) for row in places for column in places
+    }
     single = terms[f"k_{tests[0].force}_{tests[0].force}"] if len(tests) == 1 else None
     return terms if single is None else {**terms, "k": single, "c": rig.damping_factor * single}
 
 
 def _at_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig:
     noise = rig.noise
-    return replace(rig, noise=replace(noise, acceleration=level * noise.acceleration, force=level * noise.force))
+    return replace(
+        rig, noise=replace(noise, acceleration=level * noise.acceleration, force=level * noise.force)
+    )
 
 
 BALL_BEARING_RIG = kind_of_tests(

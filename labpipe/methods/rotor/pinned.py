@@ -1,16 +1,20 @@
 """A rotor between pinned ends with one bearing: condensation, growth rates, critical and threshold speeds.
 
-A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once per speed.
+A rotor between pinned ends with one bearing: few stations, and all other dofs condensed to the bearing once
+per speed.
 
-Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three stations between two
-pins have twelve degrees of freedom. With b the bearing's two and i the others, at a speed Omega
+Pins fix y and z of their nodes; the rotations there carry no disc and are condensed statically, so that three
+stations between two pins have twelve degrees of freedom. With b the bearing's two and i the others, at a
+speed Omega
 
-    x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g = f_b - Z_bi Z_ii^-1 f_i.
+    x_i = Z_ii^-1 (f_i - Z_ib x_b),   (D + K_b + j Omega C_b) x_b = g,   D = Z_bb - Z_bi Z_ii^-1 Z_ib,   g =
+    f_b - Z_bi Z_ii^-1 f_i.
 
-Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and threshold speed.
+Stability of a pinned rotor on one bearing whose coefficients change with speed: growth rates, critical and
+threshold speed.
 
-Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing and not considered; the
-rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
+Modes without motion of the journal (the anti-phase modes of a symmetric rotor) are undamped by the bearing
+and not considered; the rotor is unstable if one of the other modes grows faster than GROWTH_TOLERANCE.
 """
 
 from __future__ import annotations
@@ -32,7 +36,9 @@ from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, free_rotor
 
 @dataclass(frozen=True)
 class PinnedRotor:
-    """The matrices (n_dof, n_dof) of the *stations*, node numbers in order; four dofs each: y, z, rotations about y and z."""
+    """The matrices (n_dof, n_dof) of the *stations*, node numbers in order; four dofs each: y, z, rotations
+    about y and z.
+    """
 
     stations: tuple[int, ...]
     matrices: RotorMatrices
@@ -59,7 +65,8 @@ class PinnedRotor:
 
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
-    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc on a pin.
+    """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc
+    on a pin.
 
     Equation (rotor-pinned).
     """
@@ -75,20 +82,26 @@ def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
     free_dofs = np.concatenate([np.arange(4 * node - 4, 4 * node) for node in stations])
     condensed = np.concatenate([[4 * pin - 2, 4 * pin - 1] for pin in sorted(set(pins))])
     free = free_rotor(rotor)
-    static_shape = np.linalg.solve(free.stiffness[np.ix_(condensed, condensed)], free.stiffness[np.ix_(condensed, free_dofs)])
+    static_shape = np.linalg.solve(
+        free.stiffness[np.ix_(condensed, condensed)], free.stiffness[np.ix_(condensed, free_dofs)]
+    )
     shape = np.zeros((4 * rotor.n_node, free_dofs.size))
     shape[free_dofs] = np.eye(free_dofs.size)
     shape[condensed] = -static_shape
-    parts = (shape.T @ matrix @ shape for matrix in (free.mass, free.damping, free.gyroscopic, free.stiffness))
+    parts = (
+        shape.T @ matrix @ shape for matrix in (free.mass, free.damping, free.gyroscopic, free.stiffness)
+    )
     return PinnedRotor(stations, RotorMatrices(*parts))
 
 
 @dataclass(frozen=True)
 class CondensedRotor:
-    """A pinned rotor condensed to its bearing, at every *speed* (n_speed,) [rad/s] under known synchronous forces.
+    """A pinned rotor condensed to its bearing, at every *speed* (n_speed,) [rad/s] under known synchronous
+    forces.
 
-    at_bearing D (n_speed, 2, 2) [N/m]; force g (n_speed, 2) [N]; fixed_journal (n_speed, n_output) [m]: motion of the outputs with a
-    fixed journal; per_journal (n_speed, n_output, 2): their motion per motion of the journal. Phasors, 0-to-peak.
+    at_bearing D (n_speed, 2, 2) [N/m]; force g (n_speed, 2) [N]; fixed_journal (n_speed, n_output) [m]:
+    motion of the outputs with a fixed journal; per_journal (n_speed, n_output, 2): their motion per motion of
+    the journal. Phasors, 0-to-peak.
     """
 
     speed: FloatArray
@@ -99,10 +112,16 @@ class CondensedRotor:
 
     def at(self, chosen: IntArray | BoolArray) -> CondensedRotor:
         """The rotor at the speeds *chosen*, an index array (n,) or a mask (n_speed,)."""
-        return CondensedRotor(*(getattr(self, name)[chosen] for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")))
+        return CondensedRotor(
+            *(
+                getattr(self, name)[chosen]
+                for name in ("speed", "at_bearing", "force", "fixed_journal", "per_journal")
+            )
+        )
 
     def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (..., n_speed, 2, 2) [m/N].
+        """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (...,
+        n_speed, 2, 2) [m/N].
 
         Equation (rotor-journal).
         """
@@ -110,14 +129,20 @@ class CondensedRotor:
         return (compliance @ self.force[..., None])[..., 0], compliance
 
     def response(self, stiffness: FloatArray, damping: FloatArray) -> ComplexArray:
-        """Phasors of the outputs (..., n_speed, n_output) [m] under K [N/m] and C [N s/m], (..., n_speed, 2, 2)."""
+        """Phasors of the outputs (..., n_speed, n_output) [m] under K [N/m] and C [N s/m], (..., n_speed, 2,
+        2).
+        """
         motion, _ = self.journal(stiffness, damping)
         return self.fixed_journal + (self.per_journal @ motion[..., None])[..., 0]
 
-    def response_and_slopes(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy [m^2/N], C_xx C_xy C_yx C_yy [m^2/(N s)].
+    def response_and_slopes(
+        self, stiffness: FloatArray, damping: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """`response`, and its derivatives (n_speed, n_output, 8) by K_xx K_xy K_yx K_yy [m^2/N], C_xx C_xy
+        C_yx C_yy [m^2/(N s)].
 
-        d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl. Equation (rotor-journal-slopes).
+        d x_b / d K_kl = -(compliance column k) x_b[l], and j Omega times that for C_kl. Equation
+        (rotor-journal-slopes).
         """
         motion, compliance = self.journal(stiffness, damping)
         by_force = self.per_journal @ compliance
@@ -135,7 +160,10 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
 
 
 def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
-    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N]; *unbalance* [kg m] by node."""
+    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N].
+
+    *unbalance* [kg m] by node.
+    """
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
         y, z = rotor.dofs(node)
@@ -145,12 +173,18 @@ def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed
 
 
 def condensed_rotor(
-    rotor: PinnedRotor, bearing: int, speed: FloatArray, forces: ComplexArray, outputs: tuple[int, ...], spin: FloatArray | None = None
+    rotor: PinnedRotor,
+    bearing: int,
+    speed: FloatArray,
+    forces: ComplexArray,
+    outputs: tuple[int, ...],
+    spin: FloatArray | None = None,
 ) -> CondensedRotor:
-    """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], condensed to the node *bearing*.
+    """The rotor at frequencies *speed* (n_speed,) [rad/s] under *forces* (n_speed, n_dof) [N], condensed to
+    the node *bearing*.
 
-    outputs: nodes whose y and z are outputs; *spin* [rad/s] of the shaft, where it differs from the frequency (zero at rest).
-    Equation (rotor-condensed).
+    outputs: nodes whose y and z are outputs; *spin* [rad/s] of the shaft, where it differs from the frequency
+    (zero at rest). Equation (rotor-condensed).
     """
     speed = np.asarray(speed, np.float64)
     z = dynamic_stiffness(rotor.matrices, speed, speed if spin is None else spin)
@@ -181,7 +215,9 @@ CoefficientsAtSpeed = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True)
 class LeastStable:
-    """The least stable mode with motion of the journal: eigenvalue [1/s], and derivatives (2, 2) of its real part by K_kl and C_kl."""
+    """The least stable mode with motion of the journal: eigenvalue [1/s], and derivatives (2, 2) of its real
+    part by K_kl and C_kl.
+    """
 
     eigenvalue: complex
     by_stiffness: FloatArray
@@ -195,7 +231,10 @@ class LeastStable:
 
 @dataclass(frozen=True)
 class Stability:
-    """A pinned *rotor* and the node of its *bearing*; *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems."""
+    """A pinned *rotor* and the node of its *bearing*.
+
+    *inverse_mass* (n_dof, n_dof) [1/kg] is stored for repeated eigenvalue problems.
+    """
 
     rotor: PinnedRotor
     bearing: int
@@ -225,7 +264,10 @@ class Stability:
         return system
 
     def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,); arguments as in `system`."""
+        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,).
+
+        Arguments as in `system`.
+        """
         eigen = np.linalg.eig(self.system(speed, stiffness, damping))
         moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
         return np.max(np.where(moving, eigen.eigenvalues.real, -np.inf), axis=-1)
@@ -235,9 +277,11 @@ class Stability:
         return np.asarray(np.linalg.eigvals(self.system(speed, stiffness, damping)), np.complex128)
 
     def least_stable(self, speed: float, stiffness: FloatArray, damping: FloatArray) -> LeastStable:
-        """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the bearing's coefficients.
+        """The least stable mode at one *speed* [rad/s], with the derivatives (2, 2) of its growth rate by the
+        bearing's coefficients.
 
-        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation (rotor-least-stable).
+        d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation
+        (rotor-least-stable).
         """
         system = self.system(np.array([speed]), stiffness, damping)[0]
         roots, left_vectors, right_vectors = linalg.eig(system, left=True, right=True)
@@ -261,14 +305,18 @@ class Stability:
 def threshold_speed(
     stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
 ) -> float | None:
-    """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor stable at all of them.
+    """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
+    stable at all of them.
 
     FitError for a rotor unstable at the first speed.
     """
     speed = np.asarray(list(speeds), np.float64)
     unstable = stability.growth(speed, *coefficients(speed)) > GROWTH_TOLERANCE
     if unstable[0]:
-        raise FitError(f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm", hint="start the search at a lower speed")
+        raise FitError(
+            f"the rotor is unstable already at {speed[0] * 30 / np.pi:.0f} rpm",
+            hint="start the search at a lower speed",
+        )
     if not np.any(unstable):
         return None
     first = int(np.argmax(unstable))
@@ -281,22 +329,29 @@ def threshold_speed(
 
 
 def refuse_unstable(stability: Stability, coefficients: CoefficientsAtSpeed, speed: FloatArray) -> None:
-    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no steady amplitude."""
+    """FitError naming the first of the speeds (n_speed,) [rad/s] at which the rotor is unstable and has no
+    steady amplitude.
+    """
     speed = np.asarray(speed, np.float64)
     growth = stability.growth(speed, *coefficients(speed))
     if np.any(growth > GROWTH_TOLERANCE):
         first = int(np.argmax(growth > GROWTH_TOLERANCE))
         rpm = speed[first] * 30 / np.pi
         raise FitError(
-            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no steady amplitude",
+            f"at {rpm:.0f} rpm the rotor is unstable (growth rate {growth[first]:.3g} 1/s): there is no "
+            "steady amplitude",
             hint="keep to speeds below the threshold of instability",
         )
 
 
-def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]) -> float | None:
-    """The first speed [rad/s] equal to the imaginary part of a damped mode with motion of the journal; None when there is none.
+def resonance_speed(
+    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
+) -> float | None:
+    """The first speed [rad/s] equal to the imaginary part of a damped mode with motion of the journal; None
+    when there is none.
 
-    The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or backward.
+    The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or
+    backward.
     """
     speed = np.asarray(list(speeds), np.float64)
     frequencies = [_damped_frequencies(stability, coefficients, value) for value in speed]
@@ -308,11 +363,17 @@ def resonance_speed(stability: Stability, coefficients: CoefficientsAtSpeed, spe
     return None
 
 
-def _crossing(stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int) -> float:
+def _crossing(
+    stability: Stability, coefficients: CoefficientsAtSpeed, between: tuple[float, float], below: int
+) -> float:
     """The speed [rad/s] *between* two at which the number of modes below 1x rises above *below*."""
     low, high = between
     if _detuning(stability, coefficients, low) < 0 < _detuning(stability, coefficients, high):
-        return float(optimize.brentq(lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE))
+        return float(
+            optimize.brentq(
+                lambda value: _detuning(stability, coefficients, value), low, high, xtol=RESONANCE_TOLERANCE
+            )
+        )
     # Another mode is nearer to an end than the one that is crossed: only their number tells.
     while high - low > RESONANCE_TOLERANCE:
         middle = (low + high) / 2

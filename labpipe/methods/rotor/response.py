@@ -1,6 +1,7 @@
 """Modes, stability and steady vibration of a rotor on its bearings, and its reduction to chosen nodes.
 
-Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a low-rank update.
+Reduced rotor: the free rotor is solved once per speed between chosen nodes, bearings are added as a low-rank
+update.
 
 With b the bearing dofs, Z_b = K + j w C of all bearings and R the receptance of the free rotor,
 H = R - R_:b (I + Z_b R_bb)^-1 Z_b R_b: (Woodbury), matrices of two rows per bearing instead of four per node.
@@ -24,7 +25,8 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 # Growth rates [1/s] below this are rounding errors, of undamped modes for example.
 GROWTH_TOLERANCE = 1e-3
-# Least imaginary part over modulus of an oscillating eigenvalue: rounding splits double real roots by this much.
+# Least imaginary part over modulus of an oscillating eigenvalue: rounding splits double real roots by this
+# much.
 LEAST_OSCILLATION = 1e-3
 
 # Bearings as a function of the spin speed [rad/s].
@@ -35,7 +37,8 @@ SupportsAtSpeed = Callable[[float], Iterable[Support]]
 class Modes:
     """Oscillating modes at one spin speed [rad/s], in ascending order of damped frequency.
 
-    eigenvalues (n_mode,) [1/s] with positive imaginary part; shapes (n_mode, n_node, 2), y and z, largest deflection 1.
+    eigenvalues (n_mode,) [1/s] with positive imaginary part; shapes (n_mode, n_node, 2), y and z, largest
+    deflection 1.
     """
 
     speed: float
@@ -54,12 +57,16 @@ class Modes:
 
     @property
     def damping_ratio(self) -> FloatArray:
-        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode. Equation (rotor-damping-ratio)."""
+        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode.
+
+        Equation (rotor-damping-ratio).
+        """
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     @property
     def whirl(self) -> FloatArray:
-        """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular forward.
+        """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular
+        forward.
 
         Equation (rotor-whirl).
         """
@@ -68,7 +75,8 @@ class Modes:
 
 
 def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, ComplexArray]:
-    """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' + K q = 0.
+    """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' +
+    K q = 0.
 
     Equation (rotor-eigenvalues).
     """
@@ -92,7 +100,10 @@ def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
 
 
 def campbell(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> list[Modes]:
-    """Modes at every spin speed [rad/s], for a Campbell diagram; *supports* gives the bearings at each speed."""
+    """Modes at every spin speed [rad/s], for a Campbell diagram.
+
+    *supports* gives the bearings at each speed.
+    """
     return [modes(rotor, supports(speed), speed) for speed in speeds]
 
 
@@ -102,8 +113,11 @@ def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> floa
     return float(np.max(roots.real))
 
 
-def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3) -> float | None:
-    """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor stable at all of them.
+def onset_speed(
+    rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3
+) -> float | None:
+    """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
+    stable at all of them.
 
     FitError for a rotor unstable at the first speed.
     """
@@ -115,7 +129,10 @@ def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]
     for speed in speeds:
         if excess(speed) > 0:
             if stable is None:
-                raise FitError(f"the rotor is unstable already at {speed:g} rad/s", hint="start the search at a lower speed")
+                raise FitError(
+                    f"the rotor is unstable already at {speed:g} rad/s",
+                    hint="start the search at a lower speed",
+                )
             return float(optimize.brentq(excess, stable, speed, xtol=tolerance))
         stable = speed
     return None
@@ -126,7 +143,8 @@ def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]
 
 
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
-    """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in [rad/s].
+    """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in
+    [rad/s].
 
     Equation (rotor-dynamic-stiffness).
     """
@@ -138,21 +156,32 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
 
 
 def solved(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
-    """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped resonance.
+    """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped
+    resonance.
 
     *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
         displacements: ComplexArray = np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
-        raise FitError("the rotor has a resonance without damping on a line", hint="move the line or add damping") from None
+        raise FitError(
+            "the rotor has a resonance without damping on a line", hint="move the line or add damping"
+        ) from None
     return displacements
 
 
 def frequency_response(
-    rotor: Rotor, supports: Iterable[Support], frequency: FloatArray, speed: float, outputs: list[int], inputs: list[int]
+    rotor: Rotor,
+    supports: Iterable[Support],
+    frequency: FloatArray,
+    speed: float,
+    outputs: list[int],
+    inputs: list[int],
 ) -> ComplexArray:
-    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz]; dof indices from `Rotor.dofs`."""
+    """Receptance H [m/N], (n_line, n_output, n_input), at *frequency* (n_line,) [Hz].
+
+    Dof indices from `Rotor.dofs`.
+    """
     matrices = supported_rotor(rotor, supports)
     forces = np.zeros((matrices.mass.shape[0], len(inputs)))
     forces[inputs, np.arange(len(inputs))] = 1
@@ -161,12 +190,16 @@ def frequency_response(
 
 
 def unbalance_response(
-    rotor: Rotor, supports: Iterable[Support], speed: FloatArray, unbalance: Mapping[int, complex], outputs: list[int]
+    rotor: Rotor,
+    supports: Iterable[Support],
+    speed: FloatArray,
+    unbalance: Mapping[int, complex],
+    outputs: list[int],
 ) -> ComplexArray:
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
 
-    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2, so that the force rotates
-    from y to z. The bearings do not change with speed. Equation (rotor-unbalance).
+    *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2,
+    so that the force rotates from y to z. The bearings do not change with speed. Equation (rotor-unbalance).
     """
     speed = np.asarray(speed, np.float64)
     matrices = supported_rotor(rotor, supports)
@@ -179,7 +212,8 @@ def unbalance_response(
 
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
-    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle of an orbit, 0-to-peak.
+    """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle
+    of an orbit, 0-to-peak.
 
     Equation (rotor-orbit).
     """
@@ -215,20 +249,31 @@ class ReducedRotor:
         return self.receptance[:, self.dofs(output)][:, :, self.dofs(force)]
 
     def on(self, supports: Iterable[Support]) -> ReducedRotor:
-        """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node. Equation (rotor-woodbury)."""
+        """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node.
+
+        Equation (rotor-woodbury).
+        """
         supports = list(supports)
         b = self._bearing_dofs(supports)
         loaded = _bearing_forces(supports, self.omega, self.receptance[:, b], b)
         return ReducedRotor(self.nodes, self.omega, self.receptance - self.receptance[:, :, b] @ loaded)
 
-    def paths(self, supports: Sequence[Support], output: int, force: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """H_of (n_line, 2, 2), H_ob (n_line, 2, 2 n_bearing) and H_bf (n_line, 2 n_bearing, 2) [m/N] of this rotor with bearings added.
+    def paths(
+        self, supports: Sequence[Support], output: int, force: int
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """H_of (n_line, 2, 2), H_ob (n_line, 2, 2 n_bearing) and H_bf (n_line, 2 n_bearing, 2) [m/N] of this
+        rotor with bearings added.
 
-        From forces at the node *force* or at the bearings b to displacements at the node *output* or at the bearings, in the order of
-        *supports*: what a response and its derivatives by the bearings need, without the rest.
+        From forces at the node *force* or at the bearings b to displacements at the node *output* or at the
+        bearings, in the order of *supports*: what a response and its derivatives by the bearings need,
+        without the rest.
         """
         b, o, f = self._bearing_dofs(supports), self.dofs(output), self.dofs(force)
-        n, rows, columns = len(b), [*b, *(dof for dof in o if dof not in b)], [*b, *(dof for dof in f if dof not in b)]
+        n, rows, columns = (
+            len(b),
+            [*b, *(dof for dof in o if dof not in b)],
+            [*b, *(dof for dof in f if dof not in b)],
+        )
         free = self.receptance[:, np.array(rows)[:, None], columns]
         added = free - free[:, :, :n] @ _bearing_forces(supports, self.omega, free[:, :n], list(range(n)))
         from_b, of_f = added[:, [rows.index(dof) for dof in o]], [columns.index(dof) for dof in f]
@@ -238,8 +283,12 @@ class ReducedRotor:
         return [dof for support in supports for dof in self.dofs(support.node)]
 
 
-def _bearing_forces(supports: Sequence[Support], omega: FloatArray, rows: ComplexArray, at: list[int]) -> ComplexArray:
-    """(I + Z_b R_bb)^-1 Z_b R_b: [1] of the free rotor's *rows* R_b: (n_line, n, n_column) [m/N], R_bb in columns *at*; same shape."""
+def _bearing_forces(
+    supports: Sequence[Support], omega: FloatArray, rows: ComplexArray, at: list[int]
+) -> ComplexArray:
+    """(I + Z_b R_bb)^-1 Z_b R_b: [1] of the free rotor's *rows* R_b: (n_line, n, n_column) [m/N], R_bb in
+    columns *at*; same shape.
+    """
     loaded = np.empty_like(rows)
     for number, support in enumerate(supports):
         place = slice(2 * number, 2 * number + 2)
@@ -254,7 +303,9 @@ def support_stiffness(support: Support, omega: FloatArray) -> ComplexArray:
 
 
 def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, speed: float) -> ReducedRotor:
-    """The free rotor between *nodes* at *frequency* (n_line,) [Hz], all above zero, and a spin *speed* [rad/s]."""
+    """The free rotor between *nodes* at *frequency* (n_line,) [Hz], all above zero, and a spin *speed*
+    [rad/s].
+    """
     nodes = tuple(dict.fromkeys(nodes))
     omega = 2 * np.pi * np.asarray(frequency, np.float64)
     if not np.all(omega > 0):
@@ -264,15 +315,20 @@ def reduced_rotor(rotor: Rotor, nodes: Iterable[int], frequency: FloatArray, spe
     stiffness = condensed_stiffness(free_rotor(rotor), omega, speed, kept)
     dofs = [4 * kept.index(first // 4) + direction for first, _ in wanted for direction in (0, 1)]
     forces = np.eye(4 * len(kept))[:, dofs]
-    return ReducedRotor(nodes, omega, solved(stiffness, np.broadcast_to(forces, (omega.size, *forces.shape)))[:, dofs])
+    return ReducedRotor(
+        nodes, omega, solved(stiffness, np.broadcast_to(forces, (omega.size, *forces.shape)))[:, dofs]
+    )
 
 
-def condensed_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float, kept: Sequence[int]) -> ComplexArray:
-    """Dynamic stiffness (n_line, 4 n_kept, 4 n_kept) [N/m] of nodes *kept* (from 0, rising) without forces on the others.
+def condensed_stiffness(
+    matrices: RotorMatrices, omega: FloatArray, speed: float, kept: Sequence[int]
+) -> ComplexArray:
+    """Dynamic stiffness (n_line, 4 n_kept, 4 n_kept) [N/m] of nodes *kept* (from 0, rising) without forces on
+    the others.
 
-    *omega* (n_line,) and *speed* in [rad/s]. An element joins two neighbours, so that one node i after the other is eliminated,
-    Z_ab - Z_ai Z_ii^-1 Z_ib between its neighbours a, b: the cost is in proportion to the number of nodes, not to its cube.
-    Equation (rotor-eliminated).
+    *omega* (n_line,) and *speed* in [rad/s]. An element joins two neighbours, so that one node i after the
+    other is eliminated, Z_ab - Z_ai Z_ii^-1 Z_ib between its neighbours a, b: the cost is in proportion to
+    the number of nodes, not to its cube. Equation (rotor-eliminated).
     """
     chain = list(range(matrices.mass.shape[0] // 4))
     pairs = [(row, column) for row in chain for column in chain[max(row - 1, 0) : row + 2]]

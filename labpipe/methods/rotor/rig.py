@@ -1,4 +1,6 @@
-"""A rotor on its bearings: shaft, bearings with their static loads, speed, and where it is excited and measured."""
+"""A rotor on its bearings: shaft, bearings with their static loads, speed, and where it is excited and
+measured.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,12 @@ import numpy as np
 
 from labpipe.bearings.kinds import Bearing, OperatingPoint
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, JournalEquilibrium, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    DEFAULT_MESH,
+    JournalBearing,
+    JournalEquilibrium,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
 from labpipe.records.uncertain import Uncertainty
@@ -18,7 +25,10 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class UncertainBearing:
-    """A bearing with one number a standard uncertainty *above* its value, and *below* it; *uncertainty* of the number."""
+    """A bearing with one number a standard uncertainty *above* its value, and *below* it.
+
+    *uncertainty* of the number.
+    """
 
     uncertainty: Uncertainty
     above: Bearing
@@ -27,7 +37,10 @@ class UncertainBearing:
 
 @dataclass(frozen=True)
 class BearingPlace:
-    """A bearing on a node of the rotor; *kind*: that of its file; *uncertainties* of the numbers in its entry."""
+    """A bearing on a node of the rotor; *kind*: that of its file.
+
+    *uncertainties* of the numbers in its entry.
+    """
 
     name: str
     node: int
@@ -41,16 +54,29 @@ class BearingPlace:
         return isinstance(self.bearing, JournalBearing)
 
     def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
-        """The place with other numbers in its oil film, uncertain or not; a number that is changed has no uncertainty any more."""
+        """The place with other numbers in its oil film, uncertain or not.
+
+        A number that is changed has no uncertainty any more.
+        """
 
         def changed(bearing: Bearing) -> JournalBearing:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
-        uncertainties = [UncertainBearing(one.uncertainty, changed(one.above), changed(one.below)) for one in self.uncertainties]
-        return replace(self, bearing=changed(self.bearing), uncertainties=tuple(one for one in uncertainties if one.above != one.below))
+        uncertainties = [
+            UncertainBearing(one.uncertainty, changed(one.above), changed(one.below))
+            for one in self.uncertainties
+        ]
+        return replace(
+            self,
+            bearing=changed(self.bearing),
+            uncertainties=tuple(one for one in uncertainties if one.above != one.below),
+        )
 
     def with_error(self, source: str, sign: int) -> BearingPlace:
-        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1); unchanged without one."""
+        """The place with every number of a *source* a standard uncertainty above (*sign* 1) or below (-1).
+
+        Unchanged without one.
+        """
         return next(
             (
                 replace(self, bearing=one.above if sign > 0 else one.below, uncertainties=())
@@ -61,10 +87,16 @@ class BearingPlace:
         )
 
     def film(self, method: str) -> JournalBearing:
-        """The journal bearing; ConfigError that names the *method* which needs its oil film, where there is none."""
+        """The journal bearing.
+
+        ConfigError that names the *method* which needs its oil film, where there is none.
+        """
         if isinstance(self.bearing, JournalBearing):
             return self.bearing
-        raise ConfigError(f"{method} needs an oil film, bearing '{self.name}' is a {self.kind}", hint="name a journal-bearing")
+        raise ConfigError(
+            f"{method} needs an oil film, bearing '{self.name}' is a {self.kind}",
+            hint="name a journal-bearing",
+        )
 
 
 @dataclass(frozen=True)
@@ -78,7 +110,8 @@ class Unbalance:
 
 @dataclass(frozen=True)
 class RotorRig:
-    """A rotor file: *speed* [Hz]; *loads*: static forces (node, in y, in z) [N] beside the weight; *force*, *response*: nodes.
+    """A rotor file: *speed* [Hz]; *loads*: static forces (node, in y, in z) [N] beside the weight; *force*,
+    *response*: nodes.
 
     ConfigError where bearings, loads or unbalances sit on no node, or two bearings have one name or node.
     """
@@ -107,7 +140,9 @@ class RotorRig:
     def _places(self) -> list[tuple[str, int]]:
         """Label and node of every part on a node, for messages."""
         places = [(f"bearing '{place.name}'", place.node) for place in self.bearings]
-        places += [("a load", node) for node, _, _ in self.loads] + [("an unbalance", part.node) for part in self.unbalances]
+        places += [("a load", node) for node, _, _ in self.loads] + [
+            ("an unbalance", part.node) for part in self.unbalances
+        ]
         return [*places, ("the force", self.force), ("the response", self.response)]
 
     @property
@@ -116,13 +151,19 @@ class RotorRig:
         return 2 * np.pi * self.speed
 
     def place(self, name: str) -> BearingPlace:
-        """The bearing of that name; the last one without a name. ConfigError with the nearest known name on a miss."""
+        """The bearing of that name; the last one without a name.
+
+        ConfigError with the nearest known name on a miss.
+        """
         if not name:
             return self.bearings[-1]
         for bearing in self.bearings:
             if bearing.name == name:
                 return bearing
-        raise ConfigError(f"no bearing '{name}' in {self.name}", hint=nearest(name, [bearing.name for bearing in self.bearings]))
+        raise ConfigError(
+            f"no bearing '{name}' in {self.name}",
+            hint=nearest(name, [bearing.name for bearing in self.bearings]),
+        )
 
     def static_loads(self) -> dict[str, tuple[float, float]]:
         """Load of every bearing by name, in y and z [N]."""
@@ -142,7 +183,9 @@ class RotorRig:
         """Equilibrium of the journal of every oil film at the rig's speed, by bearing."""
         return self._equilibria(self.static_loads(), mesh)
 
-    def _equilibria(self, loads: dict[str, tuple[float, float]], mesh: FilmMesh) -> dict[str, JournalEquilibrium]:
+    def _equilibria(
+        self, loads: dict[str, tuple[float, float]], mesh: FilmMesh
+    ) -> dict[str, JournalEquilibrium]:
         return {
             place.name: journal_equilibrium(place.film("an equilibrium"), loads[place.name], self.omega, mesh)
             for place in self.bearings
@@ -150,14 +193,20 @@ class RotorRig:
         }
 
     def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
-        """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of oil films."""
+        """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of
+        oil films.
+        """
         loads = self.static_loads()
         films = self._equilibria(loads, mesh)
         coefficients = {
-            place.name: films.get(place.name) or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
+            place.name: films.get(place.name)
+            or place.bearing.at(OperatingPoint(loads[place.name], self.omega, self.omega))
             for place in self.bearings
         }
-        return [Support(place.node, coefficients[place.name].stiffness, coefficients[place.name].damping) for place in self.bearings]
+        return [
+            Support(place.node, coefficients[place.name].stiffness, coefficients[place.name].damping)
+            for place in self.bearings
+        ]
 
     def at_speed(self, speed: float) -> RotorRig:
         """The same rig at another speed [Hz]."""
@@ -169,16 +218,22 @@ class RotorRig:
         uncertainties: dict[str, Uncertainty] = {}
         for place in self.bearings:
             for bearing_uncertainty in place.uncertainties:
-                uncertainties.setdefault(bearing_uncertainty.uncertainty.source, bearing_uncertainty.uncertainty)
+                uncertainties.setdefault(
+                    bearing_uncertainty.uncertainty.source, bearing_uncertainty.uncertainty
+                )
         return tuple(uncertainties.values())
 
     def ends(self, source: str) -> tuple[RotorRig, RotorRig]:
         """The rig with all numbers of a *source* a standard uncertainty above, and below."""
-        above, below = (replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings)) for sign in (1, -1))
+        above, below = (
+            replace(self, bearings=tuple(place.with_error(source, sign) for place in self.bearings))
+            for sign in (1, -1)
+        )
         return above, below
 
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
-        """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all, where none is named.
+        """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all,
+        where none is named.
 
         ConfigError for a bearing without an oil film.
         """
@@ -187,12 +242,17 @@ class RotorRig:
         purpose = f"a change of {', '.join(changes)}"
         return replace(
             self,
-            bearings=tuple(place.with_film(purpose, changes) if place in chosen else place for place in self.bearings),
+            bearings=tuple(
+                place.with_film(purpose, changes) if place in chosen else place for place in self.bearings
+            ),
         )
 
 
 def worn_place(rig: RotorRig, name: str) -> BearingPlace:
-    """The worn bearing by its name, the last one without a name; ConfigError where there is none, or none with an oil film."""
+    """The worn bearing by its name, the last one without a name.
+
+    ConfigError where there is none, or none with an oil film.
+    """
     try:
         place = rig.place(name)
         place.film("wear")

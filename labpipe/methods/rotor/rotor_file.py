@@ -71,21 +71,32 @@ class DiscSettings(Settings):
     length: float | None = setting("value", "length along the shaft", unit="m", default=None)
     material: str = setting("text", "steel, aluminium or one of materials", default="steel")
     mass: float | None = setting("value", "mass, instead of dimensions", unit="kg", default=None)
-    polar_inertia: float | None = setting("value", "moment of inertia about the shaft", unit="kg.m^2", default=None)
-    transverse_inertia: float | None = setting("value", "moment of inertia about a diameter", unit="kg.m^2", default=None)
+    polar_inertia: float | None = setting(
+        "value", "moment of inertia about the shaft", unit="kg.m^2", default=None
+    )
+    transverse_inertia: float | None = setting(
+        "value", "moment of inertia about a diameter", unit="kg.m^2", default=None
+    )
 
     def __post_init__(self) -> None:
         if (self.mass is None) == (self.outer_diameter is None):
-            raise ConfigError("one of mass and outer_diameter is needed", hint="a disc is given by its mass, or by its dimensions")
+            raise ConfigError(
+                "one of mass and outer_diameter is needed",
+                hint="a disc is given by its mass, or by its dimensions",
+            )
         if self.outer_diameter is not None and self.length is None:
-            raise ConfigError("length: is missing", hint="a disc of dimensions needs its length along the shaft")
+            raise ConfigError(
+                "length: is missing", hint="a disc of dimensions needs its length along the shaft"
+            )
         if self.mass is not None and None in (self.polar_inertia, self.transverse_inertia):
             raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
 
     def disc(self, material: Material) -> Disc:
         if self.mass is not None:
             return Disc(self.node, self.mass, self.transverse_inertia or 0.0, self.polar_inertia or 0.0)
-        return Disc.of_dimensions(self.node, self.inner_diameter, self.outer_diameter or 0.0, self.length or 0.0, material)
+        return Disc.of_dimensions(
+            self.node, self.inner_diameter, self.outer_diameter or 0.0, self.length or 0.0, material
+        )
 
 
 @dataclass(frozen=True)
@@ -159,7 +170,12 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     before = len(faults)
     entries = faults.mapping(tree, "")
     if "pins" in entries:
-        faults.add(entries["pins"], "pins", "this rotor runs between pins, for run-ups", "here one in journal bearings is needed")
+        faults.add(
+            entries["pins"],
+            "pins",
+            "this rotor runs between pins, for run-ups",
+            "here one in journal bearings is needed",
+        )
         return None
     plain = Marked({k: v for k, v in entries.items() if k not in SECTIONS}, tree.where)
     settings = read_settings(RotorSettings, plain, "", faults)
@@ -169,7 +185,11 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     for key in ("elements", "bearings"):
         if key not in entries:
             faults.add(tree, key, "is missing", "a list; each entry begins with '- '")
-    damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    damping = (
+        read_settings(DampingSettings, entries["damping"], "damping", faults)
+        if "damping" in entries
+        else DampingSettings()
+    )
     rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or settings is None:
         return None
@@ -191,14 +211,19 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
     return tried(make_rig, tree, "", faults)
 
 
-def read_entries(owner: type[Owner], node: Marked | None, key: str, faults: Faults) -> list[tuple[Marked, Any]]:
+def read_entries(
+    owner: type[Owner], node: Marked | None, key: str, faults: Faults
+) -> list[tuple[Marked, Any]]:
     """The entries of a list that can be read, with their place."""
     if node is None:
         return []
     if not isinstance(node.content, list):
         faults.add(node, key, "a list is needed", "each entry begins with '- '")
         return []
-    pairs = [(entry, read_settings(owner, entry, f"{key}.{number}", faults)) for number, entry in enumerate(node.content, 1)]
+    pairs = [
+        (entry, read_settings(owner, entry, f"{key}.{number}", faults))
+        for number, entry in enumerate(node.content, 1)
+    ]
     return [(entry, settings) for entry, settings in pairs if settings is not None]
 
 
@@ -226,27 +251,45 @@ def build_rotor(
 
     def material(entry: Marked, part: Any) -> Material:
         if part.material not in materials:
-            faults.add(entry.content["material"], "material", f"unknown material '{part.material}'", nearest(part.material, materials))
+            faults.add(
+                entry.content["material"],
+                "material",
+                f"unknown material '{part.material}'",
+                nearest(part.material, materials),
+            )
         return materials.get(part.material, STEEL)
 
     shaft: list[ShaftElement] = []
     for entry, part in lists["elements"]:
-        make_element = partial(ShaftElement, part.length, part.diameter, material(entry, part), part.inner_diameter)
+        make_element = partial(
+            ShaftElement, part.length, part.diameter, material(entry, part), part.inner_diameter
+        )
         element = tried(make_element, entry, "", faults)
         shaft.extend([element] * part.count if element is not None else [])
-    discs = [tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]]
-    sleeves = [Sleeve(part.element, part.outer_diameter, material(entry, part)) for entry, part in lists["sleeves"]]
+    discs = [
+        tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]
+    ]
+    sleeves = [
+        Sleeve(part.element, part.outer_diameter, material(entry, part)) for entry, part in lists["sleeves"]
+    ]
     if len(faults) > before or damping is None:
         return None
     parts = tuple(disc for disc in discs if disc is not None)
-    return tried(partial(Rotor, tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults)
+    return tried(
+        partial(Rotor, tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults
+    )
 
 
 def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, faults: Faults) -> None:
     """A fault at every entry that sits on no node."""
     for key in ("bearings", "loads", "unbalances"):
         for entry, part in lists[key]:
-            tried(partial(rotor.check_node, part.node, f"this entry of {key}"), entry.content["node"], key, faults)
+            tried(
+                partial(rotor.check_node, part.node, f"this entry of {key}"),
+                entry.content["node"],
+                key,
+                faults,
+            )
 
 
 def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
@@ -270,7 +313,10 @@ def read_bearings(node: Marked | None, faults: Faults) -> list[tuple[Marked, Bea
 
 
 def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace | None:
-    """A bearing of any kind on its node; its load and speed follow from the rotor, so their entries are refused."""
+    """A bearing of any kind on its node.
+
+    Its load and speed follow from the rotor, so their entries are refused.
+    """
     key, before = f"bearings.{number}", len(faults)
     entries = faults.mapping(entry, key)
     kind = kind_of(entry, key, faults) if entries else None
@@ -279,7 +325,9 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     node = read_setting(entries["node"], NODE, join(key, "node"), faults) if "node" in entries else None
     if "node" not in entries:
         faults.add(entry, join(key, "node"), "is missing", NODE.help)
-    plain = Marked({name: part for name, part in entries.items() if name != "node"}, entry.where, entry.key_where)
+    plain = Marked(
+        {name: part for name, part in entries.items() if name != "node"}, entry.where, entry.key_where
+    )
     for name in kind.operating:
         if name in entries:
             faults.add(entries[name], join(key, name), "follows from the rotor", "leave it out")
@@ -291,7 +339,9 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
         settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
         if settings is None or len(faults) > before:
             return "", None
-        return getattr(settings, "name", "") or str(number), tried(lambda: kind.mounted(settings), entry, key, faults)
+        return getattr(settings, "name", "") or str(number), tried(
+            lambda: kind.mounted(settings), entry, key, faults
+        )
 
     name, bearing = mounted()
     if bearing is None or node is None:
@@ -299,14 +349,21 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     places = []
     for entry_name, uncertain in uncertainties.items():
         unit = setting_at(owner, entry_name).unit
-        ends = [_at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted) for sign in (1.0, -1.0, 0.0)]
+        ends = [
+            _at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted)
+            for sign in (1.0, -1.0, 0.0)
+        ]
         if ends[0] is None or ends[1] is None:
             return None
-        places.append(UncertainBearing(uncertainty_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1]))
+        places.append(
+            UncertainBearing(uncertainty_of(uncertain, f"{name}: {entry_name}", unit), ends[0], ends[1])
+        )
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 
-def _at_end(plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]) -> Bearing | None:
+def _at_end(
+    plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]
+) -> Bearing | None:
     """The bearing with another number at its key, which stays."""
     set_entry(plain, f"{key}={value!r} {unit}".rstrip())
     return mounted()[1]

@@ -42,11 +42,15 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNu
     cases = {case.name: case for case in runs.cases}
     if name not in cases:
         hint = nearest(name, list(cases))
-        raise ConfigError(f"{rule.section}.{rule.address}: no such case of unbalance", where=rule.place, hint=hint)
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: no such case of unbalance", where=rule.place, hint=hint
+        )
     values = runs.values(cases[name])
     if item not in values:
         hint = nearest(item, list(values))
-        raise ConfigError(f"{rule.section}.{rule.address}: a case of unbalance has no '{item}'", where=rule.place, hint=hint)
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: a case of unbalance has no '{item}'", where=rule.place, hint=hint
+        )
     return RuleOutcome(rule.section, rule.text, *compare_number(rule, *values[item]))
 
 

@@ -1,13 +1,16 @@
-"""Rotors of Timoshenko shaft elements, discs, sleeves and supports: their matrices M q'' + (C + Omega G) q' + K q = F.
+"""Rotors of Timoshenko shaft elements, discs, sleeves and supports: their matrices M q'' + (C + Omega G) q' +
+K q = F.
 
-Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig descriptions.
+Parts of a rotor: shaft elements, discs, sleeves and supports. Nodes are numbered from 1, as in rig
+descriptions.
 
-Axes: x along the shaft, y horizontal, z up, spin from y to z. Every node has y, z and the rotations about y and z.
+Axes: x along the shaft, y horizontal, z up, spin from y to z. Every node has y, z and the rotations about y
+and z.
 
 Timoshenko shaft elements with rotary inertia and gyroscopics (Nelson & McVaugh 1976, Nelson 1980).
 
-One bending plane has w and its rotation at both ends, (w1, r1, w2, r2); with xi = x / l and the shear parameter Phi the deflection
-is N(xi) and the rotation of the cross-section D(xi) times these four.
+One bending plane has w and its rotation at both ends, (w1, r1, w2, r2); with xi = x / l and the shear
+parameter Phi the deflection is N(xi) and the rotation of the cross-section D(xi) times these four.
 """
 
 from __future__ import annotations
@@ -28,7 +31,9 @@ from labpipe.errors import ConfigError
 def _refuse_unless_positive(what: str, part: object, names: tuple[str, ...]) -> None:
     for name in names:
         if not 0 < getattr(part, name) < np.inf:
-            raise ConfigError(f"the {name.replace('_', ' ')} of a {what} is positive, not {getattr(part, name):g}")
+            raise ConfigError(
+                f"the {name.replace('_', ' ')} of a {what} is positive, not {getattr(part, name):g}"
+            )
 
 
 def _refuse_bore(what: str, inner: float, outer: float) -> None:
@@ -78,13 +83,19 @@ class ShaftElement:
 
     @property
     def shear_coefficient(self) -> float:
-        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft. Equation (rotor-cowper)."""
+        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft.
+
+        Equation (rotor-cowper).
+        """
         nu, bore = self.material.poisson, (self.inner_diameter / self.outer_diameter) ** 2
         return 6 * (1 + nu) * (1 + bore) ** 2 / ((7 + 6 * nu) * (1 + bore) ** 2 + (20 + 12 * nu) * bore)
 
     @property
     def shear_parameter(self) -> float:
-        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element. Equation (rotor-shear)."""
+        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element.
+
+        Equation (rotor-shear).
+        """
         bending = 12 * self.material.elastic_modulus * self.second_moment
         return bending / (self.shear_coefficient * self.material.shear_modulus * self.area * self.length**2)
 
@@ -104,8 +115,13 @@ class Disc:
             raise ConfigError(f"the disc on node {self.node} has a negative moment of inertia")
 
     @classmethod
-    def of_dimensions(cls, node: int, inner_diameter: float, outer_diameter: float, length: float, material: Material) -> Disc:
-        """A hollow cylinder: m = rho pi/4 (D^2 - d^2) l, I_p = m/8 (D^2 + d^2), I_t = I_p/2 + m l^2/12. Equation (rotor-disc)."""
+    def of_dimensions(
+        cls, node: int, inner_diameter: float, outer_diameter: float, length: float, material: Material
+    ) -> Disc:
+        """A hollow cylinder: m = rho pi/4 (D^2 - d^2) l, I_p = m/8 (D^2 + d^2), I_t = I_p/2 + m l^2/12.
+
+        Equation (rotor-disc).
+        """
         _refuse_bore(f"disc on node {node}", inner_diameter, outer_diameter)
         mass = material.density * np.pi / 4 * (outer_diameter**2 - inner_diameter**2) * length
         polar = mass / 8 * (outer_diameter**2 + inner_diameter**2)
@@ -114,7 +130,9 @@ class Disc:
 
 @dataclass(frozen=True)
 class Sleeve:
-    """A ring over the whole length of shaft element *element* (from 1) that adds mass and inertia but no stiffness."""
+    """A ring over the whole length of shaft element *element* (from 1) that adds mass and inertia but no
+    stiffness.
+    """
 
     element: int
     outer_diameter: float
@@ -127,7 +145,9 @@ class Sleeve:
 
 @dataclass(frozen=True)
 class Support:
-    """A bearing on a node: stiffness [N/m] and damping [N s/m], (2, 2) in y and z, `k_yz` = force in y per displacement in z."""
+    """A bearing on a node: stiffness [N/m] and damping [N s/m], (2, 2) in y and z, `k_yz` = force in y per
+    displacement in z.
+    """
 
     node: int
     stiffness: FloatArray
@@ -141,7 +161,8 @@ class Support:
 
 @dataclass(frozen=True)
 class Rotor:
-    """Shaft elements from left to right, discs, sleeves, and the shaft's proportional damping C = alpha M + beta K, [1/s] and [s].
+    """Shaft elements from left to right, discs, sleeves, and the shaft's proportional damping C = alpha M +
+    beta K, [1/s] and [s].
 
     ConfigError for a disc on a node, or a sleeve on an element, that does not exist.
     """
@@ -159,12 +180,17 @@ class Rotor:
         if not self.elements:
             raise ConfigError("a rotor needs at least one shaft element")
         if min(self.alpha, self.beta) < 0:
-            raise ConfigError("proportional damping cannot be negative", hint="give alpha and beta of zero or more")
+            raise ConfigError(
+                "proportional damping cannot be negative", hint="give alpha and beta of zero or more"
+            )
         for disc in self.discs:
             self.check_node(disc.node, "a disc")
         for sleeve in self.sleeves:
             if not 1 <= sleeve.element <= len(self.elements):
-                raise ConfigError(f"a sleeve sits on element {sleeve.element}, the rotor has elements 1 to {len(self.elements)}")
+                raise ConfigError(
+                    f"a sleeve sits on element {sleeve.element}, the rotor has elements 1 to "
+                    f"{len(self.elements)}"
+                )
             sleeve.tube(self.elements[sleeve.element - 1])
 
     @property
@@ -193,7 +219,9 @@ GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def shape_functions(element: ShaftElement, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """N(xi) and D(xi), (4, n_point) each: deflection [m] and rotation [rad] per end displacement and rotation. Equation (rotor-shapes)."""
+    """N(xi) and D(xi), (4, n_point) each: deflection [m] and rotation [rad] per end displacement and
+    rotation. Equation (rotor-shapes).
+    """
     l, phi = element.length, element.shear_parameter
     deflection = np.stack(
         [
@@ -212,27 +240,40 @@ def plane_stiffness(element: ShaftElement) -> FloatArray:
     """Bending and shear stiffness of one plane, (4, 4) [N/m, N, N m]. Equation (rotor-stiffness)."""
     l, phi = element.length, element.shear_parameter
     near, far = (4 + phi) * l**2, (2 - phi) * l**2
-    matrix = np.array([[12, 6 * l, -12, 6 * l], [6 * l, near, -6 * l, far], [-12, -6 * l, 12, -6 * l], [6 * l, far, -6 * l, near]])
+    matrix = np.array(
+        [
+            [12, 6 * l, -12, 6 * l],
+            [6 * l, near, -6 * l, far],
+            [-12, -6 * l, 12, -6 * l],
+            [6 * l, far, -6 * l, near],
+        ]
+    )
     return element.material.elastic_modulus * element.second_moment / (l**3 * (1 + phi)) * matrix
 
 
 def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
-    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg, kg m, kg m^2].
+    """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg,
+    kg m, kg m^2].
 
-    *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's cross-section.
-    Equation (rotor-inertia).
+    *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's
+    cross-section. Equation (rotor-inertia).
     """
     tube = ring or element
     deflection, rotation = shape_functions(element, (GAUSS_POINTS + 1) / 2)
     density = tube.material.density * element.length * GAUSS_WEIGHTS / 2
-    return (deflection * (density * tube.area)) @ deflection.T, (rotation * (density * tube.second_moment)) @ rotation.T
+    return (deflection * (density * tube.area)) @ deflection.T, (
+        rotation * (density * tube.second_moment)
+    ) @ rotation.T
 
 
-def inertia_matrices(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
-    """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y, about z, left end, right end.
+def inertia_matrices(
+    element: ShaftElement, ring: ShaftElement | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y,
+    about z, left end, right end.
 
-    G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I per length.
-    Equation (rotor-gyroscopic).
+    G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I
+    per length. Equation (rotor-gyroscopic).
     """
     translation, rotary = plane_inertia(element, ring)
     coupling = 2 * rotary * SIGNS_Z
@@ -257,7 +298,9 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True)
 class RotorMatrices:
-    """Mass M [kg], damping C [N s/m], gyroscopic G, stiffness K [N/m], (n_dof, n_dof), four dofs per node: y, z, rotations about y, z."""
+    """Mass M [kg], damping C [N s/m], gyroscopic G, stiffness K [N/m], (n_dof, n_dof), four dofs per node: y,
+    z, rotations about y, z.
+    """
 
     mass: FloatArray
     damping: FloatArray
@@ -271,12 +314,17 @@ class RotorMatrices:
     def between(self, first: int, second: int) -> RotorMatrices:
         """The blocks (4, 4) of two nodes, counted from 0, in the same units."""
         rows, columns = slice(4 * first, 4 * first + 4), slice(4 * second, 4 * second + 4)
-        return RotorMatrices(*(whole[rows, columns] for whole in (self.mass, self.damping, self.gyroscopic, self.stiffness)))
+        return RotorMatrices(
+            *(whole[rows, columns] for whole in (self.mass, self.damping, self.gyroscopic, self.stiffness))
+        )
 
 
 @lru_cache(maxsize=8)
 def free_rotor(rotor: Rotor) -> RotorMatrices:
-    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves. Equation (rotor-motion)."""
+    """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves.
+
+    Equation (rotor-motion).
+    """
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
@@ -287,7 +335,9 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
         _add(sleeve.element - 1, (mass, gyroscopic), inertia_matrices(element, sleeve.tube(element)))
     for disc in rotor.discs:
         y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
-        mass[[y, z, about_y, about_z], [y, z, about_y, about_z]] += [disc.mass] * 2 + [disc.transverse_inertia] * 2
+        mass[[y, z, about_y, about_z], [y, z, about_y, about_z]] += [disc.mass] * 2 + [
+            disc.transverse_inertia
+        ] * 2
         gyroscopic[about_y, about_z] += disc.polar_inertia
         gyroscopic[about_z, about_y] -= disc.polar_inertia
     # The rotor at the next speed has the same ones.
@@ -314,11 +364,16 @@ def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
 
 
 def bearing_loads(
-    rotor: Rotor, nodes: Iterable[int], forces: Mapping[int, tuple[float, float]] | None = None, gravity: float = STANDARD_GRAVITY
+    rotor: Rotor,
+    nodes: Iterable[int],
+    forces: Mapping[int, tuple[float, float]] | None = None,
+    gravity: float = STANDARD_GRAVITY,
 ) -> FloatArray:
-    """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z and *forces* by node.
+    """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z
+    and *forces* by node.
 
-    More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings. Equation (rotor-loads).
+    More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings.
+    Equation (rotor-loads).
     """
     nodes = list(nodes)
     if len(set(nodes)) < 2:
@@ -331,9 +386,12 @@ def bearing_loads(
     for node, force in (forces or {}).items():
         applied[rotor.dofs(node)] += force
     fixed_dofs = [dof for node in nodes for dof in rotor.dofs(node)]
-    # Rigid supports as constraints, scaled by the stiffness so that both kinds of equations have one magnitude.
+    # Rigid supports as constraints, scaled by the stiffness so that both kinds of equations have one
+    # magnitude.
     scale = float(np.max(np.abs(free.stiffness)))
     constraints = scale * np.eye(n_dof)[fixed_dofs]
-    system = np.block([[free.stiffness, constraints.T], [constraints, np.zeros((len(fixed_dofs), len(fixed_dofs)))]])
+    system = np.block(
+        [[free.stiffness, constraints.T], [constraints, np.zeros((len(fixed_dofs), len(fixed_dofs)))]]
+    )
     solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
     return (scale * solution[n_dof:]).reshape(-1, 2)

@@ -19,7 +19,9 @@ from labpipe.records.settings import Settings, setting
 
 @dataclass(frozen=True)
 class PeakChange:
-    """Changes of the largest radii [m] and of their speeds [Hz], with their sign, by one standard uncertainty of a *source*."""
+    """Changes of the largest radii [m] and of their speeds [Hz], with their sign, by one standard uncertainty
+    of a *source*.
+    """
 
     source: str
     forward_peak: float
@@ -30,7 +32,8 @@ class PeakChange:
 
 @dataclass(frozen=True)
 class UnbalanceCase:
-    """One state of the bearing: wear *depth* [m] at *angle* [rad]; radii [m] of the forward and the backward circle at every speed.
+    """One state of the bearing: wear *depth* [m] at *angle* [rad]; radii [m] of the forward and the backward
+    circle at every speed.
 
     changes: of the largest of them by the uncertainties of the bearings' numbers.
     """
@@ -43,13 +46,17 @@ class UnbalanceCase:
     changes: tuple[PeakChange, ...] = ()
 
     def error(self, name: str) -> float | None:
-        """Standard uncertainty of a largest radius [m] or its speed [Hz] by all sources, such as `forward_peak`; None without any."""
+        """Standard uncertainty of a largest radius [m] or its speed [Hz] by all sources, such as
+        `forward_peak`; None without any.
+        """
         return math.sqrt(sum(getattr(change, name) ** 2 for change in self.changes)) if self.changes else None
 
 
 @dataclass(frozen=True)
 class UnbalanceRuns:
-    """All cases of one rotor over the same *speed* [Hz]; *node*: of the displacements; *bearing*: the worn bearing."""
+    """All cases of one rotor over the same *speed* [Hz]; *node*: of the displacements; *bearing*: the worn
+    bearing.
+    """
 
     rotor: str
     bearing: str
@@ -77,10 +84,16 @@ STEP_OF_SPEED = "step of the speeds"
 class UnbalanceSettings(Settings):
     """The ``unbalance:`` section of a pipeline; *rig*: contents of `rotor`."""
 
-    rotor: str = setting("file", "rotor file with its unbalances, relative to the pipeline file", file_kind="rotor", into="rig")
+    rotor: str = setting(
+        "file", "rotor file with its unbalances, relative to the pipeline file", file_kind="rotor", into="rig"
+    )
     speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz")
     cases: tuple[tuple[str, Wear], ...] = setting(
-        "sections", "states of wear by name, for example {healthy: {depth: 0 um}}", section=Wear, default=(), needed=True
+        "sections",
+        "states of wear by name, for example {healthy: {depth: 0 um}}",
+        section=Wear,
+        default=(),
+        needed=True,
     )
     step: float = setting("value", "step of speed", unit="Hz", default=0.5)
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
@@ -88,7 +101,9 @@ class UnbalanceSettings(Settings):
 
     def __post_init__(self) -> None:
         if not self.cases:
-            raise ConfigError("cases: are missing", hint="for example cases: {healthy: {depth: 0 um}}", field="cases")
+            raise ConfigError(
+                "cases: are missing", hint="for example cases: {healthy: {depth: 0 um}}", field="cases"
+            )
         if not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError("'speeds' must rise from above zero", hint="for example speeds: 40-65 Hz")
         if not 0 < self.step <= self.speeds[1] - self.speeds[0]:
@@ -98,9 +113,13 @@ class UnbalanceSettings(Settings):
         if self.rig is None:
             return
         if not self.rig.unbalances:
-            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor")
+            raise ConfigError(
+                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
+            )
         for _, case in self.cases:
-            self.rig.with_bearings((self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle)
+            self.rig.with_bearings(
+                (self.rig.place(self.bearing).name,), wear_depth=case.depth, wear_angle=case.angle
+            )
 
     @property
     def speed(self) -> FloatArray:
@@ -124,7 +143,9 @@ def unbalance_runs(settings: UnbalanceSettings) -> UnbalanceRuns:
             # A peak lies anywhere within half a step of its speed: limits of a rectangular distribution.
             within = settings.step / np.sqrt(12.0)
             changes.append(PeakChange(STEP_OF_SPEED, 0.0, within, 0.0, within))
-        cases.append(UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward), tuple(changes)))
+        cases.append(
+            UnbalanceCase(name, case.depth, case.angle, tuple(forward), tuple(backward), tuple(changes))
+        )
     return UnbalanceRuns(rig.name, worn, rig.response, tuple(settings.speed.tolist()), tuple(cases))
 
 
@@ -134,24 +155,34 @@ def _radii(rig: RotorRig, speeds: FloatArray) -> FloatArray:
 
 
 def _changes(rig: RotorRig, speeds: FloatArray, source: str) -> PeakChange:
-    """Half the difference of the peaks with the numbers of a *source* a standard uncertainty above and below (GUM 5.1.3, note 2)."""
-    above, below = (np.concatenate([_peak(speeds, radius) for radius in _radii(end, speeds)]) for end in rig.ends(source))
+    """Half the difference of the peaks with the numbers of a *source* a standard uncertainty above and below
+    (GUM 5.1.3, note 2).
+    """
+    above, below = (
+        np.concatenate([_peak(speeds, radius) for radius in _radii(end, speeds)]) for end in rig.ends(source)
+    )
     forward_peak, forward_speed, backward_peak, backward_speed = ((above - below) / 2).tolist()
     return PeakChange(source, forward_peak, forward_speed, backward_peak, backward_speed)
 
 
 def _peak(speeds: FloatArray, radius: FloatArray) -> FloatArray:
-    """Largest radius [m] and its speed [Hz], (2,), by a parabola through three speeds, which tells less than a step; an end as it is."""
+    """Largest radius [m] and its speed [Hz], (2,), by a parabola through three speeds, which tells less than
+    a step; an end as it is.
+    """
     at = int(np.argmax(radius))
     if not 0 < at < radius.size - 1:
         return np.array([radius[at], speeds[at]])
     before, top, after = radius[at - 1 : at + 2]
     shift = 0.5 * (before - after) / (before - 2 * top + after)
-    return np.array([top - 0.25 * (before - after) * shift, speeds[at] + shift * (speeds[at + 1] - speeds[at])])
+    return np.array(
+        [top - 0.25 * (before - after) * shift, speeds[at] + shift * (speeds[at + 1] - speeds[at])]
+    )
 
 
 def orbit(rig: RotorRig) -> ComplexArray:
-    """Phasors of the forward and the backward circle (2,) [m], 0-to-peak, at the rig's response node and speed."""
+    """Phasors of the forward and the backward circle (2,) [m], 0-to-peak, at the rig's response node and
+    speed.
+    """
     amounts: dict[int, complex] = {}
     for part in rig.unbalances:
         amounts[part.node] = amounts.get(part.node, 0j) + part.size * np.exp(1j * part.phase)

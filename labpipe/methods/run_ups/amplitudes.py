@@ -1,19 +1,24 @@
-"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by pattern search.
+"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by
+pattern search.
 
-Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that halves or doubles.
+Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
+halves or doubles.
 
-Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the objective is evaluated at all
-2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the mesh m doubles, otherwise m halves. Neighbours beyond
-a bound are moved onto it. No gradients, and no standard errors of the minimum. COBYQA of scipy is the alternative by name.
+Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the
+objective is evaluated at all 2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the
+mesh m doubles, otherwise m halves. Neighbours beyond a bound are moved onto it. No gradients, and no standard
+errors of the minimum. COBYQA of scipy is the alternative by name.
 
-Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept as a baseline.
+Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, kept
+as a baseline.
 
 Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
 
     F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
 
-(their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks perfect wherever it starts, and
-the coefficients that it returns are those next to its start. `StartSpread` states it.
+(their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks
+perfect wherever it starts, and the coefficients that it returns are those next to its start. `StartSpread`
+states it.
 """
 
 from __future__ import annotations
@@ -37,13 +42,17 @@ from labpipe.registry import nearest
 # Compass search within bounds: many small problems in parallel, each polled along its axes on a mesh that
 # halves or doubles.
 
-# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen* (n_chosen,).
+# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
+# (n_chosen,).
 Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of a search; meshes are shares of the box's width, *target_share* is a share of the objective at the start."""
+    """Limits of a search.
+
+    Meshes are shares of the box's width, *target_share* is a share of the objective at the start.
+    """
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
@@ -53,14 +62,18 @@ class SearchLimits:
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
-            raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint="for example 1e-4, 0.25, 0.5")
+            raise ConfigError(
+                "meshes of a pattern search rise: smallest, first, largest, up to 1",
+                hint="for example 1e-4, 0.25, 0.5",
+            )
         if self.most_evaluations < 1 or not 0 <= self.target_share < 1:
             raise ConfigError("a search needs one evaluation or more, and a target below the first objective")
 
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh [-] (NaN without a mesh).
+    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
+    [-] (NaN without a mesh).
 
     A problem that has ended keeps its last row.
     """
@@ -73,14 +86,18 @@ class SearchHistory:
         """Rows of one problem (n_iteration, 1), without those after its end."""
         column = self.evaluations[:, problem]
         rows = np.concatenate([[True], np.diff(column) > 0])
-        return SearchHistory(*(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh")))
+        return SearchHistory(
+            *(getattr(self, name)[rows][:, [problem]] for name in ("evaluations", "objective", "mesh"))
+        )
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations (n_problem,).
+    """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations
+    (n_problem,).
 
-    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the objective.
+    capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the target of the
+    objective.
     """
 
     values: FloatArray
@@ -92,9 +109,14 @@ class SearchResult:
 
 
 def compass_search(
-    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+    objective: Objective,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    limits: SearchLimits | None = None,
 ) -> SearchResult:
-    """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same shape; deterministic.
+    """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same
+    shape; deterministic.
 
     ConfigError where a start lies outside its box.
     """
@@ -126,25 +148,40 @@ def compass_search(
 
 
 def cobyqa_search(
-    objective: Objective, start: FloatArray, lower: FloatArray, upper: FloatArray, limits: SearchLimits | None = None
+    objective: Objective,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    limits: SearchLimits | None = None,
 ) -> SearchResult:
-    """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region has no mesh (NaN).
+    """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
+    has no mesh (NaN).
 
-    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value at the start, parameters by
-    the box. ConfigError without COBYQA in the installed scipy.
+    *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. The objective is scaled by its value
+    at the start, parameters by the box. ConfigError without COBYQA in the installed scipy.
     """
     limits = limits or SearchLimits()
     values, width = _checked(start, lower, upper)
     traces = [_trace(objective, n, values[n], lower[n], width[n], limits) for n in range(values.shape[0])]
     length = max(trace.objective.size for trace in traces)
     best = np.array([trace.points[np.argmin(trace.objective)] for trace in traces])
-    columns = [np.pad(np.minimum.accumulate(trace.objective), (0, length - trace.objective.size), "edge") for trace in traces]
+    columns = [
+        np.pad(np.minimum.accumulate(trace.objective), (0, length - trace.objective.size), "edge")
+        for trace in traces
+    ]
     counts = np.array([trace.objective.size for trace in traces], np.intp)
     evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
     lowest = np.stack(columns, axis=1)
     mesh = np.full(lowest.shape, np.nan)
     history = SearchHistory(evaluations, lowest, mesh)
-    return SearchResult(lower + best * width, lowest[-1], mesh[-1], counts, np.array([trace.capped for trace in traces]), history)
+    return SearchResult(
+        lower + best * width,
+        lowest[-1],
+        mesh[-1],
+        counts,
+        np.array([trace.capped for trace in traces]),
+        history,
+    )
 
 
 @dataclass(frozen=True)
@@ -156,7 +193,14 @@ class _Trace:
     capped: bool
 
 
-def _trace(objective: Objective, problem: int, start: FloatArray, lower: FloatArray, width: FloatArray, limits: SearchLimits) -> _Trace:
+def _trace(
+    objective: Objective,
+    problem: int,
+    start: FloatArray,
+    lower: FloatArray,
+    width: FloatArray,
+    limits: SearchLimits,
+) -> _Trace:
     points: list[FloatArray] = []
     objectives: list[float] = []
     number = np.array([problem])
@@ -171,11 +215,15 @@ def _trace(objective: Objective, problem: int, start: FloatArray, lower: FloatAr
     options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.target_share}
     bounds = optimize.Bounds(np.zeros(start.size), np.ones(start.size))
     try:
-        outcome = optimize.minimize(scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options)
+        outcome = optimize.minimize(
+            scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
+        )
     except ValueError as error:
         if "Unknown solver" not in str(error):
             raise
-        raise ConfigError("this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern") from error
+        raise ConfigError(
+            "this scipy has no COBYQA", hint="install scipy 1.14 or newer, or search by method: pattern"
+        ) from error
     return _Trace(np.array(points), np.array(objectives), not outcome.success)
 
 
@@ -209,10 +257,11 @@ AT_BOUND = 1e-3
 class AmplitudeFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
-    coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the amplitudes alone; objective
-    (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2]; chi2, n_datum: over the amplitudes' own errors. Of the
-    search: evaluations, mesh, capped (n_speed,), its history; every start's factors (n_start, n_speed, 8) and objectives
-    (n_start, n_speed), the rotor file's coefficients first. No standard errors: the amplitudes do not determine the coefficients.
+    coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the
+    amplitudes alone; objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared amplitudes [m^2];
+    chi2, n_datum: over the amplitudes' own errors. Of the search: evaluations, mesh, capped (n_speed,), its
+    history; every start's factors (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's
+    coefficients first. No standard errors: the amplitudes do not determine the coefficients.
     """
 
     load: float
@@ -259,7 +308,10 @@ class AmplitudeFit:
         return np.sqrt(self.objective / self.measured)
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points; beyond them K and Omega C stay constant."""
+        """K and C as a function of speed, linear between the points.
+
+        Beyond them K and Omega C stay constant.
+        """
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -278,12 +330,16 @@ class AmplitudeFit:
             return ""
         worst = float(np.sqrt(np.max(self.objectives / self.measured)))
         spread = float(np.median(np.ptp(self.factors, axis=0)))
-        return _statement(self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N ")
+        return _statement(
+            self.objectives.shape[0], worst, spread, f"at {self.speed.size} speeds under {self.load:.3g} N "
+        )
 
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of squares *measured* [m^2]."""
+    """Several starts at a *load* [N] and *speed* [rad/s]: factors (n_start, 8), objective (n_start,), sum of
+    squares *measured* [m^2].
+    """
 
     load: float
     speed: float
@@ -304,10 +360,16 @@ class StartSpread:
     @property
     def text(self) -> str:
         """Statement on this spread, with the range of every factor."""
-        ranges = ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True))
+        ranges = ", ".join(
+            f"{name} {low:.2f} to {high:.2f}"
+            for name, low, high in zip(COEFFICIENTS, self.low, self.high, strict=True)
+        )
         worst = float(np.sqrt(self.objective.max() / self.measured))
         place = f"under {self.load:.3g} N at {self.speed * 30 / np.pi:.0f} rpm "
-        return f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: {ranges}"
+        return (
+            f"{_statement(self.objective.size, worst, float(np.median(self.high - self.low)), place)}: "
+            f"{ranges}"
+        )
 
 
 def _statement(n_start: int, worst: float, spread: float, place: str) -> str:
@@ -326,20 +388,30 @@ def fit_amplitudes(
     seed: int = SEED,
     limits: SearchLimits | None = None,
 ) -> list[AmplitudeFit]:
-    """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn evenly from the box.
+    """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn
+    evenly from the box.
 
-    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an unknown method.
-    Equation (run-amplitudes).
+    The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1, no start, or an
+    unknown method. Equation (run-amplitudes).
     """
     if not (0 < bound < 1 and starts >= 1):
-        raise ConfigError("the bound of the factors lies between 0 and 100 %, with one start or more", hint="for example 30 %")
+        raise ConfigError(
+            "the bound of the factors lies between 0 and 100 %, with one start or more",
+            hint="for example 30 %",
+        )
     search_named(method)
     rng = np.random.default_rng(seed)
     return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]
 
 
 def _fit_load(
-    rig: RunUpRotor, group: LoadRuns, bound: float, method: str, starts: int, rng: np.random.Generator, limits: SearchLimits | None
+    rig: RunUpRotor,
+    group: LoadRuns,
+    bound: float,
+    method: str,
+    starts: int,
+    rng: np.random.Generator,
+    limits: SearchLimits | None,
 ) -> AmplitudeFit:
     start = as_eight(*rig.start_coefficients(group.load, group.speed))
     n = group.speed.size
@@ -353,7 +425,9 @@ def _fit_load(
     best = np.argmin(objectives, axis=0) * n + np.arange(n)
     eight = start * search.values[best]
     rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
-    history = SearchHistory(*(getattr(search.history, name)[:, best] for name in ("evaluations", "objective", "mesh")))
+    history = SearchHistory(
+        *(getattr(search.history, name)[:, best] for name in ("evaluations", "objective", "mesh"))
+    )
     return AmplitudeFit(
         load=group.load,
         speed=group.speed,
@@ -364,7 +438,9 @@ def _fit_load(
         condition=condition,
         objective=search.objective[best],
         measured=np.sum(amplitudes.measured**2, axis=-1),
-        chi2=float(np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)),
+        chi2=float(
+            np.sum(((amplitudes.computed(eight, np.arange(n)) - amplitudes.measured) / amplitudes.error) ** 2)
+        ),
         n_datum=amplitudes.measured.size,
         evaluations=search.evaluations[best],
         mesh=search.mesh[best],
@@ -377,7 +453,9 @@ def _fit_load(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane) [m], planes of all runs."""
+    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane)
+    [m], planes of all runs.
+    """
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -386,10 +464,16 @@ class Amplitudes:
     @classmethod
     def of(cls, group: LoadRuns) -> Amplitudes:
         measured = [largest_displacement(run.run.response) for run in group.runs]
-        return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate([_error(run.run) for run in group.runs], axis=1))
+        return cls(
+            group.runs,
+            np.concatenate(measured, axis=1),
+            np.concatenate([_error(run.run) for run in group.runs], axis=1),
+        )
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N s/m] at the *chosen* speeds."""
+        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
+        s/m] at the *chosen* speeds.
+        """
         return np.concatenate([self._of_run(run, eight, chosen) for run in self.runs], axis=-1)
 
     @staticmethod
@@ -402,36 +486,53 @@ class Amplitudes:
 
         def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
             place = chosen % start.shape[0]
-            return np.asarray(np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1))
+            return np.asarray(
+                np.sum((self.computed(start[place] * factors, place) - self.measured[place]) ** 2, axis=-1)
+            )
 
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard errors."""
+        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
+        errors.
+        """
         matrices = as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]
 
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
-    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m] and their slopes.
+    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
+    and their slopes.
 
-    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for both circles f = X +- jY of
-    the orbit.
+    slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| = Re(f* df) / |f| for
+    both circles f = X +- jY of the orbit.
     """
-    planes, by = response.reshape(*response.shape[:-1], -1, 2), slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1])
+    planes, by = (
+        response.reshape(*response.shape[:-1], -1, 2),
+        slopes.reshape(*response.shape[:-1], -1, 2, slopes.shape[-1]),
+    )
     derivatives = np.zeros((*planes.shape[:-1], slopes.shape[-1]))
     for turn in (1j, -1j):
         circle = planes[..., 0] + turn * planes[..., 1]
-        derivatives += ((circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])).real / 2
+        derivatives += (
+            (circle / np.abs(circle)).conj()[..., None] * (by[..., 0, :] + turn * by[..., 1, :])
+        ).real / 2
     return derivatives
 
 
 def _error(run: RunUp) -> FloatArray:
-    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases, to first order."""
+    """Standard error of the largest displacement (n_speed, n_plane) [m] from those of amplitudes and phases,
+    to first order.
+    """
     x, y = run.response[..., 0], run.response[..., 1]
     forward, backward = ((x + turn * y).conj() / np.abs(x + turn * y) for turn in (1j, -1j))
-    by = np.stack([forward + backward, 1j * (forward - backward)], axis=-1) / 2 * run.response / np.abs(run.response)
+    by = (
+        np.stack([forward + backward, 1j * (forward - backward)], axis=-1)
+        / 2
+        * run.response
+        / np.abs(run.response)
+    )
     along, across = by.real * run.amplitude_error, by.imag * np.abs(run.response) * run.phase_error
     return np.sqrt(np.sum(along**2 + across**2, axis=-1))
 
@@ -443,7 +544,7 @@ def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
     ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
     rank_text = " or ".join(str(rank) for rank in ranks)
     return (
-        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} combinations of the eight "
-        f"coefficients; "
-        f"{100 * share:.0f} % of the factors are at a bound, the others depend on the search's start"
+        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} "
+        f"combinations of the eight coefficients; {100 * share:.0f} % of the factors are at a bound, the "
+        "others depend on the search's start"
     )

@@ -1,4 +1,6 @@
-"""Run-ups as figures: Bode, polar and orbit plots with every method's curve, speeds over the load, cascades of recordings."""
+"""Run-ups as figures: Bode, polar and orbit plots with every method's curve, speeds over the load, cascades
+of recordings.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,32 @@ from labpipe.methods.run_ups.records import (
     RunUpMethod,
     RunUpResult,
 )
-from labpipe.report.chart import INK, PALETTE_SIZE, WIDTH, Axis, Chart, Panel, Series, curve, dots, stacked, upright
+from labpipe.report.chart import (
+    INK,
+    PALETTE_SIZE,
+    WIDTH,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    curve,
+    dots,
+    stacked,
+    upright,
+)
 from labpipe.report.document import Figure
 
 UM = 1e6
 RPM = 30 / np.pi
 SPEED = Axis("speed", "rpm")
 # Colour and line of every method, the measurement in ink.
-LOOKS = {"start": (4, "--"), "amplitudes": (3, ":"), "points": (5, "-"), "joint": (0, "-"), "process": (1, "--")}
+LOOKS = {
+    "start": (4, "--"),
+    "amplitudes": (3, ":"),
+    "points": (5, "-"),
+    "joint": (0, "-"),
+    "process": (1, "--"),
+}
 ANY_LOOK = (2, "-")
 ORBITS = 4
 # Height of the largest line of a cascade, in steps between its spectra.
@@ -51,22 +71,35 @@ def phasor(motion: Motion) -> ComplexArray:
 
 
 def bode_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
-    """Amplitude and phase of every plane over speed: measured with 95 % bars, and each method's curve up to its threshold."""
+    """Amplitude and phase of every plane over speed: measured with 95 % bars, and each method's curve up to
+    its threshold.
+    """
     planes = list(dict.fromkeys(motion.plane for motion in run.motions))
     panels: dict[tuple[int, int], Panel] = {}
     for number, motion in enumerate(run.motions):
         row, column = 2 * (number % 2), planes.index(motion.plane)
         amplitude, phase = _bode_series(result, run, number)
         title = motion.plane if row == 0 else ""
-        panels[row, column] = Panel(SPEED, Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title)
+        panels[row, column] = Panel(
+            SPEED, Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title
+        )
         panels[row + 1, column] = Panel(SPEED, Axis(f"{motion.direction} phase", "deg"), phase)
-    chart = Chart(tuple(panels[place] for place in sorted(panels)), 4, len(planes), (WIDTH, 7.8), "x", "above")
+    chart = Chart(
+        tuple(panels[place] for place in sorted(panels)), 4, len(planes), (WIDTH, 7.8), "x", "above"
+    )
     bars = "bars: 95 % of the measurement; upright line: measured critical speed"
-    caption = f"{run.name}, {run.load:.4g} N, {run.role}: Bode plot, 0-to-peak, phase against the keyphasor; {bars}."
-    return Figure(chart, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method")
+    caption = (
+        f"{run.name}, {run.load:.4g} N, {run.role}: Bode plot, 0-to-peak, phase against the "
+        f"keyphasor; {bars}."
+    )
+    return Figure(
+        chart, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method"
+    )
 
 
-def _bode_series(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[tuple[Series, ...], tuple[Series, ...]]:
+def _bode_series(
+    result: RunUpResult, run: MeasuredRun, number: int
+) -> tuple[tuple[Series, ...], tuple[Series, ...]]:
     """The series of an amplitude and of a phase panel: critical speed, measurement, methods."""
     critical = () if run.critical_speed is None else (upright(RPM * run.critical_speed.value),)
     measured = _measured_bode(run, run.motions[number])
@@ -78,7 +111,10 @@ def _bode_series(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[tu
 def _measured_bode(run: MeasuredRun, motion: Motion) -> tuple[Series, Series]:
     speed, value = RPM * np.array(run.speed), phasor(motion)
     size, turned = UM * np.abs(value), np.degrees(np.unwrap(np.angle(value)))
-    wide = UM * TWO_SIDED * np.array(motion.amplitude_error), np.degrees(TWO_SIDED * np.array(motion.phase_error))
+    wide = (
+        UM * TWO_SIDED * np.array(motion.amplitude_error),
+        np.degrees(TWO_SIDED * np.array(motion.phase_error)),
+    )
     amplitude, phase = (
         dots("measured", speed, values, INK, size=1.5, bars=(values - reach, values + reach))
         for values, reach in zip((size, turned), wide, strict=True)
@@ -102,10 +138,17 @@ def _method_bode(method: RunUpMethod, run: MeasuredRun, number: int) -> tuple[Se
 
 
 def best_method(result: RunUpResult) -> RunUpMethod | None:
-    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
+    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
+    (c), (b), (a).
+    """
     joint = result.method("joint")
-    order = ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
-    return next((method for name in [*order, "points", "amplitudes"] if (method := result.method(name)) is not None), None)
+    order = (
+        ["process", "joint"] if joint is not None and joint.verdict == "rejected" else ["joint", "process"]
+    )
+    return next(
+        (method for name in [*order, "points", "amplitudes"] if (method := result.method(name)) is not None),
+        None,
+    )
 
 
 def _motions(method: RunUpMethod | None, run: MeasuredRun) -> RunPrediction | None:
@@ -121,7 +164,11 @@ def polar_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
     panels = tuple(_polar(result, method, number, motion) for number, motion in enumerate(motions))
     lines = "" if method is None else f"; lines: {method.title}"
     chart = Chart(panels, rows, 2, (WIDTH, 3.3 * rows + 0.6), legend="above")
-    return Figure(chart, f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.", "Polar plots of every plane and direction")
+    return Figure(
+        chart,
+        f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.",
+        "Polar plots of every plane and direction",
+    )
 
 
 def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion: Motion) -> Panel:
@@ -138,20 +185,34 @@ def _polar(result: RunUpResult, method: RunUpMethod | None, number: int, motion:
 
 
 def orbit_figure(result: RunUpResult, method: RunUpMethod | None) -> Figure:
-    """Orbits at speeds about the critical speed: solid measured, dashed by a method; a dot where the keyphasor passes."""
+    """Orbits at speeds about the critical speed: solid measured, dashed by a method.
+
+    A dot where the keyphasor passes.
+    """
     panels = tuple(_orbits(run, place, method) for run in result.runs for place in orbit_places(run))
     chart = Chart(panels, len(result.runs), ORBITS, (WIDTH, 1.75 * len(result.runs) + 1.0), legend="above")
     dashed = "" if method is None else f"; dashed: {method.title}"
-    caption = f"Orbits of 1x below, about and above the critical speed; solid: measured{dashed}; the dot marks the keyphasor's pulse."
+    caption = (
+        f"Orbits of 1x below, about and above the critical speed; solid: measured{dashed}; the dot "
+        "marks the keyphasor's pulse."
+    )
     return Figure(chart, caption, "Orbits of every run at four speeds, measured and by one method")
 
 
 def orbit_places(run: MeasuredRun) -> list[int]:
-    """Rows of a run at three quarters, one, and beyond its critical speed, and its last; spread evenly without one."""
+    """Rows of a run at three quarters, one, and beyond its critical speed, and its last.
+
+    Spread evenly without one.
+    """
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
-    speeds = [0.75 * run.critical_speed.value, run.critical_speed.value, 1.2 * run.critical_speed.value, speed[-1]]
+    speeds = [
+        0.75 * run.critical_speed.value,
+        run.critical_speed.value,
+        1.2 * run.critical_speed.value,
+        speed[-1],
+    ]
     return [int(np.argmin(np.abs(speed - target))) for target in speeds]
 
 
@@ -183,33 +244,55 @@ def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[
     path = curve(name, across, along, colour, line)
     if line != "-":
         return [path]
-    return [path, dots(f"{name.removesuffix(' measured')} keyphasor", across[:1], along[:1], colour, marker="o")]
+    return [
+        path,
+        dots(f"{name.removesuffix(' measured')} keyphasor", across[:1], along[:1], colour, marker="o"),
+    ]
 
 
 def speeds_figure(result: RunUpResult) -> Figure:
     """Critical and threshold speed over the load: measured, and by every method with its 95 % bars."""
     items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
-    panels = [Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item)) for item, label in items]
+    panels = [
+        Panel(Axis("static load", "N"), Axis(label, "rpm"), _speed_series(result, item))
+        for item, label in items
+    ]
     held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == HELD_OUT)
     remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
-    caption = f"Critical speed and threshold of instability over the load: measured and by every method; bars: 95 % intervals.{remark}"
-    return Figure(stacked(panels, 5.4), caption, "Critical speed and threshold over the load, measured and by every method")
+    caption = (
+        "Critical speed and threshold of instability over the load: measured and by every method; "
+        f"bars: 95 % intervals.{remark}"
+    )
+    return Figure(
+        stacked(panels, 5.4),
+        caption,
+        "Critical speed and threshold over the load, measured and by every method",
+    )
 
 
 def _speed_series(result: RunUpResult, item: str) -> tuple[Series, ...]:
     """One of the two speeds over the load: measured, and by every method that has it."""
-    measured = _speeds([(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0)
+    measured = _speeds(
+        [(run.load, getattr(run, item)) for run in result.runs], "measured", INK, "", marker="o", size=5.0
+    )
     series = [*measured]
     for method in result.methods:
         predictions = [(run.load, method.prediction(run.name)) for run in result.runs]
-        amounts = [(load, None if prediction is None else getattr(prediction, item)) for load, prediction in predictions]
+        amounts = [
+            (load, None if prediction is None else getattr(prediction, item))
+            for load, prediction in predictions
+        ]
         series += _speeds(amounts, short(method), *look(method), marker=".", size=2.5)
     return tuple(series)
 
 
-def _speeds(amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any) -> list[Series]:
+def _speeds(
+    amounts: Sequence[tuple[float, Amount | None]], name: str, colour: int, line: str, **style: Any
+) -> list[Series]:
     """Speeds [rpm] over the load with their 95 % intervals; nothing where there is none."""
-    points = sorted((load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None)
+    points = sorted(
+        (load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None
+    )
     if not points:
         return []
     load, value, error = np.array(points).T
@@ -231,4 +314,6 @@ def cascade_figure(run: MeasuredRun, cascade: Cascade) -> Figure:
     chart = stacked([Panel(x, SPEED, (*spectra, *orders))], 5.0)
     highest = f"the highest line is {amplitude.max():.3g} um, 0-to-peak"
     caption = f"{run.name}: cascade of {cascade.label}; {highest}. Lines below 1x warn of whirl."
-    return Figure(chart, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed")
+    return Figure(
+        chart, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
+    )

@@ -1,12 +1,15 @@
-"""The physical family of journal coefficients over load and speed: the Reynolds solution with a dozen parameters.
+"""The physical family of journal coefficients over load and speed: the Reynolds solution with a dozen
+parameters.
 
-All twelve are natural logarithms, zero for the rotor file's own bearing. With Omega_0, W_0 reference speed and load
+All twelve are natural logarithms, zero for the rotor file's own bearing. With Omega_0, W_0 reference speed
+and load
 
     mu(Omega, W) = mu_0 exp(a) (Omega / Omega_0)^b (W / W_0)^d,   c = c_0 exp(g),
     K_ij = W / c  k_ij(S) exp(f_ij),   C_ij = W / (c Omega)  c_ij(S) exp(f'_ij),   S from mu and c.
 
-A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: clearance, viscosity and the common
-factor are not identifiable separately by any run-up. Priors determine such combinations (`PRIOR`).
+A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: clearance,
+viscosity and the common factor are not identifiable separately by any run-up. Priors determine such
+combinations (`PRIOR`).
 """
 
 from __future__ import annotations
@@ -22,7 +25,13 @@ from labpipe.methods.journal_bearing.curve import JournalCurve, journal_curve, s
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
-PARAMETERS = ("viscosity", "viscosity_speed", "viscosity_load", "clearance", *(f"factor_{name}" for name in COEFFICIENTS))
+PARAMETERS = (
+    "viscosity",
+    "viscosity_speed",
+    "viscosity_load",
+    "clearance",
+    *(f"factor_{name}" for name in COEFFICIENTS),
+)
 # Prior standard deviations of the logarithms.
 PRIOR = np.array([0.5, 0.3, 0.3, 0.1, *[0.1] * 8])
 # Bound of a logarithm; at the bound the rotor file describes another bearing.
@@ -48,12 +57,17 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation (run-family)."""
+        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table.
+
+        Equation (run-family).
+        """
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return self._joined(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
 
-    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def coefficients_and_slopes(
+        self, values: FloatArray, load: FloatArray, speed: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """`coefficients` [N/m, N s/m] and their derivatives by PARAMETERS, (n_point, 8, 12)."""
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
@@ -79,7 +93,9 @@ class FilmFamily:
 
     @staticmethod
     def _joined(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-        return np.concatenate([stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1)
+        return np.concatenate(
+            [stiffness.reshape(*stiffness.shape[:-2], 4), damping.reshape(*damping.shape[:-2], 4)], axis=-1
+        )
 
 
 def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -94,10 +110,11 @@ def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
 
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
-    """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high* [rad/s].
+    """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high*
+    [rad/s].
 
-    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number; with C itself constant, a rotor would hardly ever
-    get unstable there.
+    Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number; with C itself constant,
+    a rotor would hardly ever get unstable there.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -110,5 +127,7 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
 
 
 def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
-    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of (n_point, 8) each."""
+    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of
+    (n_point, 8) each.
+    """
     return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))

@@ -1,14 +1,18 @@
-"""One fit of the film's physical parameters to all complex responses at all loads and speeds, and its predictions.
+"""One fit of the film's physical parameters to all complex responses at all loads and speeds, and its
+predictions.
 
-The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and priors.
+The least-squares problem of run-ups: a family of coefficients against complex responses, thresholds and
+priors.
 
-|r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the residual of the responses over
-their standard errors. Thresholds are computed by Newton's method from the measured speeds, their slopes by the modes' left and right
-eigenvectors.
+|r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the
+residual of the responses over their standard errors. Thresholds are computed by Newton's method from the
+measured speeds, their slopes by the modes' left and right eigenvectors.
 
-One fit of the film's twelve physical parameters to all complex responses at all loads and speeds, and to the measured thresholds.
+One fit of the film's twelve physical parameters to all complex responses at all loads and speeds, and to the
+measured thresholds.
 
-By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine the combinations that run-ups do not (see `film_family`).
+By Levenberg-Marquardt with analytic slopes (see `problem`); priors determine the combinations that run-ups do
+not (see `film_family`).
 """
 
 from __future__ import annotations
@@ -46,7 +50,9 @@ LEAST_SLOPE = 1e-4
 class CoefficientFamily(Protocol):
     """The eight coefficients over load [N] and speed [rad/s] with parameters *values* (n_parameter,)."""
 
-    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def coefficients_and_slopes(
+        self, values: FloatArray, load: FloatArray, speed: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """(n_point, 8) [N/m, N.s/m] and their derivatives (n_point, 8, n_parameter)."""
         ...
 
@@ -63,8 +69,8 @@ Thresholds = tuple[tuple[float, Uncertain], ...]
 class RunUpProblem(Generic[Family]):
     """Residual and slopes of responses, thresholds and priors.
 
-    *thresholds*: (load [N], speed [rad/s]); *spread* (n_parameter,): prior standard deviations of the parameters;
-    *free* (n_parameter,): parameters that are fitted, the others stay at *fixed* (n_parameter,).
+    *thresholds*: (load [N], speed [rad/s]); *spread* (n_parameter,): prior standard deviations of the
+    parameters; *free* (n_parameter,): parameters that are fitted, the others stay at *fixed* (n_parameter,).
     """
 
     rig: RunUpRotor
@@ -77,9 +83,16 @@ class RunUpProblem(Generic[Family]):
 
     @classmethod
     def of(
-        cls, rig: RunUpRotor, family: Family, groups: tuple[LoadRuns, ...], thresholds: Thresholds, spread: FloatArray
+        cls,
+        rig: RunUpRotor,
+        family: Family,
+        groups: tuple[LoadRuns, ...],
+        thresholds: Thresholds,
+        spread: FloatArray,
     ) -> RunUpProblem[Family]:
-        """The problem with all parameters free; *spread* (n_parameter,) [-]: their prior standard deviations."""
+        """The problem with all parameters free; *spread* (n_parameter,) [-]: their prior standard
+        deviations.
+        """
         return cls(rig, family, groups, thresholds, spread, np.ones(spread.size, bool), np.zeros(spread.size))
 
     @property
@@ -95,7 +108,10 @@ class RunUpProblem(Generic[Family]):
         return values
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,). Equation (run-joint)."""
+        """Residual (n_equation,) [-] of responses, thresholds and priors, of the free parameters (n_free,).
+
+        Equation (run-joint).
+        """
         values = self.values(parameters)
         measured = [self._response(group, values)[0] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[0], values / self.spread])
@@ -105,35 +121,51 @@ class RunUpProblem(Generic[Family]):
         return np.concatenate([self.measured_slopes(parameters), np.diag(1 / self.spread)[:, self.free]])
 
     def measured_slopes(self, parameters: FloatArray) -> FloatArray:
-        """Derivatives of the residual of responses and thresholds (n_datum, n_free) [-], without the priors."""
+        """Derivatives of the residual of responses and thresholds (n_datum, n_free) [-], without the
+        priors.
+        """
         values = self.values(parameters)
         measured = [self._response(group, values)[1] for group in self.groups]
         return np.concatenate([*measured, self._thresholds(values)[1]])[:, self.free]
 
     def residual_changes(self, sources: Sequence[Uncertainty]) -> FloatArray:
-        """Changes (n_source, n_datum) [-] of the residual of responses and thresholds by one standard uncertainty of each source."""
+        """Changes (n_source, n_datum) [-] of the residual of responses and thresholds by one standard
+        uncertainty of each source.
+        """
         names = [source.source for source in sources]
         by_group = [group.residual_changes(names) for group in self.groups]
         measured = [changes.reshape(len(names), int(np.prod(changes.shape[1:]))) for changes in by_group]
         return np.concatenate([*measured, np.zeros((len(names), len(self.thresholds)))], axis=1)
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [-] of the residual at the free parameters (n_free,); infinite where the residual cannot be computed."""
+        """Sum of squares [-] of the residual at the free parameters (n_free,).
+
+        Infinite where the residual cannot be computed.
+        """
         return sum_of_squares(self.residual, parameters)
 
     def _response(self, group: LoadRuns, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        eight, by_parameter = self.family.coefficients_and_slopes(values, np.full(group.speed.size, group.load), group.speed)
+        eight, by_parameter = self.family.coefficients_and_slopes(
+            values, np.full(group.speed.size, group.load), group.speed
+        )
         residual, slopes = group.residual_and_slopes(eight)
         return residual.ravel(), (slopes @ by_parameter).reshape(-1, values.size)
 
     def _thresholds(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rows = [threshold_row(self.rig, self.family, values, load, measured) for load, measured in self.thresholds]
+        rows = [
+            threshold_row(self.rig, self.family, values, load, measured) for load, measured in self.thresholds
+        ]
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, values.size)
 
 
 def measured_thresholds(groups: tuple[LoadRuns, ...]) -> Thresholds:
     """Measured thresholds [rad/s] with their loads [N]."""
-    return tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
+    return tuple(
+        (group.load, run.run.threshold)
+        for group in groups
+        for run in group.runs
+        if run.run.threshold is not None
+    )
 
 
 def threshold_row(
@@ -141,8 +173,8 @@ def threshold_row(
 ) -> tuple[float, FloatArray]:
     """(Omega_th - Omega_meas) / s [-] and its derivatives by the parameters (n_parameter,).
 
-    d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the measured speed finds none.
-    Equation (run-threshold).
+    d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the
+    measured speed finds none. Equation (run-threshold).
     """
     speed, by_speed = nearby_threshold(rig, family.at_load(values, load), measured.value)
     eight, by_parameter = family.coefficients_and_slopes(values, np.array([load]), np.array([speed]))
@@ -153,7 +185,9 @@ def threshold_row(
 
 
 def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: float) -> tuple[float, float]:
-    """The threshold [rad/s] by Newton's method from *start*, and the slope of the growth rate by speed there [1/s per rad/s]."""
+    """The threshold [rad/s] by Newton's method from *start*, and the slope of the growth rate by speed there
+    [1/s per rad/s].
+    """
     speed = start
     for _ in range(MOST_SEARCHES):
         around = speed * np.array([1 - SPEED_STEP, 1.0, 1 + SPEED_STEP])
@@ -165,7 +199,10 @@ def nearby_threshold(rig: RunUpRotor, coefficients: CoefficientsAtSpeed, start: 
         if abs(step) < SEARCH_TOLERANCE * start:
             return speed - step, by_speed
         speed = float(np.clip(speed - step, 0.7 * speed, 1.4 * speed))
-    raise FitError("the computed threshold of instability is far from the measured one", hint="check load, unit of speed and rotor file")
+    raise FitError(
+        "the computed threshold of instability is far from the measured one",
+        hint="check load, unit of speed and rotor file",
+    )
 
 
 # Result of the joint fit and its predictions at any load: coefficients, critical speed and threshold with
@@ -183,12 +220,14 @@ STEP = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit:
-    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing, *covariance* (12, 12), at_bound (12,).
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing, *covariance* (12, 12), at_bound
+    (12,).
 
-    loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters that the data determine
-    against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank, condition: of the data, in units of the priors;
-    prior_dominated: combinations that the priors determine, as text; known: parameters that were not estimated. systematic (n_source,
-    12): changes by one standard uncertainty of each of the *sources*, uncertainties of the probes; chi2 is without what these explain.
+    loads [N]: those of the fit; chi2, n_datum: of responses and thresholds together; n_effective: parameters
+    that the data determine against the priors; threshold_chi2, n_threshold: of the thresholds alone; rank,
+    condition: of the data, in units of the priors; prior_dominated: combinations that the priors determine,
+    as text; known: parameters that were not estimated. systematic (n_source, 12): changes by one standard
+    uncertainty of each of the *sources*, uncertainties of the probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -241,11 +280,15 @@ class JointFit:
 
     @property
     def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the uncertainties of the probes."""
+        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the uncertainties of the
+        probes.
+        """
         return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
 
     def parameter(self, name: str) -> Uncertain:
-        """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its standard error."""
+        """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its
+        standard error.
+        """
         n = PARAMETERS.index(name)
         value, error = float(self.values[n]), float(self.std_error[n])
         if name in EXPONENTS:
@@ -263,11 +306,18 @@ class JointFit:
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless named."""
-        return self._predicted(lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane))
+        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
+        named.
+        """
+        return self._predicted(
+            lambda values: self.rig.critical_speed(self.family.at_load(values, load), plane)
+        )
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s].
+
+        None when there is none up to twice the highest speed of the search.
+        """
         if self.rig.threshold(self.at_load(load)) is None:
             return None
         return self._predicted(lambda values: self._threshold_or_error(values, load))
@@ -276,7 +326,9 @@ class JointFit:
         speed = self.rig.threshold(self.family.at_load(values, load))
         if speed is None:
             hint = f"it is above {self.rig.search.highest * 30 / np.pi:.0f} rpm"
-            raise FitError("the threshold speed leaves the range of the search within its own uncertainty", hint=hint)
+            raise FitError(
+                "the threshold speed leaves the range of the search within its own uncertainty", hint=hint
+            )
         return speed
 
     def caution(self, load: float) -> str:
@@ -284,13 +336,14 @@ class JointFit:
         parts = []
         if self.rejected:
             parts.append(
-                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted family, and no interval is given"
+                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted "
+                "family, and no interval is given"
             )
         low, high = min(self.loads), max(self.loads)
         if not low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             parts.append(
-                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval holds for bearings of the "
-                "fitted family only; chi-square tests the measured loads only"
+                f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the interval "
+                "holds for bearings of the fitted family only; chi-square tests the measured loads only"
             )
         return "; ".join(parts)
 
@@ -301,7 +354,9 @@ class JointFit:
         for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
             if size > 0:
                 change = STEP * size * axis
-                variance += ((predict(self.values + change) - predict(self.values - change)) / (2 * STEP)) ** 2
+                variance += (
+                    (predict(self.values + change) - predict(self.values - change)) / (2 * STEP)
+                ) ** 2
         return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
 
@@ -314,13 +369,20 @@ NEAR = 0.05
 
 
 def family_about(rig: RunUpRotor, groups: Iterable[LoadRuns]) -> FilmFamily:
-    """The family about the rotor file's bearing, its slopes about the middle of the loads and half the highest speed."""
+    """The family about the rotor file's bearing, its slopes about the middle of the loads and half the
+    highest speed.
+    """
     film = rig.place.film("a joint fit of the film's parameters")
-    return FilmFamily(film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups}))))))
+    return FilmFamily(
+        film, rig.search.high / 2, float(np.exp(np.mean(np.log(sorted({group.load for group in groups})))))
+    )
 
 
-def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()) -> JointFit:
-    """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and have no standard error.
+def fit_jointly(
+    rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()
+) -> JointFit:
+    """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and
+    have no standard error.
 
     *known*: PARAMETERS that are those of the rotor file. FitError when no minimum is found.
     """
@@ -339,13 +401,20 @@ def fit_jointly(rig: RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = T
         values = problem.values(minimum.values)
         beyond = np.abs(values) > BOUND * (1 + 1e-9)
         if not np.any(beyond):
-            return _result(problem, minimum.values, minimum.steps, tuple(name for name in PARAMETERS if name in known))
+            return _result(
+                problem, minimum.values, minimum.steps, tuple(name for name in PARAMETERS if name in known)
+            )
         fixed = np.clip(values, -BOUND, BOUND)
         problem = replace(problem, free=problem.free & ~beyond, fixed=fixed)
-    raise FitError("no minimum of the joint fit was found", hint="check unbalance, phases, standard errors and the rotor file")
+    raise FitError(
+        "no minimum of the joint fit was found",
+        hint="check unbalance, phases, standard errors and the rotor file",
+    )
 
 
-def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]) -> JointFit:
+def _result(
+    problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: int, known: tuple[str, ...]
+) -> JointFit:
     slopes, prior = problem.measured_slopes(parameters), PRIOR[problem.free]
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     free_covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior**-2.0))
@@ -364,7 +433,8 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
         values=problem.values(parameters),
         covariance=covariance,
         at_bound=~problem.free & np.array([name not in known for name in PARAMETERS]),
-        chi2=float(residual @ residual) - pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained,
+        chi2=float(residual @ residual)
+        - pulls_of(residual, Stated.of(changes), slopes, free_covariance).explained,
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(free_covariance @ slopes.T @ slopes)),
         threshold_chi2=float(np.sum(residual[residual.size - n_threshold :] ** 2)),
@@ -380,8 +450,14 @@ def _result(problem: RunUpProblem[FilmFamily], parameters: FloatArray, steps: in
 
 
 def _prior_dominated(scaled: FloatArray, free: BoolArray) -> tuple[str, ...]:
-    """Combinations (logarithms, in units of the priors) that the priors determine better than the data do, the worst first."""
+    """Combinations (logarithms, in units of the priors) that the priors determine better than the data do,
+    the worst first.
+    """
     names = [name for name, is_free in zip(PARAMETERS, free, strict=True) if is_free]
     _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
     weight = PRIOR[free]
-    return tuple(combination_text(names, row * weight, 0.1) for row, size in list(zip(rows, singular, strict=True))[::-1] if size < 1)
+    return tuple(
+        combination_text(names, row * weight, 0.1)
+        for row, size in list(zip(rows, singular, strict=True))[::-1]
+        if size < 1
+    )

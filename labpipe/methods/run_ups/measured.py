@@ -6,10 +6,11 @@ Near a critical speed all outputs are dominated by the same two modes and have o
 
     X_o(x) = (a_o + b_o x) / (1 + c x + d x^2),   x: speed, scaled to the points about the peak,
 
-fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan & Koerner 1963). The largest
-displacement of the fitted orbit gives the speed; its error is that of refits under the stated noise, together with what two points fewer
-and the uncertainties of the probes change. Polynomials through the amplitudes alone miss the peak by one to two per cent at steps of 100
-rpm, twenty times their own errors.
+fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan &
+Koerner 1963). The largest displacement of the fitted orbit gives the speed; its error is that of refits under
+the stated noise, together with what two points fewer and the uncertainties of the probes change. Polynomials
+through the amplitudes alone miss the peak by one to two per cent at steps of 100 rpm, twenty times their own
+errors.
 """
 
 from __future__ import annotations
@@ -21,7 +22,15 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
-from labpipe.methods.run_ups.records import DIRECTIONS, Amount, Cascade, MeasuredRun, Motion, ProbeError, RunUp
+from labpipe.methods.run_ups.records import (
+    DIRECTIONS,
+    Amount,
+    Cascade,
+    MeasuredRun,
+    Motion,
+    ProbeError,
+    RunUp,
+)
 from labpipe.methods.run_ups.rotor import largest_displacement
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
@@ -42,7 +51,8 @@ FINE = 1601
 
 
 def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
-    """Speed [rad/s] of the largest displacement at a plane (the last one unless named), with its standard error.
+    """Speed [rad/s] of the largest displacement at a plane (the last one unless named), with its standard
+    error.
 
     DataError when there is no such plane, or no peak with measured speeds on both sides. Equation (run-peak).
     """
@@ -54,8 +64,12 @@ def measured_critical_speed(run: RunUp, plane: str = "") -> Uncertain:
     rng = np.random.default_rng(SEED)
     chosen = _about(run, top, POINTS)
     again = [_peak(run, number, chosen, _noisy(run, rng)) for _ in range(REFITS)]
-    of_probes = [(_peak(run, number, chosen, run.response + change) - wide) for change in run.changes().values()]
-    return Uncertain(wide, float(np.sqrt(np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes)))))
+    of_probes = [
+        (_peak(run, number, chosen, run.response + change) - wide) for change in run.changes().values()
+    ]
+    return Uncertain(
+        wide, float(np.sqrt(np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes))))
+    )
 
 
 def _top(run: RunUp, number: int) -> int:
@@ -93,7 +107,9 @@ def _peak(run: RunUp, number: int, chosen: slice, response: ComplexArray) -> flo
 
 
 def _rational(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: FloatArray) -> ComplexArray:
-    """The fitted outputs (n_place, n_output) at *place* from outputs and errors (n_point, n_output) at *x*."""
+    """The fitted outputs (n_place, n_output) at *place* from outputs and errors (n_point, n_output) at
+    *x*.
+    """
     n, m = outputs.shape
     denominator = np.ones(n, np.complex128)
     for _ in range(REWEIGHTED):
@@ -196,23 +212,31 @@ def column(values: FloatArray) -> tuple[float, ...]:
 SAME_SPEED = 1e-3
 
 
-def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()) -> RunUp:
-    """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for the phase.
+def run_up_of(
+    track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
+) -> RunUp:
+    """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
+    the phase.
 
-    x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of the track's planes, in order.
-    Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped run). DataError without a plane, or where the speed
-    does not change.
+    x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of the track's
+    planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped run).
+    DataError without a plane, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
         raise DataError(f"recording '{name}' has no plane with two responses in known directions", hint=hint)
     names = planes or tuple(plane.name for plane in track.planes)
     if len(names) != len(track.planes):
-        raise DataError(f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named", hint=", ".join(names))
+        raise DataError(
+            f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named",
+            hint=", ".join(names),
+        )
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
-        raise DataError(f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes")
+        raise DataError(
+            f"recording '{name}' has a constant speed", hint="a run-up needs a speed that changes"
+        )
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
     return RunUp(
         name,
@@ -228,7 +252,9 @@ def run_up_of(track: OrderTrack, name: str, load: float, unbalance: Mapping[str,
 
 
 def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
-    """The uncertainties of the probes of all planes: a probe at theta + d reads what one at theta does and d times what is across it."""
+    """The uncertainties of the probes of all planes: a probe at theta + d reads what one at theta does and d
+    times what is across it.
+    """
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
         for row, column in enumerate(plane.columns):
@@ -242,8 +268,12 @@ def _probe_errors(track: OrderTrack) -> Iterator[ProbeError]:
                 yield ProbeError(calibration.uncertainty, matrix, power)
 
 
-def _by_speed(speed: FloatArray, response: ComplexArray, deviation: FloatArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Segments in ascending order of speed, those of equal speed averaged with the inverse of their variances."""
+def _by_speed(
+    speed: FloatArray, response: ComplexArray, deviation: FloatArray
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Segments in ascending order of speed, those of equal speed averaged with the inverse of their
+    variances.
+    """
     order = np.argsort(speed, kind="stable")
     group, first = np.zeros(speed.size, np.intp), speed[order[0]]
     for place, value in enumerate(speed[order]):
@@ -269,26 +299,35 @@ def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
 
 
 def difference(run: RunUp, residual: RunUp) -> RunUp:
-    """Vector difference *run* - *residual* at common speeds: the response to the difference of their known unbalances.
+    """Vector difference *run* - *residual* at common speeds: the response to the difference of their known
+    unbalances.
 
-    Variances are added, each resolved along and across the difference phasor. DataError where planes or loads differ, a shaker acts,
-    or the runs have no common speed. Equation (run-difference).
+    Variances are added, each resolved along and across the difference phasor. DataError where planes or loads
+    differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
     """
     if run.planes != residual.planes:
-        raise DataError(f"runs '{run.name}' and '{residual.name}' were measured at other planes", hint="subtract runs of one rig")
+        raise DataError(
+            f"runs '{run.name}' and '{residual.name}' were measured at other planes",
+            hint="subtract runs of one rig",
+        )
     if abs(residual.load / run.load - 1) > 0.01:
-        raise DataError(f"runs '{run.name}' and '{residual.name}' have loads of {run.load:.4g} and {residual.load:.4g} N")
+        raise DataError(
+            f"runs '{run.name}' and '{residual.name}' have loads of {run.load:.4g} and {residual.load:.4g} N"
+        )
     if run.shaker is not None or residual.shaker is not None:
         raise DataError(f"a run under a shaker is not subtracted ('{run.name}', '{residual.name}')")
     near = np.abs(run.speed[:, None] / residual.speed - 1)
     common, partner = np.flatnonzero(near.min(axis=1) < SAME_SPEED), near.argmin(axis=1)
     if common.size == 0:
-        raise DataError(f"runs '{run.name}' and '{residual.name}' share no speed", hint="measure them at the same speeds")
+        raise DataError(
+            f"runs '{run.name}' and '{residual.name}' share no speed", hint="measure them at the same speeds"
+        )
     return _vector_difference(run, residual, common, partner[common])
 
 
 def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
-    """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are dropped.
+    """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are
+    dropped.
 
     DataError when none is inside.
     """
@@ -298,7 +337,9 @@ def at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
 
     def between(values: FloatArray) -> FloatArray:
         flat = values.reshape(run.n_speed, -1)
-        return np.stack([np.interp(inside, run.speed, column) for column in flat.T], axis=-1).reshape(-1, *values.shape[1:])
+        return np.stack([np.interp(inside, run.speed, column) for column in flat.T], axis=-1).reshape(
+            -1, *values.shape[1:]
+        )
 
     response = between(run.response.real) + 1j * between(run.response.imag)
     errors = between(run.amplitude_error), between(run.phase_error)
@@ -312,13 +353,26 @@ def _vector_difference(run: RunUp, residual: RunUp, common: IntArray, partner: I
         raise DataError(f"runs '{run.name}' and '{residual.name}' do not differ", hint="subtract another run")
     along, across = np.zeros(net.shape), np.zeros(net.shape)
     for phasor, source, chosen in ((first, run, common), (second, residual, partner)):
-        radial, tangential = source.amplitude_error[chosen] ** 2, (np.abs(phasor) * source.phase_error[chosen]) ** 2
+        radial, tangential = (
+            source.amplitude_error[chosen] ** 2,
+            (np.abs(phasor) * source.phase_error[chosen]) ** 2,
+        )
         turn = np.angle(phasor) - np.angle(net)
         along += radial * np.cos(turn) ** 2 + tangential * np.sin(turn) ** 2
         across += radial * np.sin(turn) ** 2 + tangential * np.cos(turn) ** 2
     planes = dict.fromkeys([*run.unbalance, *residual.unbalance])
     unbalance = {plane: run.unbalance.get(plane, 0j) - residual.unbalance.get(plane, 0j) for plane in planes}
     if not any(abs(size) > 0 for size in unbalance.values()):
-        raise DataError(f"runs '{run.name}' and '{residual.name}' have the same known unbalance", hint="state what was added in between")
+        raise DataError(
+            f"runs '{run.name}' and '{residual.name}' have the same known unbalance",
+            hint="state what was added in between",
+        )
     turned: FloatArray = np.sqrt(across) / np.abs(net)
-    return replace(run, speed=run.speed[common], response=net, unbalance=unbalance, amplitude_error=np.sqrt(along), phase_error=turned)
+    return replace(
+        run,
+        speed=run.speed[common],
+        response=net,
+        unbalance=unbalance,
+        amplitude_error=np.sqrt(along),
+        phase_error=turned,
+    )

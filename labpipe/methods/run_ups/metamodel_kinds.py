@@ -4,9 +4,9 @@ A second-order response surface of every coefficient,
 
     y = b_0 + b_1 w + b_2 s + b_3 w s + b_4 w^2 + b_5 s^2,   w, s: load and speed coded to -1 to 1
 
-by least squares (Falah and Khorshid, equation 13; Myers, Montgomery and Anderson-Cook 2016, chapters 2 and 3), where PRESS is the sum of
-the squared errors of every point predicted from all others, e_i / (1 - h_ii); and the physical fit, the film's family with the parameters
-of a joint fit.
+by least squares (Falah and Khorshid, equation 13; Myers, Montgomery and Anderson-Cook 2016, chapters 2 and
+3), where PRESS is the sum of the squared errors of every point predicted from all others, e_i / (1 - h_ii);
+and the physical fit, the film's family with the parameters of a joint fit.
 """
 
 from __future__ import annotations
@@ -51,13 +51,18 @@ class Queried(Protocol):
     """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,) [rad/s]."""
+        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)
+        [rad/s].
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError for other shapes or impossible values."""
+    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m].
+
+    DataError for other shapes or impossible values.
+    """
 
     load: FloatArray
     speed: FloatArray
@@ -67,7 +72,11 @@ class Grid:
         n = np.size(self.load)
         if np.shape(self.load) != np.shape(self.speed) or np.shape(self.eight) != (n, 8) or n == 0:
             raise DataError("a metamodel needs one load, one speed and eight coefficients per point")
-        if not (np.all(np.isfinite(self.eight)) and np.all(np.asarray(self.load) > 0) and np.all(np.asarray(self.speed) > 0)):
+        if not (
+            np.all(np.isfinite(self.eight))
+            and np.all(np.asarray(self.load) > 0)
+            and np.all(np.asarray(self.speed) > 0)
+        ):
             raise DataError("loads and speeds of a metamodel are positive and its coefficients finite")
 
     @classmethod
@@ -77,12 +86,21 @@ class Grid:
         if not all_fits:
             raise DataError("there is no fit to make a metamodel of")
         load = np.concatenate([np.full(fit.speed.size, fit.load) for fit in all_fits])
-        return cls(load, np.concatenate([fit.speed for fit in all_fits]), np.concatenate([fit.coefficients for fit in all_fits]))
+        return cls(
+            load,
+            np.concatenate([fit.speed for fit in all_fits]),
+            np.concatenate([fit.coefficients for fit in all_fits]),
+        )
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
-        parts = [(np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0]) for load in loads]
+        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
+        [rad/s].
+        """
+        parts = [
+            (np.full(np.size(speed), load), np.asarray(speed), fit.coefficients(load, speed)[0])
+            for load in loads
+        ]
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @property
@@ -110,7 +128,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class Extent:
-    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid; places are coded to -1 to 1 between them."""
+    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid.
+
+    Places are coded to -1 to 1 between them.
+    """
 
     loads: tuple[float, float]
     speeds: tuple[float, float]
@@ -139,9 +160,11 @@ class Extent:
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseSurface:
-    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual standard deviation.
+    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
+    standard deviation.
 
-    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean; n_point: fitted points.
+    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean; n_point: fitted
+    points.
     """
 
     extent: Extent
@@ -174,7 +197,9 @@ class ResponseSurface:
     def statement(self) -> str:
         """Statement on R^2, adjusted and predicted: ranges over the eight coefficients."""
         kinds = {"R²": self.r2, "adjusted R²": self.r2_adjusted, "predicted R² (PRESS)": self.r2_predicted}
-        ranges = "; ".join(f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items())
+        ranges = "; ".join(
+            f"{name} {values.min():.3f} to {values.max():.3f}" for name, values in kinds.items()
+        )
         return f"{self.n_point} points, over the eight coefficients {ranges}"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
@@ -188,22 +213,40 @@ class ResponseSurface:
         return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
 
     def to_entries(self) -> dict[str, Any]:
-        arrays = {name: getattr(self, name).tolist() for name in ("beta", "inverse", "spread", "r2", "press", "total")}
-        return {"kind": self.kind, **self.extent.to_entries(), "terms": list(TERMS), "n_point": self.n_point, **arrays}
+        arrays = {
+            name: getattr(self, name).tolist()
+            for name in ("beta", "inverse", "spread", "r2", "press", "total")
+        }
+        return {
+            "kind": self.kind,
+            **self.extent.to_entries(),
+            "terms": list(TERMS),
+            "n_point": self.n_point,
+            **arrays,
+        }
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> ResponseSurface:
-        arrays = {name: np.array(entries[name], np.float64) for name in ("beta", "inverse", "spread", "r2", "press", "total")}
+        arrays = {
+            name: np.array(entries[name], np.float64)
+            for name in ("beta", "inverse", "spread", "r2", "press", "total")
+        }
         return cls(extent=Extent.from_entries(entries), n_point=int(entries["n_point"]), **arrays)
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds. Equation (run-surface)."""
+    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
+
+    Equation (run-surface).
+    """
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
     if n <= m or np.linalg.matrix_rank(terms, tol=1e-8 * np.sqrt(n)) < m:
-        raise FitError("a second-order surface needs three loads and three speeds at least", hint="measure more, or use another metamodel")
+        raise FitError(
+            "a second-order surface needs three loads and three speeds at least",
+            hint="measure more, or use another metamodel",
+        )
     inverse = np.linalg.inv(terms.T @ terms)
     beta = inverse @ terms.T @ grid.eight
     residual = grid.eight - terms @ beta
@@ -230,7 +273,9 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and speeds of the fit."""
+    """Logarithms *values* (12,) and *covariance* (12, 12), widened, [-] of a *family*; *extent*: loads and
+    speeds of the fit.
+    """
 
     extent: Extent
     family: FilmFamily
@@ -247,15 +292,26 @@ class PhysicalFit:
     @classmethod
     def of(cls, fit: JointFit, speeds: tuple[float, float]) -> PhysicalFit:
         """Of a joint fit to run-ups between two *speeds* [rad/s]."""
-        return cls(Extent((min(fit.loads), max(fit.loads)), speeds), fit.family, fit.values, fit.covariance * fit.widening**2)
+        return cls(
+            Extent((min(fit.loads), max(fit.loads)), speeds),
+            fit.family,
+            fit.values,
+            fit.covariance * fit.widening**2,
+        )
 
     @property
     def statement(self) -> str:
         """Statement on the fit and its validation."""
-        return "the film's own coefficients with the parameters of the joint fit, refitted without each load in turn for the validation"
+        return (
+            "the film's own coefficients with the parameters of the joint fit, refitted without each "
+            "load in turn for the validation"
+        )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]; FitError outside the film's table."""
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s].
+
+        FitError outside the film's table.
+        """
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:

@@ -1,7 +1,8 @@
 """Metamodels of the journal coefficients: surrogates of k_xx ... c_yy over load and speed.
 
-METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All have one interface,
-are written as plain entries and read back, and are compared by leave-one-load-out validation.
+METAMODELS are fitted to coefficients on a grid (see `Grid`); the physical fit is the joint fit itself. All
+have one interface, are written as plain entries and read back, and are compared by leave-one-load-out
+validation.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups.film_family import coefficient_errors
 from labpipe.methods.run_ups.joint import LOAD_SLACK
-from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, ResponseSurface, fit_surface, physical_without
+from labpipe.methods.run_ups.metamodel_kinds import (
+    Extent,
+    Grid,
+    PhysicalFit,
+    ResponseSurface,
+    fit_surface,
+    physical_without,
+)
 from labpipe.methods.run_ups.metamodels_learned import GaussianProcess, Network, fit_network, fit_process
 from labpipe.registry import nearest
 
@@ -39,9 +47,14 @@ __all__ = [
 ]
 
 # Fit functions by name, each of a grid and a seed.
-METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {"surface": fit_surface, "process": fit_process, "network": fit_network}
+METAMODELS: dict[str, Callable[[Grid, int], Metamodel]] = {
+    "surface": fit_surface,
+    "process": fit_process,
+    "network": fit_network,
+}
 READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
-    model_class.kind: model_class.from_entries for model_class in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
+    model_class.kind: model_class.from_entries
+    for model_class in (ResponseSurface, GaussianProcess, Network, PhysicalFit)
 }
 
 
@@ -68,7 +81,10 @@ class Metamodel(Protocol):
 
 
 def fit_metamodel(kind: str, grid: Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid; ConfigError with the nearest name on a miss, or where a package is not installed."""
+    """One of METAMODELS on a grid.
+
+    ConfigError with the nearest name on a miss, or where a package is not installed.
+    """
     if kind not in METAMODELS:
         raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
     return METAMODELS[kind](grid, seed)
@@ -78,12 +94,17 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
     """The metamodel of its `to_entries`; DataError where they are not those of one."""
     kind = entries.get("kind") if isinstance(entries, Mapping) else None
     if kind not in READERS:
-        raise DataError(f"these are not the entries of a metamodel: kind '{kind}'", hint=nearest(str(kind), READERS))
+        raise DataError(
+            f"these are not the entries of a metamodel: kind '{kind}'", hint=nearest(str(kind), READERS)
+        )
     try:
         model = READERS[kind](entries)
         shape = model.predict(model.extent.loads[0], np.array([model.extent.speeds[0]])).shape
     except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
-        raise DataError(f"the entries of this {kind} metamodel are damaged: {error}", hint="write it again from its run-ups") from error
+        raise DataError(
+            f"the entries of this {kind} metamodel are damaged: {error}",
+            hint="write it again from its run-ups",
+        ) from error
     if shape != (1, 8):
         raise DataError(f"this {kind} metamodel does not give eight coefficients")
     return model
@@ -99,14 +120,19 @@ def caution(model: Metamodel, load: float) -> str:
         if model.kind in ("physical", "process")
         else "its error does not cover extrapolation"
     )
-    return f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), an extrapolation: {scope}"
+    return (
+        f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), an "
+        f"extrapolation: {scope}"
+    )
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A metamodel fitted without one *load* [N], compared with the coefficients there: errors (8,) [-], rms over the rms coefficient.
+    """A metamodel fitted without one *load* [N], compared with the coefficients there: errors (8,) [-], rms
+    over the rms coefficient.
 
-    *failed*: reason of a failed fit, then errors are NaN; *beyond*: the load is the lowest or the highest, an extrapolation.
+    *failed*: reason of a failed fit, then errors are NaN; *beyond*: the load is the lowest or the highest, an
+    extrapolation.
     """
 
     kind: str
@@ -122,11 +148,15 @@ class LeftOut:
 
 
 def leave_one_load_out(
-    grid: Grid, kinds: Iterable[str] = tuple(METAMODELS), physical: Callable[[float], Metamodel] | None = None, seed: int = 0
+    grid: Grid,
+    kinds: Iterable[str] = tuple(METAMODELS),
+    physical: Callable[[float], Metamodel] | None = None,
+    seed: int = 0,
 ) -> list[LeftOut]:
     """Leave-one-load-out validation of every kind, against the grid's coefficients at that load.
 
-    *physical*: the physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
+    *physical*: the physical fit without a load, see `physical_without`. Where a fit fails, the row states the
+    reason.
     """
     rows = []
     for load in grid.loads:

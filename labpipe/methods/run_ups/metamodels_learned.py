@@ -1,12 +1,14 @@
-"""Metamodels by scikit-learn: a Gaussian process and networks of the journal coefficients over load and speed.
+"""Metamodels by scikit-learn: a Gaussian process and networks of the journal coefficients over load and
+speed.
 
-Gaussian process: y (standardised: zero mean, unit deviation) has the covariance p^2 (1 + w w' + s s') + a^2 exp(-((w - w') / l_w)^2 / 2 -
-((s - s') / l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and Williams 2006, sections 2.2, 2.7 and 5.4.1): a plane plus
-a smooth field. a, l_w, l_s and n of each coefficient maximise the marginal likelihood times their log-normal priors (HYPER); p is PLANE.
+Gaussian process: y (standardised: zero mean, unit deviation) has the covariance p^2 (1 + w w' + s s') + a^2
+exp(-((w - w') / l_w)^2 / 2 - ((s - s') / l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and
+Williams 2006, sections 2.2, 2.7 and 5.4.1): a plane plus a smooth field. a, l_w, l_s and n of each
+coefficient maximise the marginal likelihood times their log-normal priors (HYPER); p is PLANE.
 
-Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay. Predictions are the mean over repeats
-with different seeds, and their standard error is the spread of the repeats, the effect of the start weights only. A network is read back
-without scikit-learn.
+Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay. Predictions
+are the mean over repeats with different seeds, and their standard error is the spread of the repeats, the
+effect of the start weights only. A network is read back without scikit-learn.
 """
 
 from __future__ import annotations
@@ -51,7 +53,9 @@ def scikit_learn(name: str, what: str) -> Any:
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors: scikit-learn's, one of each."""
+    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
+    scikit-learn's, one of each.
+    """
 
     grid: Grid
     extent: Extent
@@ -67,15 +71,24 @@ class GaussianProcess:
 
     @classmethod
     def of(cls, grid: Grid, hyper: FloatArray, search: Callable[..., Any] | None = None) -> GaussianProcess:
-        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient; a *search* starts from them."""
+        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient.
+
+        A *search* starts from them.
+        """
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = Extent.of(grid)
         coded, regressors = extent.coded(grid.load, grid.speed), []
         for (a, l_w, l_s, n), column in zip(hyper, grid.eight.T, strict=True):
             plane = kernels.ConstantKernel(PLANE**2, "fixed") * kernels.DotProduct(1.0, "fixed")
-            kernel = plane + kernels.ConstantKernel(a**2, WIDE) * kernels.RBF((l_w, l_s), WIDE) + kernels.WhiteKernel(n**2, WIDE)
-            regressor = processes.GaussianProcessRegressor(kernel, alpha=JITTER, optimizer=search, normalize_y=True)
+            kernel = (
+                plane
+                + kernels.ConstantKernel(a**2, WIDE) * kernels.RBF((l_w, l_s), WIDE)
+                + kernels.WhiteKernel(n**2, WIDE)
+            )
+            regressor = processes.GaussianProcessRegressor(
+                kernel, alpha=JITTER, optimizer=search, normalize_y=True
+            )
             regressors.append(regressor.fit(coded, column))
         found = np.exp([regressor.kernel_.theta for regressor in regressors])
         # The first and the last of scikit-learn are variances.
@@ -83,11 +96,19 @@ class GaussianProcess:
 
     @property
     def statement(self) -> str:
-        """Statement on lengths and noise of maximum marginal likelihood; medians over the eight coefficients."""
+        """Statement on lengths and noise of maximum marginal likelihood.
+
+        Medians over the eight coefficients.
+        """
         (first, last), (low, high) = self.extent.loads, self.extent.speeds
-        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [(last - first) / 2, (high - low) / 2, 1.0]
+        load, speed, noise = np.median(self.hyper[:, 1:], axis=0) * [
+            (last - first) / 2,
+            (high - low) / 2,
+            1.0,
+        ]
         return (
-            f"a plane and a smooth field, correlated over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, with a noise of "
+            f"a plane and a smooth field, correlated over {load:.2g} N and {speed * 30 / np.pi:.0f} rpm, "
+            "with a noise of "
             f"{100 * noise:.2g} % of the standard deviation (medians over the eight coefficients)"
         )
 
@@ -97,22 +118,38 @@ class GaussianProcess:
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds [rad/s]."""
+        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
+        [rad/s].
+        """
         coded = self.extent.coded(load, speed)
-        return np.stack([regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1)
+        return np.stack(
+            [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
+        )
 
     def to_entries(self) -> dict[str, Any]:
-        arrays = {"load": self.grid.load, "speed": self.grid.speed, "eight": self.grid.eight, "hyper": self.hyper}
-        return {"kind": self.kind, **self.extent.to_entries(), **{name: array.tolist() for name, array in arrays.items()}}
+        arrays = {
+            "load": self.grid.load,
+            "speed": self.grid.speed,
+            "eight": self.grid.eight,
+            "hyper": self.hyper,
+        }
+        return {
+            "kind": self.kind,
+            **self.extent.to_entries(),
+            **{name: array.tolist() for name, array in arrays.items()},
+        }
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> GaussianProcess:
-        load, speed, eight, hyper = (np.array(entries[name], np.float64) for name in ("load", "speed", "eight", "hyper"))
+        load, speed, eight, hyper = (
+            np.array(entries[name], np.float64) for name in ("load", "speed", "eight", "hyper")
+        )
         return cls.of(Grid(load, speed, eight), hyper)
 
 
 def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 one signature for all kinds
-    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their priors.
+    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
+    priors.
 
     Equation (run-process).
     """
@@ -120,9 +157,14 @@ def fit_process(grid: Grid, seed: int = 0) -> GaussianProcess:  # noqa: ARG001 o
 
 
 def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-    """(parameters, cost): scikit-learn's parameters (4,), logarithms of a^2, l_w, l_s, n^2, of the largest likelihood times priors."""
+    """(parameters, cost): scikit-learn's parameters (4,), logarithms of a^2, l_w, l_s, n^2, of the largest
+    likelihood times priors.
+    """
     powers = np.array([2.0, 1.0, 1.0, 2.0])
-    middle, spread = powers * np.log([median for median, _ in HYPER]), powers * [deviation for _, deviation in HYPER]
+    middle, spread = (
+        powers * np.log([median for median, _ in HYPER]),
+        powers * [deviation for _, deviation in HYPER],
+    )
 
     def with_priors(theta: FloatArray) -> tuple[float, FloatArray]:
         value, slope = cost(theta, eval_gradient=True)
@@ -135,7 +177,9 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 @dataclass(frozen=True)
 class Network:
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats whose training converged."""
+    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
+    whose training converged.
+    """
 
     extent: Extent
     repeats: tuple[Layers, ...]
@@ -157,27 +201,36 @@ class Network:
         hidden = self.repeats[0][1].size
         ended = "all of them" if self.n_converged == len(self.repeats) else f"{self.n_converged} of them"
         return (
-            f"{len(self.repeats)} repeats of 2 inputs, {hidden} hidden units and 8 outputs, seeds from {self.seed} on; the training of "
-            f"{ended} converged; errors are the spread of the repeats"
+            f"{len(self.repeats)} repeats of 2 inputs, {hidden} hidden units and 8 outputs, seeds from "
+            f"{self.seed} on; the training of {ended} converged; errors are the spread of the repeats"
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s] (n_point,).
+        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
+        (n_point,).
 
         Equation (run-network).
         """
         coded = self.extent.coded(load, speed)
-        scaled = [np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats]
+        scaled = [
+            np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
+        ]
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the repeats."""
+        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
+        repeats.
+        """
         return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Standard deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single repeat."""
         repeats = self.repeat_predictions(load, speed)
-        return np.full(repeats.shape[1:], np.nan) if len(self.repeats) < 2 else np.asarray(repeats.std(axis=0, ddof=1))
+        return (
+            np.full(repeats.shape[1:], np.nan)
+            if len(self.repeats) < 2
+            else np.asarray(repeats.std(axis=0, ddof=1))
+        )
 
     def to_entries(self) -> dict[str, Any]:
         return {
@@ -192,9 +245,18 @@ class Network:
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, Any]) -> Network:
-        repeats = tuple(_layers(*(np.array(layer, np.float64) for layer in layers)) for layers in entries["repeats"])
+        repeats = tuple(
+            _layers(*(np.array(layer, np.float64) for layer in layers)) for layers in entries["repeats"]
+        )
         middle, deviation = (np.array(entries[name], np.float64) for name in ("middle", "deviation"))
-        return cls(Extent.from_entries(entries), repeats, middle, deviation, int(entries["seed"]), int(entries["n_converged"]))
+        return cls(
+            Extent.from_entries(entries),
+            repeats,
+            middle,
+            deviation,
+            int(entries["seed"]),
+            int(entries["n_converged"]),
+        )
 
 
 def _layers(first: FloatArray, offset: FloatArray, second: FloatArray, last: FloatArray) -> Layers:
@@ -203,7 +265,9 @@ def _layers(first: FloatArray, offset: FloatArray, second: FloatArray, last: Flo
 
 def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int = HIDDEN) -> Network:
     """Networks with seeds *seed*, *seed* + 1 and so on; ConfigError without scikit-learn."""
-    networks, exceptions = (scikit_learn(name, "a feed-forward network") for name in ("neural_network", "exceptions"))
+    networks, exceptions = (
+        scikit_learn(name, "a feed-forward network") for name in ("neural_network", "exceptions")
+    )
     extent = Extent.of(grid)
     middle, deviation = grid.eight.mean(axis=0), grid.eight.std(axis=0)
     deviation = np.where(deviation > 0, deviation, 1.0)
@@ -222,5 +286,7 @@ def fit_network(grid: Grid, seed: int = 0, repeats: int = REPEATS, hidden: int =
             warnings.simplefilter("ignore", exceptions.ConvergenceWarning)
             network.fit(inputs, outputs)
         converged += int(network.n_iter_ < MOST_ITERATIONS)
-        trained.append(_layers(network.coefs_[0], network.intercepts_[0], network.coefs_[1], network.intercepts_[1]))
+        trained.append(
+            _layers(network.coefs_[0], network.intercepts_[0], network.coefs_[1], network.intercepts_[1])
+        )
     return Network(extent, tuple(trained), middle, deviation, seed, converged)

@@ -1,4 +1,6 @@
-"""Identification methods of journal coefficients, each with its uncertainty and its prediction for every run."""
+"""Identification methods of journal coefficients, each with its uncertainty and its prediction for every
+run.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,16 @@ from labpipe.methods.run_ups.metamodel_kinds import Fitted, Queried
 from labpipe.methods.run_ups.points import PointFit, fit_points
 from labpipe.methods.run_ups.predictions import RPM, AtLoad
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
-from labpipe.methods.run_ups.records import REJECTED, START, TWO_SIDED, Amount, Convergence, RunUp, RunUpMethod, StartSpread
+from labpipe.methods.run_ups.records import (
+    REJECTED,
+    START,
+    TWO_SIDED,
+    Amount,
+    Convergence,
+    RunUp,
+    RunUpMethod,
+    StartSpread,
+)
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.settings import RunUpSettings
 from labpipe.records.finding import Contribution, Parameter
@@ -26,10 +37,13 @@ from labpipe.records.finding import Contribution, Parameter
 # Loads are the same when they agree to a millionth.
 SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
-WITHOUT_INTERVAL = "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval"
+WITHOUT_INTERVAL = (
+    "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval"
+)
 ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extends them to this load"
 
-# Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is none.
+# Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is
+# none.
 Predictor = Callable[[RunUpRotor, RunUp], AtLoad | str]
 
 
@@ -56,7 +70,10 @@ def solve_start(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettin
 
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
-    """(a): amplitudes alone, one search per point from the rotor file's values; the spread of many starts at one load."""
+    """(a): amplitudes alone, one search per point from the rotor file's values.
+
+    The spread of many starts at one load.
+    """
     unbalanced = [run for run in trained if run.shaker is None]
     fits = fit_amplitudes(rig, unbalanced, settings.bound, settings.search)
     method = RunUpMethod(
@@ -75,16 +92,27 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpS
 def solve_points(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     """(b): complex amplitudes, point by point."""
     fits = fit_points(rig, trained, settings.bound, settings.ridge)
-    ridge_text = f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
+    ridge_text = (
+        f"a ridge of {100 * settings.ridge:g} % about the start values determines what the data do not"
+    )
     remark = f"{ridge_text}; its standard deviations include this."
-    method = RunUpMethod("points", "(b) complex, point by point", _determined(fits), predictions=(), **_of_points(fits), remarks=(remark,))
+    method = RunUpMethod(
+        "points",
+        "(b) complex, point by point",
+        _determined(fits),
+        predictions=(),
+        **_of_points(fits),
+        remarks=(remark,),
+    )
     return Solved(method, _points_at(fits), tuple(fits))
 
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:
     """(c): one fit of the physical family to all responses and thresholds."""
     fit = fit_jointly(rig, trained, known=settings.known)
-    return Solved(joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit)
+    return Solved(
+        joint_method("joint", "(c) joint physical fit", fit), _joint_at(fit, fit.rejected), anywhere=fit
+    )
 
 
 def solve_process(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001
@@ -126,7 +154,9 @@ def joint_method(name: str, title: str, fit: JointFit) -> RunUpMethod:
         n_datum=fit.n_datum,
         n_effective=fit.n_effective,
         free=fit.prior_dominated,
-        parameters=tuple(_parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known),
+        parameters=tuple(
+            _parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known
+        ),
     )
 
 
@@ -136,19 +166,31 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
         return Parameter(name, factor.value, "1", at_bound=True)
     if fit.rejected:
         return Parameter(name, factor.value, "1")
-    return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=Amount(factor.value, factor.std_error).ci95), factor.std_error)
+    return with_sources_of(
+        fit,
+        Parameter(name, factor.value, "1", ci95=Amount(factor.value, factor.std_error).ci95),
+        factor.std_error,
+    )
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of the probes, largest first."""
+    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of
+    the probes, largest first.
+    """
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))
     if not systematic:
         return replace(parameter, std_error=combined)
     noise = float(np.sqrt(max(combined**2 - systematic**2, 0.0)))
-    pairs = [("noise", noise), *((source.source, abs(float(change))) for source, change in zip(fit.sources, changes, strict=True))]
-    parts = tuple(Contribution(name, size, size**2 / combined**2) for name, size in sorted(pairs, key=lambda pair: -pair[1]))
+    pairs = [
+        ("noise", noise),
+        *((source.source, abs(float(change))) for source, change in zip(fit.sources, changes, strict=True)),
+    ]
+    parts = tuple(
+        Contribution(name, size, size**2 / combined**2)
+        for name, size in sorted(pairs, key=lambda pair: -pair[1])
+    )
     return replace(
         parameter,
         std_error=noise,
@@ -162,7 +204,10 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
 
 
 def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
-    """Predictions at any load; without errors for a fit that chi-square rejects, whose errors would be wrong."""
+    """Predictions at any load.
+
+    Without errors for a fit that chi-square rejects, whose errors would be wrong.
+    """
 
     def at(run_rig: RunUpRotor, run: RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)
@@ -172,7 +217,12 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
         if rejected:
             return AtLoad(fit.at_load(run.load), eight, notes=(WITHOUT_INTERVAL, *notes))
         return AtLoad(
-            fit.at_load(run.load), eight, error, lambda: run_fit.critical_speed(run.load), lambda: run_fit.threshold(run.load), notes
+            fit.at_load(run.load),
+            eight,
+            error,
+            lambda: run_fit.critical_speed(run.load),
+            lambda: run_fit.threshold(run.load),
+            notes,
         )
 
     return at
@@ -192,8 +242,14 @@ def _points_at(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> Predictor:
 
 
 def _of_points(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> dict[str, Any]:
-    """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number, chi-square."""
-    chi2, datum, effective = sum(f.chi2 for f in fits), sum(f.n_datum for f in fits), sum(f.n_effective for f in fits)
+    """Fields of RunUpMethod on the uncertainty of all points: lowest rank, largest condition number,
+    chi-square.
+    """
+    chi2, datum, effective = (
+        sum(f.chi2 for f in fits),
+        sum(f.n_datum for f in fits),
+        sum(f.n_effective for f in fits),
+    )
     n_redundant = datum - effective
     shares = np.concatenate([np.asarray(fit.at_bound).ravel() for fit in fits])
     return {
@@ -214,7 +270,11 @@ def _determined(fits: Sequence[PointFit] | Sequence[AmplitudeFit]) -> str:
 def _capped(fits: Sequence[AmplitudeFit]) -> list[str]:
     capped, most = sum(int(fit.capped.sum()) for fit in fits), max(int(fit.evaluations.max()) for fit in fits)
     every = sum(fit.speed.size for fit in fits)
-    return [f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."] if capped else []
+    return (
+        [f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."]
+        if capped
+        else []
+    )
 
 
 def _convergence(fit: AmplitudeFit) -> Convergence:
@@ -224,18 +284,27 @@ def _convergence(fit: AmplitudeFit) -> Convergence:
     evaluations = np.diff(rows.evaluations[:, 0], prepend=0)
     best = fit.factors[int(np.argmin(fit.objectives[:, point])), point]
     place = f"{fit.load:.3g} N, {fit.speed[point] / RPM:.0f} rpm"
-    objective, mesh, counts = (column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations))
+    objective, mesh, counts = (
+        column(values) for values in (rows.objective[:, 0], rows.mesh[:, 0], evaluations)
+    )
     return Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best))
 
 
 def _spreads(rig: RunUpRotor, runs: Sequence[RunUp], settings: RunUpSettings) -> tuple[StartSpread, ...]:
-    """Spread of the starts at the middle load: at the speed of the largest response and at the highest speed."""
+    """Spread of the starts at the middle load: at the speed of the largest response and at the highest
+    speed.
+    """
     if settings.starts < 2:
         return ()
     loads = sorted({run.load for run in runs})
     middle = loads[len(loads) // 2]
     (fit,) = fit_amplitudes(
-        rig, [run for run in runs if run.load == middle], settings.bound, settings.search, settings.starts, settings.seed
+        rig,
+        [run for run in runs if run.load == middle],
+        settings.bound,
+        settings.search,
+        settings.starts,
+        settings.seed,
     )
     points = dict.fromkeys([int(np.argmax(fit.measured)), fit.speed.size - 1])
     spreads = []

@@ -1,9 +1,11 @@
 """Weighted residuals of run-ups with analytic slopes, and what a set of run-ups can tell apart.
 
-Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined combinations.
+Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition, undetermined
+combinations.
 
-A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two complex equations. Amplitudes
-alone give one number per disc. Only a force that does not turn with the shaft moves the journal along another vector.
+A round shaft under any unbalance moves its journal along one and the same complex vector (x_b, y_b): two
+complex equations. Amplitudes alone give one number per disc. Only a force that does not turn with the shaft
+moves the journal along another vector.
 """
 
 from __future__ import annotations
@@ -45,22 +47,31 @@ class ExcitedRun:
         return 4 * len(self.run.planes)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
-        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N s/m].
+        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N
+        s/m].
 
         Equation (run-weights).
         """
         return self._weighted(self.condensed.response(*as_matrices(coefficients)) - self._measured)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N s/m]."""
+        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N
+        s/m].
+        """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
-        return self._weighted(response - self._measured), np.moveaxis(self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1)
+        return self._weighted(response - self._measured), np.moveaxis(
+            self._weighted(np.moveaxis(slopes, -1, 0)), 0, -1
+        )
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of the *sources*."""
+        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of
+        the *sources*.
+        """
         changes = self.run.changes()
         none = np.zeros_like(self.run.response)
-        rows = [self._weighted(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
+        rows = [
+            self._weighted(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources
+        ]
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
     @property
@@ -68,7 +79,9 @@ class ExcitedRun:
         return self.run.response.reshape(self.run.n_speed, -1)
 
     def _weighted(self, difference: ComplexArray) -> FloatArray:
-        """Along the measured phasor over the error of its amplitude, across it over the amplitude times the error of its phase."""
+        """Along the measured phasor over the error of its amplitude, across it over the amplitude times the
+        error of its phase.
+        """
         run, shape = self.run, (self.run.n_speed, -1)
         size = np.abs(self._measured)
         turned = difference * (self._measured / size).conj()
@@ -86,12 +99,18 @@ class LoadRuns:
     runs: tuple[ExcitedRun, ...]
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by *coefficients* [N/m, N s/m]."""
+        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by
+        *coefficients* [N/m, N s/m].
+        """
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
-        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate([part[1] for part in parts], axis=1)
+        return np.concatenate([part[0] for part in parts], axis=1), np.concatenate(
+            [part[1] for part in parts], axis=1
+        )
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty of each source."""
+        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty
+        of each source.
+        """
         return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
 
 
@@ -116,7 +135,9 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
-    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share none."""
+    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
+    none.
+    """
     groups: dict[tuple[float, bytes], list[RunUp]] = {}
     for run in runs:
         groups.setdefault((run.load, run.speed.tobytes()), []).append(run)
@@ -132,7 +153,9 @@ def _grouped(rig: RunUpRotor, load: float, group: Sequence[RunUp]) -> LoadRuns:
         shared = shared[np.min(np.abs(shared[:, None] / run.speed - 1), axis=1) < 1e-6]
     if shared.size == 0:
         names = ", ".join(run.name for run in group)
-        raise DataError(f"the runs {names} under {load:.4g} N share no speed", hint="measure them at the same speeds")
+        raise DataError(
+            f"the runs {names} under {load:.4g} N share no speed", hint="measure them at the same speeds"
+        )
     return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
 
 
@@ -148,7 +171,9 @@ def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
 
 
 def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter). Equation (run-rank)."""
+    """Rank (...) and condition number (...) [-] within that rank of Jacobians (..., n_equation, n_parameter).
+    Equation (run-rank).
+    """
     singular = np.linalg.svd(slopes, compute_uv=False)
     significant = singular > RANK_TOLERANCE * singular[..., :1]
     rank = significant.sum(axis=-1)
@@ -170,7 +195,11 @@ def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS)
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     whole = np.zeros(rows.shape[0])
     whole[: singular.size] = singular
-    return tuple(combination_text(names, row) for row, size in zip(rows, whole, strict=True) if size <= RANK_TOLERANCE * whole[0])
+    return tuple(
+        combination_text(names, row)
+        for row, size in zip(rows, whole, strict=True)
+        if size <= RANK_TOLERANCE * whole[0]
+    )
 
 
 # Identifiability of the eight coefficients from run-ups at one load and speed: rank, condition,
@@ -181,8 +210,8 @@ COMPLEX = "amplitude and phase in both directions"
 SECOND = "the same, with a second unbalance run"
 SHAKEN = "the same, with a run under a force that does not turn"
 SEEN = (
-    "the journal moves along one vector (x_b, y_b): only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) y_b and the same sum "
-    "of the y row are measured"
+    "the journal moves along one vector (x_b, y_b): only (k_xx + j Omega c_xx) x_b + (k_xy + j Omega c_xy) "
+    "y_b and the same sum of the y row are measured"
 )
 WORDS = {
     2: "one number per plane is measured; six combinations of the eight coefficients are undetermined",
@@ -192,17 +221,28 @@ WORDS = {
 ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
 
 
-def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None) -> tuple[RankRow, ...]:
-    """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load* [N] and *speed* [rad/s].
+def rank_statements(
+    rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None
+) -> tuple[RankRow, ...]:
+    """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load*
+    [N] and *speed* [rad/s].
 
-    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is needed.
+    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given. Nothing measured is
+    needed.
     """
     place = np.array([speed])
-    eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else np.asarray(coefficients, np.float64)[None]
+    eight = (
+        as_eight(*rig.start_coefficients(load, place))
+        if coefficients is None
+        else np.asarray(coefficients, np.float64)[None]
+    )
     unit = scales(eight)[0]
     first = _slopes(rig, place, eight, rig.known_unbalance) * unit
     other = rig.plane_names[-1]
-    second = _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())}) * unit
+    second = (
+        _slopes(rig, place, eight, {other: 1j * max(abs(size) for size in rig.known_unbalance.values())})
+        * unit
+    )
     shaker = _slopes(rig, place, eight, None) * unit
     both = np.concatenate([first, second])
     return (
@@ -214,12 +254,17 @@ def rank_statements(rig: RunUpRotor, load: float, speed: float, coefficients: Fl
 
 
 def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
-    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second unbalance adds no rank."""
+    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second
+    unbalance adds no rank.
+    """
     runs = list(runs)
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))
     unit = scales(eight)[0]
-    parts = [_slopes(rig, place, eight, run.unbalance if run.shaker is None else None, run.shaker) * unit for run in runs]
+    parts = [
+        _slopes(rig, place, eight, run.unbalance if run.shaker is None else None, run.shaker) * unit
+        for run in runs
+    ]
     named = ", ".join(run.name for run in runs)
     without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
     return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
@@ -234,15 +279,25 @@ def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
 
 
 def _slopes(
-    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+    rig: RunUpRotor,
+    speed: FloatArray,
+    eight: FloatArray,
+    unbalance: Mapping[str, complex] | None,
+    shaker: Shaker | None = None,
 ) -> FloatArray:
-    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the first plane."""
+    """Of real and imaginary parts (4 n_plane, 8), under an unbalance or, without one, a force along x at the
+    first plane.
+    """
     _, slopes = _response(rig, speed, eight, unbalance, shaker)
     return np.concatenate([slopes.real, slopes.imag])
 
 
 def _response(
-    rig: RunUpRotor, speed: FloatArray, eight: FloatArray, unbalance: Mapping[str, complex] | None, shaker: Shaker | None = None
+    rig: RunUpRotor,
+    speed: FloatArray,
+    eight: FloatArray,
+    unbalance: Mapping[str, complex] | None,
+    shaker: Shaker | None = None,
 ) -> tuple[ComplexArray, ComplexArray]:
     shape = (1, len(rig.planes), 2)
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
@@ -263,11 +318,15 @@ def _response(
 
 
 def _amplitude_slopes(rig: RunUpRotor, speed: FloatArray, eight: FloatArray) -> FloatArray:
-    """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of the orbit."""
+    """Of the largest displacement of every plane, (n_plane, 8): d |f| = Re(f* df) / |f| for both circles of
+    the orbit.
+    """
     response, slopes = _response(rig, speed, eight, rig.known_unbalance)
     response, slopes = response.reshape(-1, 2), slopes.reshape(-1, 2, 8)
     derivatives = np.zeros((response.shape[0], 8))
     for turn in (1j, -1j):
         circle = response[:, 0] + turn * response[:, 1]
-        derivatives += ((circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])).real / 2
+        derivatives += (
+            (circle / np.abs(circle)).conj()[:, None] * (slopes[:, 0] + turn * slopes[:, 1])
+        ).real / 2
     return derivatives

@@ -1,4 +1,6 @@
-"""labpipe orders: a recording with its shaft speed -> amplitude and phase of an order over the run, as table and figures."""
+"""labpipe orders: a recording with its shaft speed -> amplitude and phase of an order over the run, as table
+and figures.
+"""
 
 from __future__ import annotations
 
@@ -43,27 +45,41 @@ def _unit(quantity: str) -> tuple[str, float]:
 
 
 def order_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], quantity: str) -> Figure:
-    """Amplitude with two standard deviations and phase of every response over the speed; forward and backward of every plane below.
+    """Amplitude with two standard deviations and phase of every response over the speed; forward and backward
+    of every plane below.
 
     The whole motion stands beside the amplitudes, dashed. Over the time where the speed stays what it is.
     """
     across, along = _across(track)
     unit, factor = _unit(quantity)
     phases = [
-        dots(port.label, across, phase_degrees(track.amplitude[:, n]), n % PALETTE_SIZE, size=1.5) for n, port in enumerate(track.ports)
+        dots(port.label, across, phase_degrees(track.amplitude[:, n]), n % PALETTE_SIZE, size=1.5)
+        for n, port in enumerate(track.ports)
     ]
     whole = [
-        curve(f"{port.label}, whole motion", across, factor * track.overall[:, n], n % PALETTE_SIZE, "--", width=0.8)
+        curve(
+            f"{port.label}, whole motion",
+            across,
+            factor * track.overall[:, n],
+            n % PALETTE_SIZE,
+            "--",
+            width=0.8,
+        )
         for n, port in enumerate(track.ports)
     ]
     amplitudes = [*_amplitudes(track, across, factor), *whole]
-    panels = [Panel(along, _amplitude_axis("amplitude", unit, amplitudes), tuple(amplitudes)), Panel(along, PHASE, tuple(phases))]
+    panels = [
+        Panel(along, _amplitude_axis("amplitude", unit, amplitudes), tuple(amplitudes)),
+        Panel(along, PHASE, tuple(phases)),
+    ]
     for plane in circles:
         radii = _amplitudes(plane, across, factor)
         panels.append(Panel(along, _amplitude_axis("circles", unit, radii), tuple(radii)))
     meaning = "shaded: two standard deviations; dashed: half of the whole motion's peak-to-peak value"
     caption = f"{name}: order {track.order:g}, 0-to-peak, and phase against the tacho; {meaning}."
-    return Figure(stacked(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}")
+    return Figure(
+        stacked(panels, 2.2 * len(panels)), caption, f"Amplitude and phase of order {track.order:g} of {name}"
+    )
 
 
 def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Series]:
@@ -73,7 +89,11 @@ def _amplitudes(track: OrderTrack, across: FloatArray, factor: float) -> list[Se
         size = factor * np.abs(track.amplitude[:, number])
         spread = 2 * factor * np.sqrt(track.variance[:, number] / 2)
         band = np.maximum(size - spread, 0), size + spread
-        series.append(curve(port.label, across, size, number % PALETTE_SIZE, marker=".", size=1.5, band=band, opacity=0.2))
+        series.append(
+            curve(
+                port.label, across, size, number % PALETTE_SIZE, marker=".", size=1.5, band=band, opacity=0.2
+            )
+        )
     return series
 
 
@@ -93,32 +113,52 @@ def _across(track: OrderTrack) -> tuple[FloatArray, Axis]:
     return (60 * track.speed, Axis("speed", "rpm")) if turning else (track.time, Axis("time", "s"))
 
 
-def gap_figure(name: str, track: OrderTrack, circles: Sequence[OrderTrack], gap: float, limit: float) -> Figure:
-    """Size of the orbit in every plane as share of the gap over the speed: the whole motion and, dashed, the order's larger half axis."""
+def gap_figure(
+    name: str, track: OrderTrack, circles: Sequence[OrderTrack], gap: float, limit: float
+) -> Figure:
+    """Size of the orbit in every plane as share of the gap over the speed: the whole motion and, dashed, the
+    order's larger half axis.
+    """
     across, along = _across(track)
     series: list[Series] = []
     for number, circle in enumerate(circles):
         (plane,) = circle.planes
         label, colour = plane.name or "orbit", number % PALETTE_SIZE
         half_axis = np.abs(circle.amplitude).sum(axis=1)
-        series.append(curve(f"{label}, whole motion", across, 100 * circle.orbit[:, 0] / gap, colour, width=1.2))
+        series.append(
+            curve(f"{label}, whole motion", across, 100 * circle.orbit[:, 0] / gap, colour, width=1.2)
+        )
         series.append(curve(f"{label}, order {track.order:g}", across, 100 * half_axis / gap, colour, "--"))
     bound = level(100 * limit, name=f"{100 * limit:g} % of the gap")
-    panel = Panel(along, Axis("orbit / gap", "%", 0.0, LIMIT_ROOM * _largest([*series, bound])), (*series, bound))
-    caption = f"{name}: largest distance of the shaft from the middle of its orbit, against the gap of {to_display(gap, 'um'):g} um."
+    panel = Panel(
+        along, Axis("orbit / gap", "%", 0.0, LIMIT_ROOM * _largest([*series, bound])), (*series, bound)
+    )
+    caption = (
+        f"{name}: largest distance of the shaft from the middle of its orbit, against the gap of "
+        f"{to_display(gap, 'um'):g} um."
+    )
     return Figure(stacked([panel], 3.2), caption, f"Orbit size of {name} against the gap")
 
 
 def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure:
-    """Orbits at stretches spread over the run: the sum of a forward and a backward circle; a dot where the pulse comes."""
-    chosen = np.unique(np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int))
+    """Orbits at stretches spread over the run: the sum of a forward and a backward circle.
+
+    A dot where the pulse comes.
+    """
+    chosen = np.unique(
+        np.linspace(0, circles.time.size - 1, min(MOST_ORBITS, circles.time.size)).round().astype(int)
+    )
     panels = tuple(_orbit(circles, row, *_unit(quantity)) for row in chosen.tolist())
     columns = min(MOST_COLUMNS, chosen.size)
     rows = -(-chosen.size // columns)
     (plane,) = circles.planes
     where = f" at {plane.name}" if plane.name else ""
     chart = Chart(panels, rows, columns, (WIDTH, 2.0 * rows + 0.4), "xy", "none")
-    return Figure(chart, f"{name}: orbits of order {circles.order:g}{where}; the dot marks the tacho's pulse.", f"Orbits of {name}{where}")
+    return Figure(
+        chart,
+        f"{name}: orbits of order {circles.order:g}{where}; the dot marks the tacho's pulse.",
+        f"Orbits of {name}{where}",
+    )
 
 
 def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
@@ -126,7 +166,10 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> Panel:
     forward, backward = circles.amplitude[row]
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 181))
     path = factor * (forward * turn + np.conj(backward * turn))
-    series = (curve("orbit", path.real, path.imag), dots("pulse", path.real[:1], path.imag[:1], 1, marker="o"))
+    series = (
+        curve("orbit", path.real, path.imag),
+        dots("pulse", path.real[:1], path.imag[:1], 1, marker="o"),
+    )
     return Panel(Axis("x", unit), Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True)
 
 
@@ -146,9 +189,11 @@ class Clearance:
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run, and in forward and backward circles for every plane with two responses in known directions.
+    """An order over a run, and in forward and backward circles for every plane with two responses in known
+    directions.
 
-    *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are compared with, if any.
+    *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are compared
+    with, if any.
     """
 
     name: str
@@ -172,7 +217,10 @@ def track_run(
     output: OutputFolder,
     clearance: Clearance | None = None,
 ) -> TrackedRun:
-    """The order of a raw file (with its rig) or of a calibrated recording; ConfigError for a gap where no plane moves in it."""
+    """The order of a raw file (with its rig) or of a calibrated recording.
+
+    ConfigError for a gap where no plane moves in it.
+    """
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", where=str(source), hint="add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
@@ -195,16 +243,23 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     for circles in run.circles:
         (plane,) = circles.planes
-        figures[f"orbits{f'-{plane.name}' if plane.name else ''}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
+        figures[f"orbits{f'-{plane.name}' if plane.name else ''}.svg"] = orbit_series_figure(
+            run.name, circles, run.quantity
+        )
     if run.clearance is not None:
-        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, run.clearance.gap, run.clearance.limit)
+        figures["gap.svg"] = gap_figure(
+            run.name, run.track, run.circles, run.clearance.gap, run.clearance.limit
+        )
     for name, figure in figures.items():
         output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
     return ["orders.csv", *figures]
 
 
 def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
-    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds. ConfigError for another order."""
+    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds.
+
+    ConfigError for another order.
+    """
     if run.track.order != 1:
         raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
     table = run_up_of(run.track, run.name, load, unbalance)
@@ -220,8 +275,15 @@ def order_lines(run: TrackedRun, unit: str, shown: Callable[[float], float]) -> 
         for number, port in enumerate(track.ports):
             size = np.abs(track.amplitude[:, number])
             peak = int(np.argmax(size))
-            whole = "" if track is not run.track else f"; whole motion {shown(float(np.max(track.overall[:, number]))):.4g}"
-            rows.append(f"{port.label:<8} largest {shown(float(size[peak])):.4g} {unit} 0-to-peak at {run.speeds[peak]:.4g} rpm{whole}")
+            whole = (
+                ""
+                if track is not run.track
+                else f"; whole motion {shown(float(np.max(track.overall[:, number]))):.4g}"
+            )
+            rows.append(
+                f"{port.label:<8} largest {shown(float(size[peak])):.4g} {unit} 0-to-peak at "
+                f"{run.speeds[peak]:.4g} rpm{whole}"
+            )
     return [*rows, *_against_gap(run, unit, shown)]
 
 
@@ -235,18 +297,26 @@ def _against_gap(run: TrackedRun, unit: str, shown: Callable[[float], float]) ->
         peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > run.clearance.limit * run.clearance.gap)
         share = 100 * orbit[peak] / run.clearance.gap
         limit = f"{100 * run.clearance.limit:g} %"
-        verdict = f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on" if beyond.size else f"within {limit} at all speeds"
+        verdict = (
+            f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on"
+            if beyond.size
+            else f"within {limit} at all speeds"
+        )
         size = f"{shown(float(orbit[peak])):.4g} {unit} = {share:.3g} % of the gap"
         rows.append(f"{plane.name:<8} largest orbit {size} at {run.speeds[peak]:.4g} rpm: {verdict}")
     return rows
 
 
 def _write_table(run: TrackedRun, path: Path) -> None:
-    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard deviations, whole motion."""
+    """A row for every stretch: amplitudes 0-to-peak [SI], phases [deg] against the tacho's pulse, standard
+    deviations, whole motion.
+    """
     columns = [("time_s", run.track.time), ("speed_hz", run.track.speed)]
     for track in (run.track, *run.circles):
         columns += _order_columns(track)
-    columns += [(f"{port.label}:overall", run.track.overall[:, number]) for number, port in enumerate(run.track.ports)]
+    columns += [
+        (f"{port.label}:overall", run.track.overall[:, number]) for number, port in enumerate(run.track.ports)
+    ]
     for circles in run.circles:
         columns += _orbit_columns(circles, run.clearance)
     with path.open("w", encoding="utf-8", newline="") as stream:
@@ -267,11 +337,19 @@ def _order_columns(track: OrderTrack) -> list[Column]:
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
-    """Larger half axis of the order's ellipse |f| + |b|; largest distance of the whole motion from its middle, also per gap."""
+    """Larger half axis of the order's ellipse |f| + |b|.
+
+    Largest distance of the whole motion from its middle, also per gap.
+    """
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
-    columns = [(plane.labelled("half_axis"), np.abs(circles.amplitude).sum(axis=1)), (plane.labelled("orbit"), whole)]
-    return columns if clearance is None else [*columns, (plane.labelled("orbit_per_gap"), whole / clearance.gap)]
+    columns = [
+        (plane.labelled("half_axis"), np.abs(circles.amplitude).sum(axis=1)),
+        (plane.labelled("orbit"), whole),
+    ]
+    return (
+        columns if clearance is None else [*columns, (plane.labelled("orbit_per_gap"), whole / clearance.gap)]
+    )
 
 
 # What the command orders does.
@@ -303,7 +381,9 @@ def track_and_write(
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         names = write_tracked(run, folder)
-        speeds = 0 if save_run_up is None or conditions is None else write_run_up(run, save_run_up, *conditions)
+        speeds = (
+            0 if save_run_up is None or conditions is None else write_run_up(run, save_run_up, *conditions)
+        )
     if quiet:
         return
     between = f"{run.speeds.min():.4g}-{run.speeds.max():.4g} rpm"
@@ -316,10 +396,16 @@ def track_and_write(
 
 
 def _run_conditions(load: str | None, unbalance: tuple[str, ...]) -> tuple[float, dict[str, complex]]:
-    """Load and known unbalances of a run-up, which a recording does not hold; ConfigError for missing ones."""
+    """Load and known unbalances of a run-up, which a recording does not hold.
+
+    ConfigError for missing ones.
+    """
     newtons = _value("--load", load, "N")
     if newtons is None or not unbalance:
-        raise ConfigError("--save-run-up needs --load and --unbalance", hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'")
+        raise ConfigError(
+            "--save-run-up needs --load and --unbalance",
+            hint="--load '3.66 N' --unbalance 'disc 1=50 g.mm at 0 deg'",
+        )
     unbalances = {}
     for text in unbalance:
         plane, _, size = text.partition("=")

@@ -1,8 +1,10 @@
-"""Eight coefficients per load and speed from complex amplitudes in both directions: bounded least squares with a ridge.
+"""Eight coefficients per load and speed from complex amplitudes in both directions: bounded least squares
+with a ridge.
 
-Per point, in parts t of the coefficients' sizes from the start values, |t| <= bound:  min |r(t)|^2 + |t|^2 / ridge^2, r the residual over
-its standard errors. The data determine four combinations of the eight; the ridge keeps the others at the start values, included in the
-standard deviations. All points are solved at once by a projected Gauss-Newton iteration.
+Per point, in parts t of the coefficients' sizes from the start values, |t| <= bound:  min |r(t)|^2 + |t|^2 /
+ridge^2, r the residual over its standard errors. The data determine four combinations of the eight; the ridge
+keeps the others at the start values, included in the standard deviations. All points are solved at once by a
+projected Gauss-Newton iteration.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ LEAST_DAMPING = 1e-9
 class PointFit:
     """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
 
-    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes; at_bound (n_speed, 8): there the standard
-    error is NaN; rank, condition (n_speed,): of the data alone; chi2, n_datum, n_effective: sum of squares, real data, and parameters that
-    the data determine.
+    coefficients, start, std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes; at_bound
+    (n_speed, 8): there the standard error is NaN; rank, condition (n_speed,): of the data alone; chi2,
+    n_datum, n_effective: sum of squares, real data, and parameters that the data determine.
     """
 
     load: float
@@ -58,7 +60,10 @@ class PointFit:
         return float(np.mean(self.at_bound))
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points; beyond them K and Omega C stay constant."""
+        """K and C as a function of speed, linear between the points.
+
+        Beyond them K and Omega C stay constant.
+        """
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -66,13 +71,18 @@ class PointFit:
         return carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
 
 
-def fit_points(rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE) -> list[PointFit]:
-    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`). ConfigError unless positive.
+def fit_points(
+    rig: RunUpRotor, runs: Iterable[RunUp], bound: float = BOUND, ridge: float = RIDGE
+) -> list[PointFit]:
+    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
+    ConfigError unless positive.
 
     Equation (run-points).
     """
     if not (bound > 0 and ridge > 0):
-        raise ConfigError("bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %")
+        raise ConfigError(
+            "bound and ridge of the coefficients are positive", hint="for example 30 % and 15 %"
+        )
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
 
 
@@ -128,7 +138,8 @@ def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float,
         residual = np.where(better[:, None], new_residual, residual)
         slopes = np.where(better[:, None, None], new_slopes, slopes)
     raise FitError(
-        f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps", hint="check unbalance, phases, standard errors"
+        f"the coefficients under {group.load:.4g} N were not found in {MOST_STEPS} steps",
+        hint="check unbalance, phases, standard errors",
     )
 
 
@@ -136,8 +147,16 @@ def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:
     return np.asarray(np.sum(residual**2, axis=1) + np.sum(parts**2, axis=1) / ridge**2)
 
 
-def _step(residual: FloatArray, slopes: FloatArray, parts: FloatArray, damping: FloatArray, bound: float, ridge: float) -> FloatArray:
-    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are solved again.
+def _step(
+    residual: FloatArray,
+    slopes: FloatArray,
+    parts: FloatArray,
+    damping: FloatArray,
+    bound: float,
+    ridge: float,
+) -> FloatArray:
+    """A Gauss-Newton step within the box: coefficients beyond a bound are set to it, and the others are
+    solved again.
 
     Values on a bound that the gradient pushes outwards stay there from the outset.
     """

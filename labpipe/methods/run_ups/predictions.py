@@ -1,4 +1,6 @@
-"""Prediction of a method for one run: critical speed, threshold, response, coefficients, and notes on missing values."""
+"""Prediction of a method for one run: critical speed, threshold, response, coefficients, and notes on missing
+values.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
 
 @dataclass(frozen=True)
 class AtLoad:
-    """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8) [N/m, N s/m] at the run's speeds.
+    """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8)
+    [N/m, N s/m] at the run's speeds.
 
     critical, threshold: with their errors, where the method has them; else they are computed from *at_speed*.
     """
@@ -43,11 +46,15 @@ def with_unbalance_of(rig: RunUpRotor, run: RunUp) -> RunUpRotor:
     file_unbalance = rig.known_unbalance
     same = run.shaker is not None or (
         run.unbalance.keys() == file_unbalance.keys()
-        and all(abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items())
+        and all(
+            abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items()
+        )
     )
     if same:
         return rig
-    amounts = tuple(Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items())
+    amounts = tuple(
+        Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items()
+    )
     return replace(rig, unbalances=amounts)
 
 
@@ -57,12 +64,20 @@ def excited_as(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
 
-def predict(rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True) -> RunPrediction:
-    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the run's unbalance."""
+def predict(
+    rig: RunUpRotor, run: RunUp, solution: AtLoad | str, plane: str, curves: bool = True
+) -> RunPrediction:
+    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
+    run's unbalance.
+    """
     if isinstance(solution, str):
         return RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
-    critical = _tried(lambda: _critical(rig, solution, plane), "no critical speed", notes) if run.shaker is None else None
+    critical = (
+        _tried(lambda: _critical(rig, solution, plane), "no critical speed", notes)
+        if run.shaker is None
+        else None
+    )
     before = len(notes)
     threshold = _tried(lambda: _threshold(rig, solution), "no threshold", notes)
     stable = f"no threshold below {rig.search.highest / RPM:.0f} rpm"
@@ -106,9 +121,13 @@ def _threshold(rig: RunUpRotor, solution: AtLoad) -> Amount | None:
 
 
 def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None) -> FloatArray:
-    """Speeds of the run, denser about the peak, up to the predicted threshold, beyond which there is no steady motion."""
+    """Speeds of the run, denser about the peak, up to the predicted threshold, beyond which there is no
+    steady motion.
+    """
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
-    speed = np.linspace(run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1))
+    speed = np.linspace(
+        run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1)
+    )
     if critical is None:
         return speed
     about = critical.value + np.arange(-PEAK_POINTS, PEAK_POINTS + 1) * PEAK_STEP
@@ -117,5 +136,11 @@ def _drawn_speeds(run: RunUp, threshold: Amount | None, critical: Amount | None)
 
 def _curve(rig: RunUpRotor, run: RunUp, solution: AtLoad, speed: FloatArray) -> ComplexArray:
     shape = (speed.size, len(run.planes), 2)
-    bare = replace(run, speed=speed, response=np.ones(shape) + 0j, amplitude_error=np.ones(shape), phase_error=np.ones(shape))
+    bare = replace(
+        run,
+        speed=speed,
+        response=np.ones(shape) + 0j,
+        amplitude_error=np.ones(shape),
+        phase_error=np.ones(shape),
+    )
     return np.asarray(rig.excited(bare).response(*solution.at_speed(speed)).reshape(shape))

@@ -6,14 +6,17 @@ g_i(W, Omega), i one of the eight coefficients, are independent with mean zero a
 
     k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
 
-(Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of unit variance a priori, b from
-the eigenvectors of k over these places; the remaining variance elsewhere is *unexplained*.
+(Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of
+unit variance a priori, b from the eigenvectors of k over these places; the remaining variance elsewhere is
+*unexplained*.
 
-The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected joint fit.
+The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a rejected
+joint fit.
 
-Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve parameters p and the fields'
-z (see `process_field`), started at the joint fit. Size and lengths of the fields maximise the marginal likelihood of the responses,
-linearised about the last minimum (Rasmussen and Williams 2006, section 5.4.1), times log-normal priors of these three (HYPER).
+Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve
+parameters p and the fields' z (see `process_field`), started at the joint fit. Size and lengths of the fields
+maximise the marginal likelihood of the responses, linearised about the last minimum (Rasmussen and Williams
+2006, section 5.4.1), times log-normal priors of these three (HYPER).
 """
 
 from __future__ import annotations
@@ -62,14 +65,20 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s]. Equation (run-field)."""
+        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
+
+        Equation (run-field).
+        """
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data; *weights* (n_place, n_mode): U / sqrt(eigenvalue)."""
+    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data.
+
+    *weights* (n_place, n_mode): U / sqrt(eigenvalue).
+    """
 
     kernel: SquaredExponential
     places: FloatArray
@@ -91,14 +100,18 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N, rad/s]."""
+        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N,
+        rad/s].
+        """
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
 
 @dataclass(frozen=True)
 class ProcessFamily:
-    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row by row."""
+    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row
+    by row.
+    """
 
     family: FilmFamily
     field: SmoothField
@@ -114,15 +127,21 @@ class ProcessFamily:
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
-        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(values, load, speed)
+        return self.family.coefficients(values[: len(PARAMETERS)], load, speed) * self.factors(
+            values, load, speed
+        )
 
-    def coefficients_and_slopes(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def coefficients_and_slopes(
+        self, values: FloatArray, load: FloatArray, speed: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """`coefficients` [N/m, N s/m] and their derivatives by all parameters, (n_point, 8, n_parameter)."""
         film_eight, by_family = self.family.coefficients_and_slopes(values[: len(PARAMETERS)], load, speed)
         factors = self.factors(values, load, speed)
         eight = film_eight * factors
         by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
-        return eight, np.concatenate([by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1)
+        return eight, np.concatenate(
+            [by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1
+        )
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
@@ -131,7 +150,9 @@ class ProcessFamily:
 
 def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     """Places (n_point, 2) of loads [N] and speeds [rad/s]."""
-    return np.stack(np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1).reshape(-1, 2)
+    return np.stack(
+        np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64)), axis=-1
+    ).reshape(-1, 2)
 
 
 # Result of the joint fit with smooth factors and its predictions at any load, with the interface of the
@@ -143,11 +164,13 @@ PEAK_STEP = 5e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessFit:
-    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of the fit.
+    """Parameters *values* and *covariance* (n_parameter, n_parameter) of the *family*; *loads* [N]: those of
+    the fit.
 
-    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the priors; rank, condition: of
-    the data, in units of the priors; n_determined: combinations that the data determine better than the priors do. systematic (n_source,
-    n_parameter): changes by one standard uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these explain.
+    chi2, n_datum: of responses and thresholds; n_effective: parameters that the data determine against the
+    priors; rank, condition: of the data, in units of the priors; n_determined: combinations that the data
+    determine better than the priors do. systematic (n_source, n_parameter): changes by one standard
+    uncertainty of each of the *sources*, uncertainties of probes; chi2 is without what these explain.
     """
 
     rig: RunUpRotor
@@ -185,9 +208,10 @@ class ProcessFit:
         """Statement on the assumed factors and the combinations that the data determine."""
         kernel = self.kernel
         return (
-            f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over {kernel.load:.2g} N and "
-            f"{kernel.speed * 30 / np.pi:.0f} rpm, on the joint fit; of {self.values.size} parameters the data determine "
-            f"{self.n_determined} combinations better than these assumptions do"
+            f"smooth factors with a standard deviation of {100 * kernel.size:.0f} %, correlated over "
+            f"{kernel.load:.2g} N and {kernel.speed * 30 / np.pi:.0f} rpm, on the joint fit; of "
+            f"{self.values.size} parameters the data determine {self.n_determined} combinations better than "
+            "these assumptions do"
         )
 
     def at_load(self, load: float) -> CoefficientsAtSpeed:
@@ -208,7 +232,8 @@ class ProcessFit:
         return self.family.factors(self.values, load, speed)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless named.
+        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
+        named.
 
         Its error from d Omega = -d(A') / A'', A the displacement at the peak and at a little to both sides.
         """
@@ -217,14 +242,23 @@ class ProcessFit:
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
         eight = self.family.coefficients(self.values, load, around)
-        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(*as_matrices(eight))
+        response, slopes = self.rig.under_unbalance(around, self.rig.known_unbalance).response_and_slopes(
+            *as_matrices(eight)
+        )
         size = largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
-        by_eight = displacement_slopes(response, slopes)[:, number] * np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        by_eight = (
+            displacement_slopes(response, slopes)[:, number]
+            * np.array([1.0, 0.0, -1.0])[:, None]
+            / (2 * step * bend)
+        )
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]; None when there is none up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s].
+
+        None when there is none up to twice the highest speed of the search.
+        """
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -240,16 +274,20 @@ class ProcessFit:
         if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             return ""
         return (
-            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the smooth factors are extrapolated, and the "
-            f"interval assumes their correlation over {self.kernel.load:.2g} N"
+            f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): the smooth factors "
+            f"are extrapolated, and the interval assumes their correlation over {self.kernel.load:.2g} N"
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
-        """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed* (n_speed,)."""
+        """Standard error of a prediction with slopes *weights* (n_speed, 8) by the coefficients at *speed*
+        (n_speed,).
+        """
         eight, slopes = self.family.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
-        beyond = np.einsum("ni,nm,mi->", by_field, self.family.field.unexplained(places_of(load, speed)), by_field)
+        beyond = np.einsum(
+            "ni,nm,mi->", by_field, self.family.field.unexplained(places_of(load, speed)), by_field
+        )
         noise = by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0)
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
@@ -257,19 +295,24 @@ class ProcessFit:
 # The joint fit times smooth factors: a Gaussian process of the deviation from the film's family, for a
 # rejected joint fit.
 
-# Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load and speed.
+# Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load
+# and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
 ROUNDS = 2
 # Tolerance of a minimum, in standard errors: curved valleys converge slowly.
 NEAR = 0.1
-# Factor on the lengths, because only four of eight combinations are measured. On virtual rigs with arbitrary smooth factors
-# the coefficients come nearer to the truth by a tenth to a third, and their intervals cover it; without it they are too narrow.
+# Factor on the lengths, because only four of eight combinations are measured. On virtual rigs with arbitrary
+# smooth factors the coefficients come nearer to the truth by a tenth to a third, and their intervals cover
+# it; without it they are too narrow.
 CAUTION = 0.7
 SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 
 
-def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True) -> ProcessFit:
-    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the rotor file's bearing.
+def fit_with_process(
+    rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
+) -> ProcessFit:
+    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
+    rotor file's bearing.
 
     FitError when no minimum is found.
     """
@@ -299,7 +342,9 @@ def fit_with_process(rig: RunUpRotor, runs: Iterable[RunUp], joint: JointFit | N
 
 def _places(groups: tuple[LoadRuns, ...], thresholds: Thresholds) -> FloatArray:
     measured = [places_of(group.load, group.speed) for group in groups]
-    return np.concatenate([*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)])
+    return np.concatenate(
+        [*measured, *(places_of(load, np.array([speed.value])) for load, speed in thresholds)]
+    )
 
 
 def _ranges(places: FloatArray) -> FloatArray:
@@ -316,7 +361,10 @@ def _kernel(logarithms: FloatArray, ranges: FloatArray) -> SquaredExponential:
 def _minimum(problem: RunUpProblem[ProcessFamily], start: FloatArray) -> tuple[FloatArray, int]:
     minimum = minimise(problem, start, NEAR)
     if not minimum.converged:
-        raise FitError("no minimum of the fit with smooth factors was found", hint="check unbalance, phases, standard errors, rotor file")
+        raise FitError(
+            "no minimum of the fit with smooth factors was found",
+            hint="check unbalance, phases, standard errors, rotor file",
+        )
     return minimum.values, minimum.steps
 
 
@@ -331,9 +379,11 @@ def _carried(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArr
 
 @dataclass(frozen=True)
 class LinearData:
-    """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a minimum: r = A q - y.
+    """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a
+    minimum: r = A q - y.
 
-    normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the family's parameters.
+    normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place, 8, 12): q by the
+    family's parameters.
     """
 
     field: SmoothField
@@ -343,38 +393,53 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: RunUpProblem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
-        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s] of the data."""
+        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
+        of the data.
+        """
         n = len(PARAMETERS)
         eight, slopes = problem.family.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
         now = np.log(problem.family.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
         rows = _rows_by_place(problem, values, eight)
         normal = np.array([row.T @ row for _, row in rows])
-        side = np.array([row.T @ (row @ here - residual) for (residual, row), here in zip(rows, now, strict=True)])
+        side = np.array(
+            [row.T @ (row @ here - residual) for (residual, row), here in zip(rows, now, strict=True)]
+        )
         return cls(problem.family.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M = 1 + B^T A^T A B."""
+        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
+        = 1 + B^T A^T A B.
+        """
         basis = field.basis(field.places)
         scaled = self.by_family * PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)
         beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(PARAMETERS), -1)
         weighted = np.einsum("pij,pm->ijpm", self.normal, basis).reshape(64, basis.shape[0], -1)
-        block = (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
-        matrix = np.block([[corner, beside], [beside.T, block.reshape(beside.shape[1], -1)]]) + np.eye(corner.shape[0] + beside.shape[1])
+        block = (
+            (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
+        )
+        matrix = np.block([[corner, beside], [beside.T, block.reshape(beside.shape[1], -1)]]) + np.eye(
+            corner.shape[0] + beside.shape[1]
+        )
         side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
         factor = np.linalg.cholesky(matrix)
         reduced = linalg.solve_triangular(factor, side, lower=True)
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 
-def _rows_by_place(problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+def _rows_by_place(
+    problem: RunUpProblem[ProcessFamily], values: FloatArray, eight: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
     """Residual (n_equation,) and its slopes by ln coefficients (n_equation, 8) at every place of the data."""
     rows, first = [], 0
     for group in problem.groups:
         group_eight = eight[first : first + group.speed.size]
         residual, slopes = group.residual_and_slopes(group_eight)
-        rows += [(equations, slope * here) for equations, slope, here in zip(residual, slopes, group_eight, strict=True)]
+        rows += [
+            (equations, slope * here)
+            for equations, slope, here in zip(residual, slopes, group_eight, strict=True)
+        ]
         first += group.speed.size
     field = problem.family.field
     for number, (load, measured) in enumerate(problem.thresholds):
@@ -413,7 +478,8 @@ def _result(problem: RunUpProblem[ProcessFamily], values: FloatArray, steps: int
         loads=tuple(group.load for group in problem.groups),
         values=values,
         covariance=covariance,
-        chi2=float(residual @ residual) - pulls_of(residual, Stated.of(changes), slopes, covariance).explained,
+        chi2=float(residual @ residual)
+        - pulls_of(residual, Stated.of(changes), slopes, covariance).explained,
         n_datum=slopes.shape[0],
         n_effective=float(np.trace(covariance @ slopes.T @ slopes)),
         rank=int(rank),

@@ -1,4 +1,6 @@
-"""Run-ups, and results of run-ups: measurements, predictions of every method at every load, identifiability."""
+"""Run-ups, and results of run-ups: measurements, predictions of every method at every load,
+identifiability.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ DIRECTIONS = ("x", "y")
 
 @dataclass(frozen=True)
 class Shaker:
-    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the shaft's speed."""
+    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the
+    shaft's speed.
+    """
 
     plane: str
     x: float
@@ -31,10 +35,11 @@ class Shaker:
 
 @dataclass(frozen=True)
 class ProbeError:
-    """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X = (x, y).
+    """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X =
+    (x, y).
 
-    uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the number], w the frequency of the
-    response.
+    uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of the
+    number], w the frequency of the response.
     """
 
     uncertainty: Uncertainty
@@ -43,7 +48,11 @@ class ProbeError:
 
     def __post_init__(self) -> None:
         object.__setattr__(
-            self, "matrix", frozen_array(self.matrix, np.complex128, f"matrix of {self.uncertainty.source}", np.shape(self.matrix))
+            self,
+            "matrix",
+            frozen_array(
+                self.matrix, np.complex128, f"matrix of {self.uncertainty.source}", np.shape(self.matrix)
+            ),
         )
 
 
@@ -51,10 +60,11 @@ class ProbeError:
 class RunUp:
     """One run under one static *load* [N]; x along the load, y a quarter turn further with the spin.
 
-    speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from x(t) = Re(X exp(j w t)), w
-    the frequency of the excitation; amplitude_error [m] and phase_error [rad], like response: standard errors. unbalance [kg m] by
-    plane, complex with its angle from x at time zero; shaker: what excited the rotor instead; threshold [rad/s]: of instability, where
-    it was measured. uncertainties: of the probes' calibration. DataError where these do not fit together.
+    speed (n_speed,) [rad/s], rising; response (n_speed, n_plane, 2): complex phasors [m], 0-to-peak, from
+    x(t) = Re(X exp(j w t)), w the frequency of the excitation; amplitude_error [m] and phase_error [rad],
+    like response: standard errors. unbalance [kg m] by plane, complex with its angle from x at time zero;
+    shaker: what excited the rotor instead; threshold [rad/s]: of instability, where it was measured.
+    uncertainties: of the probes' calibration. DataError where these do not fit together.
     """
 
     name: str
@@ -77,7 +87,10 @@ class RunUp:
         for name in ("amplitude_error", "phase_error"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
             if not np.all(getattr(self, name) > 0):
-                raise DataError(f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere", hint="weights need it")
+                raise DataError(
+                    f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere",
+                    hint="weights need it",
+                )
         self._check_plain()
         self._check_excitation()
 
@@ -89,24 +102,34 @@ class RunUp:
         if self.speed.size == 0 or self.speed[0] <= 0 or np.any(np.diff(self.speed) <= 0):
             raise DataError(f"the speeds of run '{self.name}' must rise from above zero")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
-            raise DataError(f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty")
+            raise DataError(
+                f"the threshold of run '{self.name}' needs a positive speed and a positive uncertainty"
+            )
 
     def _check_excitation(self) -> None:
         named = [*self.unbalance, *([self.shaker.plane] if self.shaker is not None else [])]
         for plane in named:
             if plane not in self.planes:
-                raise DataError(f"run '{self.name}' is excited at '{plane}', which is not among its planes", hint=", ".join(self.planes))
+                raise DataError(
+                    f"run '{self.name}' is excited at '{plane}', which is not among its planes",
+                    hint=", ".join(self.planes),
+                )
         if bool(self.unbalance) == (self.shaker is not None):
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 
     def changes(self) -> dict[str, ComplexArray]:
-        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source; one source errs as one."""
+        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source.
+
+        One source errs as one.
+        """
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
         changes: dict[str, ComplexArray] = {}
         for error in self.uncertainties:
             course = error.uncertainty.std_error * omega**error.power
             change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
-            changes[error.uncertainty.source] = changes.get(error.uncertainty.source, np.zeros_like(self.response)) + change
+            changes[error.uncertainty.source] = (
+                changes.get(error.uncertainty.source, np.zeros_like(self.response)) + change
+            )
         return changes
 
     @property
@@ -148,7 +171,10 @@ class Amount:
 
 @dataclass(frozen=True)
 class Motion:
-    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak; errors where it was measured."""
+    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak.
+
+    Errors where it was measured.
+    """
 
     plane: str
     direction: str
@@ -160,7 +186,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Cascade:
-    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m] of each."""
+    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,)
+    [Hz], amplitude [m] of each.
+    """
 
     label: str
     speed: Column
@@ -170,9 +198,11 @@ class Cascade:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and *subtracted* as text.
+    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and
+    *subtracted* as text.
 
-    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original, enhanced) [Hz].
+    critical_speed, threshold [rad/s]: measured. printed_...: what a source prints (measured, original,
+    enhanced) [Hz].
     """
 
     name: str
@@ -192,10 +222,11 @@ class MeasuredRun:
 
 @dataclass(frozen=True)
 class RunPrediction:
-    """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,) [rad/s], and coefficients.
+    """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,)
+    [rad/s], and coefficients.
 
-    coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is empty where the method gives
-    none, null at a bound. *notes*: reasons of missing values, warnings.
+    coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is
+    empty where the method gives none, null at a bound. *notes*: reasons of missing values, warnings.
     """
 
     run: str
@@ -212,7 +243,9 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Convergence:
-    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if ended by a limit."""
+    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if
+    ended by a limit.
+    """
 
     where: str
     objective: Column
@@ -224,7 +257,9 @@ class Convergence:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Final points of several starts of one search: eight factors on the start values per start, and its objective."""
+    """Final points of several starts of one search: eight factors on the start values per start, and its
+    objective.
+    """
 
     where: str
     factors: tuple[Column, ...]
@@ -235,8 +270,8 @@ class StartSpread:
 class RunUpMethod:
     """One identification method: uncertainty and predictions. None where a method has no such number.
 
-    rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free: combinations that no datum
-    holds, in words; parameters: what was estimated, where they are few.
+    rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free:
+    combinations that no datum holds, in words; parameters: what was estimated, where they are few.
     """
 
     name: str
@@ -264,9 +299,11 @@ class RunUpMethod:
 
 @dataclass(frozen=True)
 class RankRow:
-    """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within the rank.
+    """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within
+    the rank.
 
-    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice* on the experiment, if any.
+    *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes; *advice*
+    on the experiment, if any.
     """
 
     data: str
@@ -279,7 +316,9 @@ class RankRow:
 
 @dataclass(frozen=True)
 class Surface:
-    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values [coefficient][load][speed] in SI units."""
+    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values
+    [coefficient][load][speed] in SI units.
+    """
 
     load: Column
     speed: Column
@@ -288,7 +327,8 @@ class Surface:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-] (8,).
+    """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-]
+    (8,).
 
     outside: the load lies beyond the others; *failed*: reason of a failed fit.
     """
@@ -301,7 +341,8 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class MetamodelResult:
-    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors, predictions, statistics as text.
+    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors,
+    predictions, statistics as text.
 
     *model*: entries from which it is read back.
     """
@@ -322,8 +363,8 @@ class MetamodelResult:
 class RunUpResult:
     """Run-ups of one rotor, all methods; *plane*: of the critical speeds; *source*: of the printed columns.
 
-    metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed [rad/s]; measured_rank: of the
-    runs there.
+    metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed
+    [rad/s]; measured_rank: of the runs there.
     """
 
     rotor: str

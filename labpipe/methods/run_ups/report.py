@@ -36,7 +36,20 @@ from labpipe.methods.run_ups.records import (
     StartSpread,
 )
 from labpipe.records.identification import Identification
-from labpipe.report.chart import INK, WIDTH, Axis, Chart, Drawing, Panel, Series, curve, dots, level, named_ticks, stacked
+from labpipe.report.chart import (
+    INK,
+    WIDTH,
+    Axis,
+    Chart,
+    Drawing,
+    Panel,
+    Series,
+    curve,
+    dots,
+    level,
+    named_ticks,
+    stacked,
+)
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
 # Tables of run-ups: measurements, critical and threshold speeds of every method, identifiability of the
@@ -45,17 +58,23 @@ from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 RPM = 30 / np.pi
 NAMES = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
 # Short names of columns.
-SHORT = {"start": "original", "amplitudes": "(a) amplitudes", "points": "(b) points", "joint": "(c) joint", "process": "(d) factors"}
+SHORT = {
+    "start": "original",
+    "amplitudes": "(a) amplitudes",
+    "points": "(b) points",
+    "joint": "(c) joint",
+    "process": "(d) factors",
+}
 # A space at which no line breaks.
 FIXED = "\N{NO-BREAK SPACE}"
 KINDS = {"critical_speed": "Critical speed", "threshold": "Threshold speed of instability"}
 DIFFERENCES = (
-    "Differences are relative to the measurement; in brackets by the source's rule, relative to the larger of the two. "
-    "* differs from the measurement by more than both standard errors explain (95 %)."
+    "Differences are relative to the measurement; in brackets by the source's rule, relative to the larger "
+    "of the two. * differs from the measurement by more than both standard errors explain (95 %)."
 )
 ADVICE_WORDS = (
-    "A round shaft under any unbalance moves its journal along the same vector: a second unbalance run adds no rank; a run "
-    "under a shaker, whose force does not turn with the shaft, does."
+    "A round shaft under any unbalance moves its journal along the same vector: a second unbalance run adds "
+    "no rank; a run under a shaker, whose force does not turn with the shaft, does."
 )
 # Rows of the table of coefficients: as many speeds.
 MOST_SPEEDS = 7
@@ -72,25 +91,49 @@ def rpm_text(amount: Amount | None) -> str:
 
 def measured_table(result: RunUpResult) -> Table:
     """Every run with load, role, excitation, and measured speeds."""
-    header = ("run", "load [N]", "role", "known unbalance or force", "speeds [rpm]", "critical speed [rpm]", "threshold [rpm]")
+    header = (
+        "run",
+        "load [N]",
+        "role",
+        "known unbalance or force",
+        "speeds [rpm]",
+        "critical speed [rpm]",
+        "threshold [rpm]",
+    )
     rows = tuple(_measured_row(run) for run in result.runs)
-    caption = f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one standard error"
+    caption = (
+        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
+        "standard error"
+    )
     return Table(header, rows, caption, (1, 5, 6))
 
 
 def _measured_row(run: MeasuredRun) -> tuple[str, ...]:
     speeds = f"{len(run.speed)} from {RPM * run.speed[0]:.0f} to {RPM * run.speed[-1]:.0f}"
     excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
-    return (run.name, f"{run.load:.4g}", run.role, excitation, speeds, rpm_text(run.critical_speed), rpm_text(run.threshold))
+    return (
+        run.name,
+        f"{run.load:.4g}",
+        run.role,
+        excitation,
+        speeds,
+        rpm_text(run.critical_speed),
+        rpm_text(run.threshold),
+    )
 
 
 def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Critical speeds and thresholds of every method with the measurement, then values printed in a source."""
+    """Critical speeds and thresholds of every method with the measurement, then values printed in a
+    source.
+    """
     blocks: list[Block] = []
     for item, title in KINDS.items():
         blocks.append(_speed_table(result, item, f"{title} [rpm]: measured, and by every method"))
         if result.metamodels:
-            caption = f"{title} [rpm] with coefficients of metamodels, from {result.metamodels_of} at the trained loads"
+            caption = (
+                f"{title} [rpm] with coefficients of metamodels, from {result.metamodels_of} at the "
+                "trained loads"
+            )
             blocks.append(_speed_table(result, item, caption, result.metamodels))
     blocks.append(Paragraph(DIFFERENCES))
     for item, title in KINDS.items():
@@ -98,7 +141,9 @@ def speed_blocks(result: RunUpResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _speed_table(result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()) -> Table:
+def _speed_table(
+    result: RunUpResult, item: str, caption: str, models: Sequence[MetamodelResult] = ()
+) -> Table:
     columns: Sequence[RunUpMethod | MetamodelResult] = models or result.methods
     header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
@@ -121,7 +166,9 @@ def _runs_with(result: RunUpResult, item: str) -> list[MeasuredRun]:
     selected: list[MeasuredRun] = []
     for run in result.runs:
         predictions = [method.prediction(run.name) for method in result.methods]
-        predicted = any(getattr(prediction, item) is not None for prediction in predictions if prediction is not None)
+        predicted = any(
+            getattr(prediction, item) is not None for prediction in predictions if prediction is not None
+        )
         again = item == "threshold" and any(run.load == other.load for other in selected)
         if getattr(run, item) is not None or (predicted and not again):
             selected.append(run)
@@ -152,12 +199,21 @@ def _speed_text(prediction: RunPrediction | None, item: str, measured: Amount | 
 def _mark(amount: Amount, measured: Amount) -> str:
     if amount.std_error is None or measured.std_error is None:
         return ""
-    return "*" if abs(amount.value - measured.value) > TWO_SIDED * math.hypot(amount.std_error, measured.std_error) else ""
+    return (
+        "*"
+        if abs(amount.value - measured.value) > TWO_SIDED * math.hypot(amount.std_error, measured.std_error)
+        else ""
+    )
 
 
 def both_differences(predicted: float, measured: float) -> str:
-    """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of the two."""
-    relative, rule = (predicted - measured) / measured, abs(predicted - measured) / max(abs(predicted), abs(measured))
+    """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of
+    the two.
+    """
+    relative, rule = (
+        (predicted - measured) / measured,
+        abs(predicted - measured) / max(abs(predicted), abs(measured)),
+    )
     return f"{100 * relative:+.2f} % ({100 * rule:.2f} %)"
 
 
@@ -170,23 +226,56 @@ def _printed_table(result: RunUpResult, item: str, title: str) -> list[Block]:
             continue
         measured, original, enhanced = (60 * value for value in printed)
         differences = (both_differences(value, measured) for value in (original, enhanced))
-        shown = [f"{value:.6g}: {difference}" for value, difference in zip((original, enhanced), differences, strict=True)]
+        shown = [
+            f"{value:.6g}: {difference}"
+            for value, difference in zip((original, enhanced), differences, strict=True)
+        ]
         rows.append((_run_name(run), f"{measured:.6g}", *shown))
     if not rows:
         return []
-    caption = f"{title} [rpm] as printed in {result.source or 'a source'}: for reference, measured on another rig"
-    return [Table(("run", "measured (source)", "original (source)", "enhanced (source)"), tuple(rows), caption, (1, 2, 3))]
+    caption = (
+        f"{title} [rpm] as printed in {result.source or 'a source'}: for reference, measured on another rig"
+    )
+    return [
+        Table(
+            ("run", "measured (source)", "original (source)", "enhanced (source)"),
+            tuple(rows),
+            caption,
+            (1, 2, 3),
+        )
+    ]
 
 
 def uncertainty_blocks(result: RunUpResult) -> tuple[Block, ...]:
-    """Rank, condition, bounds and chi-square of every method; undetermined combinations; recommended experiment."""
+    """Rank, condition, bounds and chi-square of every method; undetermined combinations.
+
+    Recommended experiment.
+    """
     fitted = [method for method in result.methods if method.rank is not None]
-    header = ("method", "verdict", "rank", "condition", "at a bound", "data", "effective parameters", "chi² per datum")
+    header = (
+        "method",
+        "verdict",
+        "rank",
+        "condition",
+        "at a bound",
+        "data",
+        "effective parameters",
+        "chi² per datum",
+    )
     rows = tuple(_uncertainty_row(method) for method in fitted)
-    caption = "Identifiability by method; rank and condition of (a) and (b): the worst point of eight unknowns each"
+    caption = (
+        "Identifiability by method; rank and condition of (a) and (b): the worst point of eight unknowns each"
+    )
     blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
     for method in fitted:
-        remarks = [*method.remarks, *([f"Determined by the priors alone: {'; '.join(method.free)} (logarithms)."] if method.free else [])]
+        remarks = [
+            *method.remarks,
+            *(
+                [f"Determined by the priors alone: {'; '.join(method.free)} (logarithms)."]
+                if method.free
+                else []
+            ),
+        ]
         if remarks:
             blocks.append(Paragraph(f"{method.title}: {' '.join(remarks)}"))
     blocks.extend(_rank_blocks(result))
@@ -202,7 +291,9 @@ def _uncertainty_row(method: RunUpMethod) -> tuple[str, ...]:
         "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
         str(method.n_datum),
         "" if method.n_effective is None else f"{method.n_effective:.0f}",
-        "no redundant datum" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
+        "no redundant datum"
+        if method.chi2_per_datum is None
+        else f"{method.chi2_per_datum:.2f} ({_p_text(method.chi2_p)})",
     )
 
 
@@ -218,26 +309,39 @@ def _rank_blocks(result: RunUpResult) -> list[Block]:
     place = f"{result.rank_load:.3g} N and {RPM * result.rank_speed:.0f} rpm"
     rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
     table = Table(
-        ("data", "rank", "condition", "measured combinations"), rows, f"Rank of the eight coefficients by kind of data, at {place}", (1, 2)
+        ("data", "rank", "condition", "measured combinations"),
+        rows,
+        f"Rank of the eight coefficients by kind of data, at {place}",
+        (1, 2),
     )
     blocks: list[Block] = [table, Paragraph(f"Advice: {ADVICE_WORDS}", "note")]
     rank = result.measured_rank
     if rank is not None and rank.free:
         free = tuple((str(number), combination) for number, combination in enumerate(rank.free, 1))
-        caption = f"Combinations that the runs {rank.data} do not determine at {place}, in parts of the coefficients' sizes"
+        caption = (
+            f"Combinations that the runs {rank.data} do not determine at {place}, in parts of the "
+            "coefficients' sizes"
+        )
         blocks.append(Table(("no.", "combination"), free, caption, (0,)))
     return blocks
 
 
 def parameter_table(method: RunUpMethod) -> Table:
-    """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the slopes."""
+    """The physical parameters of a joint fit: factors on the rotor file's values, exponents for the
+    slopes.
+    """
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
         value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
         rows.append((parameter.name, kind, value, error or "none", " to ".join(ends) or "at bound"))
-    caption = f"{method.title}: posterior values with their standard deviations, as factors on the rotor file's bearing"
-    return Table(("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4))
+    caption = (
+        f"{method.title}: posterior values with their standard deviations, as factors on the rotor "
+        "file's bearing"
+    )
+    return Table(
+        ("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4)
+    )
 
 
 def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
@@ -247,9 +351,14 @@ def coefficient_table(method: RunUpMethod, run: MeasuredRun) -> Table | None:
         return None
     n = len(prediction.coefficient_speed)
     chosen = dict.fromkeys(np.linspace(0, n - 1, min(n, MOST_SPEEDS)).round().astype(int).tolist())
-    rows = tuple((f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen)
+    rows = tuple(
+        (f"{RPM * prediction.coefficient_speed[place]:.0f}", *_eight(prediction, place)) for place in chosen
+    )
     units = tuple(f"{name} [{'kN/m' if name.startswith('k') else 'N s/m'}]" for name in NAMES)
-    caption = f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; every speed in identification.json"
+    caption = (
+        f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; "
+        "every speed in identification.json"
+    )
     return Table(("speed [rpm]", *units), rows, caption, tuple(range(9)))
 
 
@@ -278,8 +387,13 @@ def validation_table(models: Sequence[MetamodelResult]) -> Table:
             whole = 100 * float(np.sqrt(np.mean(np.square(validation.errors))))
             position = "outside" if validation.outside else "between"
             rows.append((model.title, f"{validation.load:.4g}", position, *errors, f"{whole:.1f}"))
-    caption = f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to the others"
-    return Table(("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12)))
+    caption = (
+        f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
+        "the others"
+    )
+    return Table(
+        ("metamodel", "load [N]", "of the others", *NAMES, "all"), tuple(rows), caption, tuple(range(3, 12))
+    )
 
 
 # Journal coefficients as figures: over speed at one load, as surfaces over load and speed; convergence and
@@ -294,7 +408,9 @@ ITERATION = Axis("iteration")
 
 @dataclass(frozen=True, eq=False)
 class CoefficientSurfaces:
-    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed) in the units of *titles*."""
+    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed)
+    in the units of *titles*.
+    """
 
     speed: FloatArray
     load: FloatArray
@@ -307,13 +423,20 @@ def _scale(name: str) -> tuple[float, str]:
 
 
 def coefficient_figure(result: RunUpResult, run: MeasuredRun) -> Figure:
-    """The eight coefficients over speed at one run's load, by every method, with 95 % bands where a method has them."""
+    """The eight coefficients over speed at one run's load, by every method, with 95 % bands where a method
+    has them.
+    """
     # Stiffness stands in the left column, damping in the right one.
     order = [row + 4 * column for row in range(4) for column in range(2)]
     panels = [Panel(SPEED, Axis(NAMES[n], _scale(NAMES[n])[1]), _coefficient(result, run, n)) for n in order]
     chart = Chart(tuple(panels), 4, 2, (WIDTH, 7.8), "x", "above")
-    caption = f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method; shaded: 95 % intervals, where a method has any."
-    return Figure(chart, caption, f"Eight journal coefficients over speed at {run.load:.4g} N by every method")
+    caption = (
+        f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method; shaded: 95 % "
+        "intervals, where a method has any."
+    )
+    return Figure(
+        chart, caption, f"Eight journal coefficients over speed at {run.load:.4g} N by every method"
+    )
 
 
 def _coefficient(result: RunUpResult, run: MeasuredRun, number: int) -> tuple[Series, ...]:
@@ -340,8 +463,16 @@ def convergence_figure(method: RunUpMethod, search: Convergence) -> Figure:
     steps = np.arange(len(search.objective))
     meshed = bool(np.any(np.isfinite(search.mesh)))
     panels = (
-        Panel(ITERATION, Axis("objective", "um²", logarithmic=True), (_steps("objective", steps, 1e12 * np.array(search.objective)),)),
-        Panel(ITERATION, Axis("mesh size, part of the box", logarithmic=meshed), (_steps("mesh", steps, search.mesh),) if meshed else ()),
+        Panel(
+            ITERATION,
+            Axis("objective", "um²", logarithmic=True),
+            (_steps("objective", steps, 1e12 * np.array(search.objective)),),
+        ),
+        Panel(
+            ITERATION,
+            Axis("mesh size, part of the box", logarithmic=meshed),
+            (_steps("mesh", steps, search.mesh),) if meshed else (),
+        ),
         Panel(ITERATION, Axis("evaluations"), (_steps("evaluations", steps, search.evaluations),)),
         _factors((dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
@@ -367,10 +498,18 @@ def spread_figure(method: RunUpMethod, spread: StartSpread) -> Figure:
     """Final factors of all starts of one search."""
     factors = np.array(spread.factors)
     shift = np.linspace(-BESIDE, BESIDE, len(factors))[:, None]
-    starts = dots(f"{len(factors)} starts", (np.arange(8) + shift).reshape(-1), factors.reshape(-1), 3, marker="o")
+    starts = dots(
+        f"{len(factors)} starts", (np.arange(8) + shift).reshape(-1), factors.reshape(-1), 3, marker="o"
+    )
     mean = dots("mean", np.arange(8), factors.mean(axis=0), INK, marker="s", size=4.0)
-    caption = f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
-    return Figure(stacked([_factors((starts, mean))], 2.9), caption, f"Spread of the factors over {len(factors)} starts at {spread.where}")
+    caption = (
+        f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
+    )
+    return Figure(
+        stacked([_factors((starts, mean))], 2.9),
+        caption,
+        f"Spread of the factors over {len(factors)} starts at {spread.where}",
+    )
 
 
 def spread_text(spread: StartSpread) -> str:
@@ -379,7 +518,9 @@ def spread_text(spread: StartSpread) -> str:
     reached = f"all meet the measured amplitudes within {100 * max(spread.objective):.2g} %"
     if wide < ALIKE:
         return f"{reached}, with factors that agree within {wide:.2f}"
-    return f"{reached}, yet their factors spread over {wide:.2f} (median): the coefficients are not determined"
+    return (
+        f"{reached}, yet their factors spread over {wide:.2f} (median): the coefficients are not determined"
+    )
 
 
 def surface_figures(model: MetamodelResult) -> list[Figure]:
@@ -390,35 +531,57 @@ def surface_figures(model: MetamodelResult) -> list[Figure]:
 def _surfaces(model: MetamodelResult, first: int, quantity: str) -> Figure:
     names = NAMES[first : first + 4]
     scales = [_scale(name) for name in names]
-    values = np.array([scale * np.array(model.surface.values[first + n]) for n, (scale, _) in enumerate(scales)])
+    values = np.array(
+        [scale * np.array(model.surface.values[first + n]) for n, (scale, _) in enumerate(scales)]
+    )
     load = np.array(model.surface.load)
     titles = tuple(f"{name} [{unit}]" for name, (_, unit) in zip(names, scales, strict=True))
-    surfaces = CoefficientSurfaces(REVOLUTIONS_PER_MINUTE * np.array(model.surface.speed), load, values, titles)
+    surfaces = CoefficientSurfaces(
+        REVOLUTIONS_PER_MINUTE * np.array(model.surface.speed), load, values, titles
+    )
     fitted = [validation.load for validation in model.left_out]
-    beyond = f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N extrapolated" if fitted and max(fitted) < 0.99 * load.max() else ""
-    caption = f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
+    beyond = (
+        f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N extrapolated"
+        if fitted and max(fitted) < 0.99 * load.max()
+        else ""
+    )
+    caption = (
+        f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
+    )
     drawing = Drawing("surfaces", surfaces, (WIDTH, 6.2))
-    return Figure(drawing, caption, f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}")
+    return Figure(
+        drawing,
+        caption,
+        f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
+    )
 
 
 # Report of run-ups: measurements, predictions and coefficients of every method, identifiability, figures.
 
 FRAME = (
-    "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of the largest displacement on the "
+    "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of "
+    "the largest displacement on the "
     "orbit, read between the measured speeds; the threshold is the onset speed of instability."
 )
 
 
 def cover_facts(result: RunUpResult) -> dict[str, str]:
     """The rotor, and its runs with their loads."""
-    return {"rig": result.rotor, "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs)}
+    return {
+        "rig": result.rotor,
+        "run-ups": ", ".join(f"{run.name} ({run.load:.3g} N, {run.role})" for run in result.runs),
+    }
 
 
 def run_up_sections(result: RunUpResult, _identification: Identification) -> tuple[Section, ...]:
-    """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of every run."""
+    """Sections on measurements, both speeds, identifiability, coefficients, metamodels, and the response of
+    every run.
+    """
     return (
         Section(f"Run-ups: {result.rotor}", _measured(result)),
-        Section("Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))),
+        Section(
+            "Critical speed and threshold", (speeds_figure(result), *speed_blocks(result), *_cautions(result))
+        ),
         Section("Identifiability of the coefficients", _uncertainty(result)),
         Section("Journal coefficients", _coefficients(result)),
         *([Section("Metamodels", _metamodels(result))] if result.metamodels else []),
@@ -430,7 +593,13 @@ def _measured(result: RunUpResult) -> tuple[Block, ...]:
     method = best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
-    return (Paragraph(description), measured_table(result), polar_figure(result, method), orbit_figure(result, method), *cascades)
+    return (
+        Paragraph(description),
+        measured_table(result),
+        polar_figure(result, method),
+        orbit_figure(result, method),
+        *cascades,
+    )
 
 
 def _cautions(result: RunUpResult) -> tuple[Block, ...]:
@@ -438,7 +607,10 @@ def _cautions(result: RunUpResult) -> tuple[Block, ...]:
     notes = _notes(result.methods)
     held_out = {run.name for run in result.runs if run.role == HELD_OUT}
     return tuple(
-        Paragraph(f"{text} ({', '.join(runs)}).", "warning" if held_out & set(runs) and "outside the loads" in text else "note")
+        Paragraph(
+            f"{text} ({', '.join(runs)}).",
+            "warning" if held_out & set(runs) and "outside the loads" in text else "note",
+        )
         for text, runs in notes.items()
     )
 
@@ -473,11 +645,14 @@ def _coefficients(result: RunUpResult) -> tuple[Block, ...]:
 
 def _metamodels(result: RunUpResult) -> tuple[Block, ...]:
     basis = (
-        f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is (c). A metamodel is no "
-        "better than these: a small leave-one-out error means that the coefficients are smooth, not that they are right."
+        f"Fitted to the coefficients of {result.metamodels_of} at the trained loads; the physical fit is "
+        "(c). A metamodel is no better than these: a small leave-one-out error means that the coefficients "
+        "are smooth, not that they are right."
     )
     blocks: list[Block] = [Paragraph(basis), validation_table(result.metamodels)]
-    blocks += [Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in _notes(result.metamodels).items()]
+    blocks += [
+        Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in _notes(result.metamodels).items()
+    ]
     for model in result.metamodels:
         blocks += [Paragraph(f"{model.title}: {' '.join(model.remarks)}")] if model.remarks else []
         blocks += surface_figures(model)

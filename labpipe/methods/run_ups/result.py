@@ -1,4 +1,6 @@
-"""All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds."""
+"""All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold
+speeds.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,12 @@ from labpipe.records.identification import ListedParameter
 # Metamodels of the journal coefficients over load and speed, and their predictions for every run.
 
 # Name in a pipeline -> kind of labpipe.methods.run_ups.metamodels.
-KINDS = {"response-surface": "surface", "network": "network", "gaussian-process": "process", "physical": "physical"}
+KINDS = {
+    "response-surface": "surface",
+    "network": "network",
+    "gaussian-process": "process",
+    "physical": "physical",
+}
 TITLES = {
     "response-surface": "second-order response surface",
     "network": "feed-forward network",
@@ -57,7 +64,11 @@ SURFACE_LOADS, SURFACE_SPEEDS = 11, 15
 
 
 def metamodels(
-    settings: RunUpSettings, rig: RunUpRotor, trained: Sequence[RunUp], runs: Sequence[RunUp], solved: Sequence[Solved]
+    settings: RunUpSettings,
+    rig: RunUpRotor,
+    trained: Sequence[RunUp],
+    runs: Sequence[RunUp],
+    solved: Sequence[Solved],
 ) -> tuple[MetamodelResult, ...]:
     """Metamodels of the section in its order; LabpipeError names the metamodel that cannot be fitted."""
     if not settings.metamodels:
@@ -73,10 +84,20 @@ def metamodels(
         model = _fitted(name, grid, joint, settings.seed)
         rows = tuple(_left_out_row(method) for method in left_out if method.kind == KINDS[name])
         source = by_name["joint" if name == "physical" else settings.metamodels_of].method
-        uncertainty = (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
+        uncertainty = (
+            (f"of a fit that chi-square rejects, {source.title}",) if source.verdict == REJECTED else ()
+        )
         predictions = tuple(_prediction(model, rig, run, settings.plane, uncertainty) for run in runs)
         results.append(
-            MetamodelResult(name, TITLES[name], _surface(model, runs), rows, predictions, (f"{model.statement}.",), model.to_entries())
+            MetamodelResult(
+                name,
+                TITLES[name],
+                _surface(model, runs),
+                rows,
+                predictions,
+                (f"{model.statement}.",),
+                model.to_entries(),
+            )
         )
     return tuple(results)
 
@@ -105,25 +126,40 @@ def _left_out_row(validation: LeftOutOf) -> LeftOut:
 
 
 def _at_speed(model: Metamodel, load: float) -> CoefficientsAtSpeed:
-    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the film there."""
+    """Beyond the measured speeds K and Omega C stay constant, except for the physical fit, which computes the
+    film there.
+    """
     return carried_beyond(partial(model.predict, load), *model.speeds)
 
 
-def _prediction(model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]) -> RunPrediction:
+def _prediction(
+    model: Metamodel, rig: RunUpRotor, run: RunUp, plane: str, uncertainty: tuple[str, ...]
+) -> RunPrediction:
     run_rig = with_unbalance_of(rig, run)
     remark = caution(model, run.load)
-    notes = (*uncertainty, *((remark,) if remark else ()), *(() if isinstance(model, PhysicalFit) else (BEYOND,)))
+    notes = (
+        *uncertainty,
+        *((remark,) if remark else ()),
+        *(() if isinstance(model, PhysicalFit) else (BEYOND,)),
+    )
     eight = model.predict(run.load, run.speed)
     error = None if uncertainty else model.std_error(run.load, run.speed)
-    return predict(run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False)
+    return predict(
+        run_rig, run, AtLoad(_at_speed(model, run.load), eight, error, notes=notes), plane, curves=False
+    )
 
 
 def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
     """Coefficients over all loads, held-out loads included, and the speeds of the fit."""
     loads = [run.load for run in runs]
-    load, speed = np.linspace(min(loads), max(loads), SURFACE_LOADS), np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
+    load, speed = (
+        np.linspace(min(loads), max(loads), SURFACE_LOADS),
+        np.linspace(*model.extent.speeds, SURFACE_SPEEDS),
+    )
     values = np.stack([model.predict(one_load, speed) for one_load in load])
-    return Surface(column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)))
+    return Surface(
+        column(load), column(speed), tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8))
+    )
 
 
 # All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold speeds,
@@ -132,7 +168,9 @@ def _surface(model: Metamodel, runs: Sequence[RunUp]) -> Surface:
 Tell = Callable[[str], None]
 
 
-def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadRun], tell: Tell = lambda _: None) -> RunUpResult:
+def run_up_result(
+    settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadRun], tell: Tell = lambda _: None
+) -> RunUpResult:
     """All methods of the settings, fitted to the trained runs and compared on every run."""
     measured = [measured_run(item, settings.plane) for item in read]
     runs = [item.run for item in read]
@@ -153,7 +191,10 @@ def run_up_result(settings: RunUpSettings, rig: RunUpRotor, read: Sequence[ReadR
         runs=tuple(record for record, _ in measured),
         methods=tuple(methods),
         metamodels=metamodels(settings, rig, trained, runs, solved),
-        metamodels_of=next((item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of), ""),
+        metamodels_of=next(
+            (item.title for item in methods if settings.metamodels and item.name == settings.metamodels_of),
+            "",
+        ),
         **ranks,
         source=settings.source,
     )
@@ -171,10 +212,14 @@ def _solved(name: str, rig: RunUpRotor, trained: Sequence[RunUp], settings: RunU
 
 
 def _with_predictions(method: Solved, rig: RunUpRotor, runs: Sequence[RunUp], plane: str) -> RunUpMethod:
-    return replace(method.method, predictions=tuple(prediction(method.predictor, rig, run, plane) for run in runs))
+    return replace(
+        method.method, predictions=tuple(prediction(method.predictor, rig, run, plane) for run in runs)
+    )
 
 
-def prediction(predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True) -> RunPrediction:
+def prediction(
+    predictor: Predictor, rig: RunUpRotor, run: RunUp, plane: str, curves: bool = True
+) -> RunPrediction:
     """Prediction of a method for a run."""
     run_rig = with_unbalance_of(rig, run)
     return predict(run_rig, run, predictor(run_rig, run), plane, curves)
@@ -184,7 +229,10 @@ def _bearing_text(rig: RunUpRotor) -> str:
     bearing = rig.place.bearing
     if not isinstance(bearing, JournalBearing):
         return f"{rig.place.kind} '{rig.place.name}'"
-    size = f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm, clearance {1e6 * bearing.clearance:.4g} um"
+    size = (
+        f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm, clearance "
+        f"{1e6 * bearing.clearance:.4g} um"
+    )
     return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
 
 
@@ -207,7 +255,11 @@ def _with_findings(result: RunUpResult, reasons: Sequence[str], read: Sequence[R
     findings = [
         *(finding for method in result.methods for finding in _uncertainties(method, result.runs)),
         *(note("no-critical-speed", reason) for reason in reasons),
-        *(note("residual", f"{item.run.name}: '{item.settings.subtract}' is subtracted") for item in read if item.settings.subtract),
+        *(
+            note("residual", f"{item.run.name}: '{item.settings.subtract}' is subtracted")
+            for item in read
+            if item.settings.subtract
+        ),
         *_advice(result),
     ]
     return replace(result, findings=tuple(findings))
@@ -218,7 +270,8 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
     findings = []
     if method.verdict == "not determined":
         message = (
-            f"{method.title}: the data determine {method.rank} of {method.unknowns} coefficients at a point; the values are not determined"
+            f"{method.title}: the data determine {method.rank} of {method.unknowns} coefficients at a "
+            "point; the values are not determined"
         )
         findings.append(Finding("collinear", f"{message}, however well the response is met."))
     if method.verdict == "rejected":
@@ -228,14 +281,30 @@ def _uncertainties(method: RunUpMethod, runs: Sequence[MeasuredRun]) -> list[Fin
     if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < LEAST_PROBABILITY:
         excess = f"chi² per datum is {method.chi2_per_datum:.2f}: the residual exceeds the noise"
         bounds = f"{100 * (method.share_at_bound or 0.0):.0f} % of the coefficients lie on their bounds"
-        findings.append(Finding("model-mismatch", f"{method.title}: {excess}; {bounds}, and stated errors may be too small."))
+        findings.append(
+            Finding(
+                "model-mismatch", f"{method.title}: {excess}; {bounds}, and stated errors may be too small."
+            )
+        )
     bound = [parameter.name for parameter in method.parameters if parameter.at_bound]
     if bound:
-        findings.append(Finding("at-bound", f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."))
+        findings.append(
+            Finding(
+                "at-bound",
+                f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing.",
+            )
+        )
     for run in runs:
         run_prediction = method.prediction(run.name)
-        if run.role == HELD_OUT and run_prediction is not None and run_prediction.notes and method.verdict in ("rejected", "not rejected"):
-            findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(run_prediction.notes)}."))
+        if (
+            run.role == HELD_OUT
+            and run_prediction is not None
+            and run_prediction.notes
+            and method.verdict in ("rejected", "not rejected")
+        ):
+            findings.append(
+                Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(run_prediction.notes)}.")
+            )
     return findings
 
 
@@ -255,7 +324,9 @@ MEASURED = "run_ups.measured"
 
 
 def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParameter]:
-    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and predicted."""
+    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
+    predicted.
+    """
     for run in result.runs:
         yield from _speeds(MEASURED, run.name, run, ())
     predictors: list[RunUpMethod | MetamodelResult] = [*result.methods, *result.metamodels]
@@ -268,9 +339,19 @@ def listed_speeds_and_parameters(result: RunUpResult) -> Iterator[ListedParamete
             yield from _speeds(fit, prediction.run, prediction, codes)
 
 
-def _speeds(fit: str, run: str, owner: MeasuredRun | RunPrediction, codes: tuple[str, ...]) -> Iterator[ListedParameter]:
+def _speeds(
+    fit: str, run: str, owner: MeasuredRun | RunPrediction, codes: tuple[str, ...]
+) -> Iterator[ListedParameter]:
     for name in ("critical_speed", "threshold"):
         speed: Amount | None = getattr(owner, name)
         if speed is not None:
-            parameter = Parameter(name, speed.value, "rad/s", std_error=speed.std_error, t_ratio=None, ci95=speed.ci95, derived=True)
+            parameter = Parameter(
+                name,
+                speed.value,
+                "rad/s",
+                std_error=speed.std_error,
+                t_ratio=None,
+                ci95=speed.ci95,
+                derived=True,
+            )
             yield ListedParameter(fit=fit, parameter=parameter, test=run, model="run_ups", warnings=codes)

@@ -1,6 +1,8 @@
-"""The rotor of run-ups: a pinned shaft on one loaded bearing, response of its planes, critical and threshold speeds.
+"""The rotor of run-ups: a pinned shaft on one loaded bearing, response of its planes, critical and threshold
+speeds.
 
-Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has no direction of its own).
+Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has
+no direction of its own).
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ from labpipe.registry import nearest
 RPM = np.pi / 30
 # Number of speeds in the search for peaks and thresholds; range of thresholds relative to the highest speed.
 N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
-# From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the spin.
+# From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the
+# spin.
 ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -56,7 +59,9 @@ class TabulatedCoefficients(Protocol):
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to *highest*."""
+    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to
+    *highest*.
+    """
 
     low: float
     high: float
@@ -82,10 +87,12 @@ class SpeedSearch:
 
 @dataclass(frozen=True)
 class RunUpRotor:
-    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*; *unbalances*: of the rotor file.
+    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*; *unbalances*: of the
+    rotor file.
 
-    *tabulated*: journal coefficients instead of the film's; beyond their speeds K and Omega C stay constant. *speeds*: range of the search
-    for critical speeds [rad/s], thresholds up to twice its end; default: the speeds of the run-ups (`searched_over`).
+    *tabulated*: journal coefficients instead of the film's; beyond their speeds K and Omega C stay constant.
+    *speeds*: range of the search for critical speeds [rad/s], thresholds up to twice its end; default: the
+    speeds of the run-ups (`searched_over`).
 
     ConfigError for a node that does not exist or lies outside the pins, or two planes of one name.
     """
@@ -102,10 +109,17 @@ class RunUpRotor:
 
     def __post_init__(self) -> None:
         if not self.planes:
-            raise ConfigError("planes: a run-up needs a plane at which it is measured", hint="for example planes: {disc 1: 2}")
+            raise ConfigError(
+                "planes: a run-up needs a plane at which it is measured",
+                hint="for example planes: {disc 1: 2}",
+            )
         if len({node for _, node in self.planes}) < len(self.planes):
             raise ConfigError("planes: two planes sit on one node")
-        for node in (self.place.node, *(node for _, node in self.planes), *(unbalance.node for unbalance in self.unbalances)):
+        for node in (
+            self.place.node,
+            *(node for _, node in self.planes),
+            *(unbalance.node for unbalance in self.unbalances),
+        ):
             self.pinned.dofs(node)
         for unbalance in self.unbalances:
             self.plane_at(unbalance.node)
@@ -114,7 +128,10 @@ class RunUpRotor:
     def search(self) -> SpeedSearch:
         """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
         if self.speeds is None:
-            raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint="for example speeds: 400-3000 rpm")
+            raise ConfigError(
+                "speeds: are missing, and there is no run-up to take them from",
+                hint="for example speeds: 400-3000 rpm",
+            )
         return SpeedSearch(*self.speeds)
 
     @cached_property
@@ -150,18 +167,31 @@ class RunUpRotor:
         for name, here in self.planes:
             if here == node:
                 return name
-        raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:")
+        raise ConfigError(
+            f"there is no plane at node {node}, where an unbalance sits", hint="name it under planes:"
+        )
 
     def under_unbalance(self, speed: FloatArray, unbalance: Mapping[str, complex]) -> CondensedRotor:
-        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane; outputs x, y of every plane."""
-        forces = unbalance_forces(self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed)
-        return condensed_rotor(self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes))
+        """Condensed to the bearing at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] by plane.
+
+        Outputs x, y of every plane.
+        """
+        forces = unbalance_forces(
+            self.pinned, {self.node(plane): size for plane, size in unbalance.items()}, speed
+        )
+        return condensed_rotor(
+            self.pinned, self.place.node, speed, forces, tuple(node for _, node in self.planes)
+        )
 
     def excited(self, run: RunUp) -> CondensedRotor:
-        """Condensed at the speeds, and under the excitation, of a run; DataError when the run has other planes."""
+        """Condensed at the speeds, and under the excitation, of a run.
+
+        DataError when the run has other planes.
+        """
         if run.planes != self.plane_names:
             raise DataError(
-                f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has {', '.join(self.plane_names)}",
+                f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has "
+                f"{', '.join(self.plane_names)}",
                 hint="name the planes alike in the rotor file and the run-up, in one order",
             )
         if run.shaker is None:
@@ -173,7 +203,9 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, run.speed)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld number), or as *tabulated*."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld
+        number), or as *tabulated*.
+        """
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
@@ -186,8 +218,12 @@ class RunUpRotor:
 
     def _by_speed(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K and C (n_speed, 2, 2) of a bearing computed speed by speed, in the frame of the load."""
-        points = [self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
-        stiffness, damping = (np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping"))
+        points = [
+            self.place.bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()
+        ]
+        stiffness, damping = (
+            np.stack([getattr(point, name) for point in points]) for name in ("stiffness", "damping")
+        )
         return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
 
     def start(self, load: float) -> CoefficientsAtSpeed:
@@ -199,10 +235,14 @@ class RunUpRotor:
         outputs = self.under_unbalance(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
-    def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = "") -> float:
-        """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known unbalance.
+    def critical_speed(
+        self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = ""
+    ) -> float:
+        """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known
+        unbalance.
 
-        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak within the search.
+        Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without a peak
+        within the search.
         """
         number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
         search = self.search.critical
@@ -219,16 +259,25 @@ class RunUpRotor:
         before, here, after = values[middle - 1 : middle + 2]
         return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
 
-    def _displacement(self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str) -> FloatArray:
+    def _displacement(
+        self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str
+    ) -> FloatArray:
         response = self.response(speed, coefficients)
-        return np.abs(response[..., DIRECTIONS.index(direction)]) if direction else largest_displacement(response)
+        return (
+            np.abs(response[..., DIRECTIONS.index(direction)])
+            if direction
+            else largest_displacement(response)
+        )
 
     def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
         """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
         return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset speed of instability [rad/s], up to twice the highest speed of the search; None when there is none."""
+        """Onset speed of instability [rad/s], up to twice the highest speed of the search.
+
+        None when there is none.
+        """
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
@@ -241,13 +290,18 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of phasors (..., 2).
+    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
+    phasors (..., 2).
 
     Equation (rotor-largest).
     """
-    return (np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])) / 2
+    return (
+        np.abs(response[..., 0] + 1j * response[..., 1]) + np.abs(response[..., 0] - 1j * response[..., 1])
+    ) / 2
 
 
 def relative_difference(first: float, second: float) -> tuple[float, float]:
-    """A prediction against a measurement [-]: relative to the measurement, and by the source's rule, relative to the larger of the two."""
+    """A prediction against a measurement [-]: relative to the measurement, and by the source's rule, relative
+    to the larger of the two.
+    """
     return (first - second) / second, abs(first - second) / max(abs(first), abs(second))

@@ -11,7 +11,15 @@ import numpy as np
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.methods.rotor.rig import Unbalance
-from labpipe.methods.rotor.rotor_file import LISTS, DampingSettings, build_rotor, read_bearings, read_entries, read_materials, tried
+from labpipe.methods.rotor.rotor_file import (
+    LISTS,
+    DampingSettings,
+    build_rotor,
+    read_bearings,
+    read_entries,
+    read_materials,
+    tried,
+)
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
@@ -30,9 +38,14 @@ class PinnedSettings(Settings):
     name: str = setting("text", "name of the rotor, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rotor", default="")
     speeds: tuple[float, float] | None = setting(
-        "band", "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups", unit="Hz", default=None
+        "band",
+        "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups",
+        unit="Hz",
+        default=None,
     )
-    coefficients: str = setting("text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default="")
+    coefficients: str = setting(
+        "text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default=""
+    )
 
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
@@ -50,29 +63,48 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
 def files_of(path: Path) -> tuple[Path, ...]:
     """The rotor file and the file of its coefficients."""
     entries = load_marked(path).content
-    named = entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
+    named = (
+        entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
+    )
     return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
 
 
 def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
-    """The rotor of a marked tree, files it names relative to *folder*; None and faults where it cannot be read."""
+    """The rotor of a marked tree, files it names relative to *folder*.
+
+    None and faults where it cannot be read.
+    """
     before = len(faults)
     entries = faults.mapping(tree, "")
     plain = Marked({key: entry for key, entry in entries.items() if key not in SECTIONS}, tree.where)
     settings = read_settings(PinnedSettings, plain, "", faults)
-    for key, hint in (("pins", "for example pins: [1, 5]"), ("planes", "for example planes: {disc 1: 2}"), ("bearings", "one entry")):
+    for key, hint in (
+        ("pins", "for example pins: [1, 5]"),
+        ("planes", "for example planes: {disc 1: 2}"),
+        ("bearings", "one entry"),
+    ):
         if key not in entries:
             faults.add(tree, key, "is missing", hint)
     pins = _nodes(entries.get("pins"), "pins", faults)
     planes = _planes(entries.get("planes"), faults)
     lists = {key: read_entries(LISTS[key], entries.get(key), key, faults) for key in OWN_LISTS}
     bearings = read_bearings(entries.get("bearings"), faults)
-    if "bearings" in entries and isinstance(entries["bearings"].content, list) and len(entries["bearings"].content) != 1:
+    if (
+        "bearings" in entries
+        and isinstance(entries["bearings"].content, list)
+        and len(entries["bearings"].content) != 1
+    ):
         faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
     materials = read_materials(entries.get("materials"), faults)
-    damping = read_settings(DampingSettings, entries["damping"], "damping", faults) if "damping" in entries else DampingSettings()
+    damping = (
+        read_settings(DampingSettings, entries["damping"], "damping", faults)
+        if "damping" in entries
+        else DampingSettings()
+    )
     tabulated = (
-        read_coefficients(settings.coefficients, folder, entries["coefficients"], faults) if settings and settings.coefficients else None
+        read_coefficients(settings.coefficients, folder, entries["coefficients"], faults)
+        if settings and settings.coefficients
+        else None
     )
     rotor = None if len(faults) > before else build_rotor(lists, materials, damping, tree, faults)
     if rotor is None or settings is None or len(faults) > before:
@@ -80,27 +112,39 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     (entry, place), *_ = bearings
     if place.uncertainties:
         names = ", ".join(one.uncertainty.source for one in place.uncertainties)
-        hint = "leave it out: clearance, viscosity and the film's other numbers are estimated about the value that is given here"
+        hint = (
+            "leave it out: clearance, viscosity and the film's other numbers are estimated about the "
+            "value that is given here"
+        )
         faults.add(entry, "bearings.1", f"the uncertainty of {names} is not used by run-ups", hint)
         return None
     place = replace(place, name="bearing") if place.name == "1" else place
-    speeds = None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
-    unbalances = tuple(Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"])
-    return tried(
-        lambda: RunUpRotor(
-            settings.name or stem, rotor, pins=pins, place=place, planes=planes, unbalances=unbalances, tabulated=tabulated, speeds=speeds
-        ),
-        tree,
-        "",
-        faults,
+    speeds = (
+        None if settings.speeds is None else (2 * np.pi * settings.speeds[0], 2 * np.pi * settings.speeds[1])
     )
+    unbalances = tuple(
+        Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"]
+    )
+    rest = {
+        "pins": pins,
+        "planes": planes,
+        "unbalances": unbalances,
+        "tabulated": tabulated,
+        "speeds": speeds,
+    }
+    return tried(lambda: RunUpRotor(settings.name or stem, rotor, place=place, **rest), tree, "", faults)
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:
-    """The metamodel NAME of an identification of run-ups, named as FILE#NAME; None and a fault where there is none."""
+    """The metamodel NAME of an identification of run-ups, named as FILE#NAME.
+
+    None and a fault where there is none.
+    """
     file, mark, name = named.rpartition("#")
     if not (file and mark and name):
-        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", "for example identification.json#physical")
+        faults.add(
+            node, "coefficients", f"'{named}' is not FILE#NAME", "for example identification.json#physical"
+        )
         return None
     try:
         return _metamodel(folder / file, name)
@@ -113,7 +157,9 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     try:
         entries = read_digested(path, "identification.json")
     except FileNotFoundError as error:
-        raise ConfigError(f"no such file '{path}'", hint="paths are relative to the file that names them") from error
+        raise ConfigError(
+            f"no such file '{path}'", hint="paths are relative to the file that names them"
+        ) from error
     except DataError as error:
         raise DataError(f"'{path}' {error.what}", hint=error.hint) from error
     try:
@@ -121,7 +167,10 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     except (KeyError, TypeError):
         models = {}
     if not models:
-        raise DataError(f"'{path}' holds no metamodels", hint="name the identification.json of run-ups whose section asks for metamodels:")
+        raise DataError(
+            f"'{path}' holds no metamodels",
+            hint="name the identification.json of run-ups whose section asks for metamodels:",
+        )
     if name not in models:
         raise ConfigError(f"no metamodel '{name}' in '{path}'", hint=nearest(name, models))
     return from_entries(models[name])

@@ -7,9 +7,10 @@
     # phase error: 1 deg
     speed [rpm],disc 1 x amplitude [um],disc 1 x phase [deg],disc 1 y amplitude [um],disc 1 y phase [deg]
 
-Standard errors may have their own columns instead (``disc 1 x amplitude error [um]``, ``disc 1 x phase error [deg]``). The phase is
-that of x(t) = A cos(w t + phase), relative to the keyphasor: a lagging motion has a negative one. For a run with a shaker the lines
-``# shaker: 2 N in x, 0 N in y at disc 1`` and ``# shaker frequency: 0.95`` (over the shaft's speed) replace the unbalances.
+Standard errors may have their own columns instead (``disc 1 x amplitude error [um]``, ``disc 1 x phase error
+[deg]``). The phase is that of x(t) = A cos(w t + phase), relative to the keyphasor: a lagging motion has a
+negative one. For a run with a shaker the lines ``# shaker: 2 N in x, 0 N in y at disc 1`` and ``# shaker
+frequency: 0.95`` (over the shaft's speed) replace the unbalances.
 """
 
 from __future__ import annotations
@@ -32,8 +33,18 @@ from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
 SPEED = "speed"
-PLAIN_KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency", "unbalance PLANE")
-_COLUMN = re.compile(r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$")
+PLAIN_KEYS = (
+    "load",
+    "threshold",
+    "amplitude error",
+    "phase error",
+    "shaker",
+    "shaker frequency",
+    "unbalance PLANE",
+)
+_COLUMN = re.compile(
+    r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$"
+)
 _SPEED = re.compile(r"^speed\s*(\[.*\])?$")
 _LINE = re.compile(r"^#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
 _UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
@@ -44,7 +55,8 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None) -> RunUp:
     """The run-up of a table; DataError names the file, the line or column, and the remedy.
 
-    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual unbalance only.
+    *unbalance* [kg m] by plane, for a table without unbalance lines; empty for a run with its residual
+    unbalance only.
     """
     if not path.exists():
         raise DataError("no such file", where=str(path))
@@ -54,7 +66,9 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
     planes = tuple(dict.fromkeys(plane for plane, _, _ in columns))
     stacks = {what: _stack(table, columns, planes, what) for what in ("amplitude", "phase")}
     amplitude, phase = stacks["amplitude"], stacks["phase"]
-    errors = [_errors(table, columns, planes, head, what, amplitude) for what in ("amplitude error", "phase error")]
+    errors = [
+        _errors(table, columns, planes, head, what, amplitude) for what in ("amplitude error", "phase error")
+    ]
     load = _value(head, "load", "N", path)
     try:
         response = amplitude * np.exp(1j * phase)
@@ -82,7 +96,10 @@ def read_run_up_csv(path: Path, name: str = "", unbalance: Mapping[str, complex]
 def _head(path: Path) -> dict[str, tuple[str, str]]:
     """Key -> (text, place) of the comment lines; DataError for a misspelt or repeated key."""
     entries: dict[str, tuple[str, str]] = {}
-    with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines:
+    with (
+        open_unpacked(path) as stream,
+        io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines,
+    ):
         for number, line in enumerate(lines, 1):
             if not line.startswith("#"):
                 break
@@ -114,10 +131,14 @@ def _columns(table: CsvTable) -> dict[tuple[str, str, str], str]:
         match = _COLUMN.match(column)
         if match is None:
             hint = "columns are named 'disc 1 x amplitude [um]', 'disc 1 x phase [deg]'"
-            raise DataError(f"the column '{column}' does not belong to a run-up", where=str(table.path), hint=hint)
+            raise DataError(
+                f"the column '{column}' does not belong to a run-up", where=str(table.path), hint=hint
+            )
         names[(match["plane"], match["direction"], match["what"])] = column
     if not names:
-        raise DataError("has no plane", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'")
+        raise DataError(
+            "has no plane", where=str(table.path), hint="for example a column 'disc 1 x amplitude [um]'"
+        )
     return names
 
 
@@ -133,7 +154,11 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     check_columns(table, [column])
     unit = table.units.get(column)
     if unit is None:
-        raise DataError(f"the column '{column}' has no unit", where=str(table.path), hint=f"write it in brackets, for example [{si_unit}]")
+        raise DataError(
+            f"the column '{column}' has no unit",
+            where=str(table.path),
+            hint=f"write it in brackets, for example [{si_unit}]",
+        )
     try:
         factor = parse_value(f"1 {unit}", si_unit)
     except UnitError as error:
@@ -143,20 +168,34 @@ def _in_si(table: CsvTable, column: str, si_unit: str) -> FloatArray:
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
         hint = "leave out the whole row where nothing was measured"
-        raise DataError(f"column '{column}': a number is missing in row {row + 1} of the table", where=str(table.path), hint=hint)
+        raise DataError(
+            f"column '{column}': a number is missing in row {row + 1} of the table",
+            where=str(table.path),
+            hint=hint,
+        )
     return np.asarray(values * factor, np.float64)
 
 
-def _stack(table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str) -> FloatArray:
+def _stack(
+    table: CsvTable, columns: dict[tuple[str, str, str], str], planes: tuple[str, ...], what: str
+) -> FloatArray:
     """(n_speed, n_plane, 2) of one quantity."""
     for plane in planes:
         for direction in DIRECTIONS:
             if (plane, direction, what) not in columns:
                 unit = "um" if UNITS[what] == "m" else "deg"
                 raise DataError(
-                    f"no column '{plane} {direction} {what}'", where=str(table.path), hint=f"with its unit, for example [{unit}]"
+                    f"no column '{plane} {direction} {what}'",
+                    where=str(table.path),
+                    hint=f"with its unit, for example [{unit}]",
                 )
-    return np.stack([np.stack([_in_si(table, columns[(p, d, what)], UNITS[what]) for d in DIRECTIONS], -1) for p in planes], 1)
+    return np.stack(
+        [
+            np.stack([_in_si(table, columns[(p, d, what)], UNITS[what]) for d in DIRECTIONS], -1)
+            for p in planes
+        ],
+        1,
+    )
 
 
 def _errors(
@@ -171,7 +210,9 @@ def _errors(
     if any(quantity == what for _, _, quantity in columns):
         return _stack(table, columns, planes, what)
     if what not in head:
-        hint = "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the fits"
+        hint = (
+            "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the fits"
+        )
         raise DataError(f"the {what} is missing", where=str(table.path), hint=hint)
     if what == "phase error":
         return np.full_like(amplitude, _value(head, what, "rad", table.path))
@@ -180,7 +221,9 @@ def _errors(
 
 def _value(head: dict[str, tuple[str, str]], key: str, unit: str, path: Path) -> float:
     if key not in head:
-        raise DataError(f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table")
+        raise DataError(
+            f"the {key} is missing", where=str(path), hint=f"a line '# {key}: ... {unit}' above the table"
+        )
     return _parsed(*head[key], key, unit)
 
 
@@ -197,7 +240,9 @@ def _threshold(head: dict[str, tuple[str, str]]) -> Uncertain | None:
     text, where = head["threshold"]
     value, _, error = text.partition("+-")
     if not error.strip():
-        raise DataError("threshold: its uncertainty is missing", where=where, hint="for example 2772 rpm +- 6 rpm")
+        raise DataError(
+            "threshold: its uncertainty is missing", where=where, hint="for example 2772 rpm +- 6 rpm"
+        )
     hertz = [_parsed(part.strip(), where, "threshold", "Hz") for part in (value, error)]
     return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
 
@@ -209,7 +254,11 @@ def _unbalances(head: dict[str, tuple[str, str]]) -> dict[str, complex]:
             continue
         match = _UNBALANCE.match(text)
         if match is None:
-            raise DataError(f"{key}: '{text}' is not a size and an angle", where=where, hint="for example 50 g.mm at 0 deg")
+            raise DataError(
+                f"{key}: '{text}' is not a size and an angle",
+                where=where,
+                hint="for example 50 g.mm at 0 deg",
+            )
         size, angle = _parsed(match["size"], where, key, "kg.m"), _parsed(match["angle"], where, key, "rad")
         unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
     return unbalances
@@ -221,15 +270,31 @@ def _shaker(head: dict[str, tuple[str, str]], path: Path) -> Shaker | None:
     text, where = head["shaker"]
     match = _SHAKER.match(text)
     if match is None:
-        raise DataError(f"shaker: '{text}' is not a force at a plane", where=where, hint="for example 2 N in x, 0 N in y at disc 1")
+        raise DataError(
+            f"shaker: '{text}' is not a force at a plane",
+            where=where,
+            hint="for example 2 N in x, 0 N in y at disc 1",
+        )
     ratio = _value(head, "shaker frequency", "1", path)
     if not ratio > 0:
-        raise DataError("shaker frequency: must be positive", where=head["shaker frequency"][1], hint="over the shaft's speed")
-    return Shaker(match["plane"], _parsed(match["x"], where, "shaker", "N"), _parsed(match["y"], where, "shaker", "N"), ratio)
+        raise DataError(
+            "shaker frequency: must be positive",
+            where=head["shaker frequency"][1],
+            hint="over the shaft's speed",
+        )
+    return Shaker(
+        match["plane"],
+        _parsed(match["x"], where, "shaker", "N"),
+        _parsed(match["y"], where, "shaker", "N"),
+        ratio,
+    )
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits; constant errors as comment lines."""
+    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits.
+
+    Constant errors as comment lines.
+    """
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):

@@ -1,4 +1,7 @@
-"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods; its rules and lines."""
+"""The section run_ups: tables or tracked recordings -> journal coefficients by several methods.
+
+Its rules and lines.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +56,16 @@ NO_UNCERTAINTIES = ProbeUncertainties()
 
 
 def read_run(
-    settings: RunSettings, rig: RunUpRotor, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
+    settings: RunSettings,
+    rig: RunUpRotor,
+    output: OutputFolder,
+    folder: Path,
+    probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
-    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry. *probes*: those of tables."""
+    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry.
+
+    *probes*: those of tables.
+    """
     try:
         read = _recorded(settings, output, folder) if settings.recording else _tabled(settings, probes)
         rig.excited(read.run)
@@ -80,7 +90,9 @@ def _stated(settings: RunSettings, run: RunUp) -> RunUp:
         run,
         load=run.load if settings.load is None else settings.load,
         unbalance=dict(settings.unbalance) or run.unbalance,
-        threshold=run.threshold if threshold is None else Uncertain(2 * np.pi * threshold.value, 2 * np.pi * threshold.std_error),
+        threshold=run.threshold
+        if threshold is None
+        else Uncertain(2 * np.pi * threshold.value, 2 * np.pi * threshold.std_error),
     )
 
 
@@ -106,10 +118,14 @@ def _without_residual(run: RunUp, residual: RunUp) -> RunUp:
 def _opened(path: Path, settings: RunSettings, output: OutputFolder, folder: Path) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", where=str(path), hint="add rig: FILE to the entry")
-    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder)
+    return ingest(
+        path, settings.recorded_by or Rig("", ()), output, f"recordings/{path.name.split('.')[0]}", folder
+    )
 
 
-def _tracked(recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:
+def _tracked(
+    recording: StoredRecording, lines: ShaftLines, settings: RunSettings, unbalance: dict[str, complex]
+) -> RunUp:
     track = track_order(recording, lines, revolutions=settings.revolutions)
     assert settings.load is not None
     run = run_up_of(track, settings.name, settings.load, unbalance)
@@ -125,9 +141,18 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[Cascade, .
     group = -(-spectra.frequency.size // MOST_LINES)
     whole = spectra.frequency.size // group * group
     frequency = spectra.frequency[:whole].reshape(-1, group).mean(axis=1)
-    thinned = spectra.amplitude[:, :whole].reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels)).max(axis=2)
+    thinned = (
+        spectra.amplitude[:, :whole]
+        .reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels))
+        .max(axis=2)
+    )
     return tuple(
-        Cascade(label, column(spectra.speed), column(frequency), tuple(column(row) for row in thinned[:, :, number]))
+        Cascade(
+            label,
+            column(spectra.speed),
+            column(frequency),
+            tuple(column(row) for row in thinned[:, :, number]),
+        )
         for number, label in enumerate(spectra.labels)
     )
 
@@ -139,19 +164,31 @@ Tell = Callable[[str], None]
 
 
 def run_run_ups(settings: RunUpSettings, work: Work) -> RunUpResult:
-    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every run."""
+    """The section run_ups: every run read, all methods fitted to the trained runs and compared on every
+    run.
+    """
     return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
-def identify_run_ups(settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None) -> RunUpResult:
-    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the pipeline file."""
+def identify_run_ups(
+    settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
+) -> RunUpResult:
+    """All methods of the section, fitted to the trained runs and compared on every run. *folder*: of the
+    pipeline file.
+    """
     rig = settings.rig
     assert rig is not None
     probes = settings.probes.uncertainties
-    return run_up_result(settings, rig, [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs], tell)
+    return run_up_result(
+        settings,
+        rig,
+        [read_run(run_settings, rig, output, folder, probes) for run_settings in settings.runs],
+        tell,
+    )
 
 
-# Holding run-ups against rules: "run_ups.joint[held-out].critical_speed", ".threshold.covers", "run_ups.points.rank", "run_ups.warnings".
+# Holding run-ups against rules: "run_ups.joint[held-out].critical_speed", ".threshold.covers",
+# "run_ups.points.rank", "run_ups.warnings".
 
 
 MEASURED = "measured"
@@ -164,7 +201,9 @@ METHOD_VALUES: dict[str, Callable[[RunUpMethod], float | None]] = {
     "chi2_p": lambda method: method.chi2_p,
     "share_at_bound": lambda method: method.share_at_bound,
 }
-_ADDRESS = re.compile(r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$")
+_ADDRESS = re.compile(
+    r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$"
+)
 HZ = 1 / (2 * np.pi)
 
 
@@ -187,7 +226,9 @@ def run_up_outcome(rule: Rule, result: RunUpResult, compare_number: CompareNumbe
         raise _fault(rule, "is no address", "write run_ups.joint[held-out].critical_speed")
     address = _Address(match["method"], match["run"] or "", match["item"], match["attribute"] or "")
     if address.run and address.run not in [run.name for run in result.runs]:
-        raise _fault(rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs]))
+        raise _fault(
+            rule, f"there is no run '{address.run}'", nearest(address.run, [run.name for run in result.runs])
+        )
     if address.item in SPEEDS:
         return _speed(rule, address, result, compare_number)
     return _of_method(rule, address, result, compare_number)
@@ -210,15 +251,24 @@ def _predictors(result: RunUpResult) -> dict[str, RunUpMethod | MetamodelResult]
     return {method.name: method for method in methods}
 
 
-def _of_method(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """Rank, condition, chi-square, share at bounds, verdict of a method; the largest left-out error of a metamodel."""
+def _of_method(
+    rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber
+) -> RuleOutcome:
+    """Rank, condition, chi-square, share at bounds, verdict of a method.
+
+    The largest left-out error of a metamodel.
+    """
     predictors = _predictors(result)
     if address.method not in predictors:
-        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+        raise _fault(
+            rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED])
+        )
     predictor = predictors[address.method]
     if isinstance(predictor, MetamodelResult):
         if address.item != "left_out":
-            raise _fault(rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"]))
+            raise _fault(
+                rule, f"a metamodel has no '{address.item}'", nearest(address.item, [*SPEEDS, "left_out"])
+            )
         worst = max((_rms(validation.errors) for validation in predictor.left_out), default=None)
         return RuleOutcome(rule.section, rule.text, *compare_number(rule, worst, "1"))
     if address.item == "verdict":
@@ -226,7 +276,9 @@ def _of_method(rule: Rule, address: _Address, result: RunUpResult, compare_numbe
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
         raise _fault(rule, f"a method has no '{address.item}'", hint)
-    return RuleOutcome(rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
+    return RuleOutcome(
+        rule.section, rule.text, *compare_number(rule, METHOD_VALUES[address.item](predictor), "1")
+    )
 
 
 def _rms(errors: Sequence[float]) -> float:
@@ -234,14 +286,19 @@ def _rms(errors: Sequence[float]) -> float:
 
 
 def _speed(rule: Rule, address: _Address, result: RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """A critical or threshold speed of one run, or of every run that has it; the value shown is the first that fails, or the first."""
+    """A critical or threshold speed of one run, or of every run that has it.
+
+    The value shown is the first that fails, or the first.
+    """
     if address.attribute and address.attribute not in ATTRIBUTES:
         raise _fault(rule, f"a speed has no '{address.attribute}'", nearest(address.attribute, ATTRIBUTES))
     runs = [run for run in result.runs if address.run in ("", run.name)]
     candidates = [(run, _amount(rule, address, result, run)) for run in runs]
     selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
     outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
-    return RuleOutcome(rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0]))
+    return RuleOutcome(
+        rule.section, rule.text, *next((outcome for outcome in outcomes if not outcome[1]), outcomes[0])
+    )
 
 
 def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun) -> Amount | None:
@@ -249,18 +306,24 @@ def _amount(rule: Rule, address: _Address, result: RunUpResult, run: MeasuredRun
         return getattr(run, address.item)
     predictors = _predictors(result)
     if address.method not in predictors:
-        raise _fault(rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED]))
+        raise _fault(
+            rule, f"there is no method '{address.method}'", nearest(address.method, [*predictors, MEASURED])
+        )
     prediction: RunPrediction | None = predictors[address.method].prediction(run.name)
     return None if prediction is None else getattr(prediction, address.item)
 
 
-def _attribute(rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber) -> Compared:
+def _attribute(
+    rule: Rule, address: _Address, run: MeasuredRun, amount: Amount | None, compare_number: CompareNumber
+) -> Compared:
     if address.attribute == "covers":
         interval = None if amount is None else amount.ci95
         return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
     if address.attribute == "difference":
         measured: Amount | None = getattr(run, address.item)
-        return compare_number(rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1")
+        return compare_number(
+            rule, None if amount is None or measured is None else abs(amount.value / measured.value - 1), "1"
+        )
     if amount is None:
         return compare_number(rule, None, "Hz")
     value = amount.std_error if address.attribute == "std_error" else amount.value
@@ -268,9 +331,18 @@ def _attribute(rule: Rule, address: _Address, run: MeasuredRun, amount: Amount |
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:
-    """Critical and threshold speed of every run, measured and by every method, in rpm; then how far each method is determined."""
+    """Critical and threshold speed of every run, measured and by every method, in rpm.
+
+    Then how far each method is determined.
+    """
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
-    names = ["measured", *(f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name for method in result.methods)]
+    names = [
+        "measured",
+        *(
+            f"{method.name} {REJECTED}" if method.verdict == REJECTED else method.name
+            for method in result.methods
+        ),
+    ]
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]
@@ -283,7 +355,9 @@ def run_up_lines(result: RunUpResult) -> Iterator[str]:
 
 def _speeds(owner: MeasuredRun | RunPrediction | None) -> str:
     speeds = () if owner is None else (owner.critical_speed, owner.threshold)
-    return " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
+    return (
+        " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
+    )
 
 
 RUN_UPS = PipelineSection(

@@ -25,7 +25,8 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad] of the keyphasor.
+    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
+    of the keyphasor.
 
     None for none.
     """
@@ -36,7 +37,10 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction; each is its own, unless the uncertainty names a source."""
+        """The errors of every probe, named by plane and direction.
+
+        Each is its own, unless the uncertainty names a source.
+        """
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -47,7 +51,11 @@ class ProbeUncertainties:
                 for axis, direction in enumerate(DIRECTIONS):
                     matrix = np.zeros((len(planes), 2, 2), np.complex128)
                     matrix[at, axis, axis] = slope
-                    errors.append(ProbeError(uncertainty_of(number, f"{plane} {direction}.{effect}", unit), matrix, power))
+                    errors.append(
+                        ProbeError(
+                            uncertainty_of(number, f"{plane} {direction}.{effect}", unit), matrix, power
+                        )
+                    )
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
             errors.extend(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
@@ -76,17 +84,32 @@ SEARCHES = ("pattern", "cobyqa")
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
-    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place of the table's.
+    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place
+    of the table's.
 
     path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
-    file: str = setting("file", "table of the run-up (CSV), relative to the pipeline file", default="", file_kind="path", into="path")
+    file: str = setting(
+        "file",
+        "table of the run-up (CSV), relative to the pipeline file",
+        default="",
+        file_kind="path",
+        into="path",
+    )
     recording: str = setting(
-        "file", "time recording of the run-up with a tacho, instead of a table", default="", file_kind="path", into="path"
+        "file",
+        "time recording of the run-up with a tacho, instead of a table",
+        default="",
+        file_kind="path",
+        into="path",
     )
     rig: str = setting(
-        "file", "rig file of a raw recording; dofs name planes: disc1.x, disc1.y", default="", file_kind="rig", into="recorded_by"
+        "file",
+        "rig file of a raw recording; dofs name planes: disc1.x, disc1.y",
+        default="",
+        file_kind="rig",
+        into="recorded_by",
     )
     tacho: str = setting("text", "channel with the tacho's pulses", default="")
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
@@ -95,7 +118,9 @@ class RunSettings(Settings):
     name: str = setting("text", "name of the run; default: the file's", default="")
     role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
     load: float | None = setting("value", "static load; default: the table's", unit="N", default=None)
-    threshold: Uncertain | None = setting("uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None)
+    threshold: Uncertain | None = setting(
+        "uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None
+    )
     subtract: str = setting(
         "file",
         "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)",
@@ -104,11 +129,19 @@ class RunSettings(Settings):
         into="subtracted",
     )
     printed_critical_speed: tuple[float, ...] = setting(
-        "values", "printed elsewhere, shown for reference: measured, original, enhanced", unit="Hz", default=()
+        "values",
+        "printed elsewhere, shown for reference: measured, original, enhanced",
+        unit="Hz",
+        default=(),
     )
-    printed_threshold: tuple[float, ...] = setting("values", "the same of the threshold", unit="Hz", default=())
+    printed_threshold: tuple[float, ...] = setting(
+        "values", "the same of the threshold", unit="Hz", default=()
+    )
     unbalance: tuple[tuple[str, complex], ...] = setting(
-        "phasors", "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
+        "phasors",
+        "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}",
+        unit="kg.m",
+        default=(),
     )
     path: Path = Path()
     subtracted: Path | None = None
@@ -118,7 +151,10 @@ class RunSettings(Settings):
         if not self.name:
             object.__setattr__(self, "name", Path(self.file or self.recording).name.split(".")[0])
         if bool(self.file) == bool(self.recording):
-            raise ConfigError("one of 'file' and 'recording' is needed", hint="file: load-1.csv, or recording: run.parquet with tacho:")
+            raise ConfigError(
+                "one of 'file' and 'recording' is needed",
+                hint="file: load-1.csv, or recording: run.parquet with tacho:",
+            )
         if self.recording:
             self._check_recording()
         if self.load is not None and self.load <= 0:
@@ -134,7 +170,9 @@ class RunSettings(Settings):
         if not self.tacho:
             raise ConfigError("'tacho' is missing", hint="name the channel with the tacho's pulses")
         if self.load is None:
-            raise ConfigError("'load' is missing", hint="a recording does not state it; for example load: 3.66 N")
+            raise ConfigError(
+                "'load' is missing", hint="a recording does not state it; for example load: 3.66 N"
+            )
         if not self.unbalance:
             hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
             raise ConfigError("unbalance: is missing", hint=hint, field="unbalance")
@@ -144,23 +182,39 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of the probes of all runs, each by itself; how else they are meant stands in brackets, as in a rig file."""
+    """Standard uncertainties of the probes of all runs, each by itself.
 
-    gain: str = setting("text", "of every probe, relative: 1 %, or 2 % (k=2), or 1 % (source=calibrator) of all together", default="")
+    How else they are meant stands in brackets, as in a rig file.
+    """
+
+    gain: str = setting(
+        "text",
+        "of every probe, relative: 1 %, or 2 % (k=2), or 1 % (source=calibrator) of all together",
+        default="",
+    )
     phase: str = setting("text", "of every probe, at every speed alike: 0.5 deg", default="")
     delay: str = setting("text", "of every probe's chain: 5 us", default="")
-    keyphasor: str = setting("text", "of the keyphasor's angle, which turns all phasors alike: 1 deg", default="")
+    keyphasor: str = setting(
+        "text", "of the keyphasor's angle, which turns all phasors alike: 1 deg", default=""
+    )
     uncertainties: ProbeUncertainties = ProbeUncertainties()
 
     def __post_init__(self) -> None:
-        units = {"gain": ("1", "1"), "phase": ("0 rad", "rad"), "delay": ("0 s", "s"), "keyphasor": ("0 rad", "rad")}
+        units = {
+            "gain": ("1", "1"),
+            "phase": ("0 rad", "rad"),
+            "delay": ("0 s", "s"),
+            "keyphasor": ("0 rad", "rad"),
+        }
         numbers = {}
         for name, (value, unit) in units.items():
             text = getattr(self, name)
             try:
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:
-                raise ConfigError(f"'{text}' is no uncertainty: {error.what}", hint=error.hint, field=name) from None
+                raise ConfigError(
+                    f"'{text}' is no uncertainty: {error.what}", hint=error.hint, field=name
+                ) from None
         object.__setattr__(self, "uncertainties", ProbeUncertainties(**numbers))
 
 
@@ -168,19 +222,39 @@ class ProbeSettings(Settings):
 class RunUpSettings(Settings):
     """The ``run_ups:`` section; *rig*: contents of `rotor`."""
 
-    rotor: str = setting("file", "rotor file with pins, relative to the pipeline file", file_kind="run-up-rotor", into="rig")
-    runs: tuple[RunSettings, ...] = setting(
-        "entries", "the run-ups, for example - {file: load-1.csv}", section=RunSettings, default=(), needed=True
+    rotor: str = setting(
+        "file", "rotor file with pins, relative to the pipeline file", file_kind="run-up-rotor", into="rig"
     )
-    methods: tuple[str, ...] = setting("names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint"))
-    metamodels: tuple[str, ...] = setting("names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=())
-    metamodels_of: str = setting("choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint")
+    runs: tuple[RunSettings, ...] = setting(
+        "entries",
+        "the run-ups, for example - {file: load-1.csv}",
+        section=RunSettings,
+        default=(),
+        needed=True,
+    )
+    methods: tuple[str, ...] = setting(
+        "names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint")
+    )
+    metamodels: tuple[str, ...] = setting(
+        "names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=()
+    )
+    metamodels_of: str = setting(
+        "choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint"
+    )
     plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
-    bound: float = setting("value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3)
-    ridge: float = setting("value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15)
-    known: tuple[str, ...] = setting("names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=())
+    bound: float = setting(
+        "value", "largest change of a coefficient (amplitudes, points)", unit="1", default=0.3
+    )
+    ridge: float = setting(
+        "value", "standard deviation of that change before a run is seen (points)", unit="1", default=0.15
+    )
+    known: tuple[str, ...] = setting(
+        "names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=()
+    )
     search: str = setting("choice", "how amplitudes are fitted", choices=SEARCHES, default="pattern")
-    starts: int = setting("integer", "starts of that search at one load and speed, to show their spread", default=20)
+    starts: int = setting(
+        "integer", "starts of that search at one load and speed, to show their spread", default=20
+    )
     seed: int = setting("integer", "of random starts and networks", default=1)
     source: str = setting("text", "where the printed values are from", default="")
     probes: ProbeSettings = setting(
@@ -199,7 +273,9 @@ class RunUpSettings(Settings):
         if len(set(self.known)) == len(PARAMETERS):
             raise ConfigError("nothing is left to estimate", hint="leave some out", field="known")
         if not (0 < self.bound < 1 and self.ridge > 0):
-            raise ConfigError("'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %")
+            raise ConfigError(
+                "'bound' lies between 0 and 100 %, 'ridge' above 0", hint="for example bound: 30 %"
+            )
         if self.plane and self.rig is not None:
             self._check_plane(self.rig)
         self._check_metamodels()
@@ -214,17 +290,27 @@ class RunUpSettings(Settings):
 
     def _check_metamodels(self) -> None:
         """ConfigError for metamodels of a method that is not fitted."""
-        needed = {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set()) if self.metamodels else set()
+        needed = (
+            {self.metamodels_of} | ({"joint"} if "physical" in self.metamodels else set())
+            if self.metamodels
+            else set()
+        )
         for name in sorted(needed - set(self.methods)):
             hint = f"add {name} to run_ups.methods"
-            raise ConfigError(f"metamodels need the method '{name}', which is not fitted", hint=hint, field="metamodels")
+            raise ConfigError(
+                f"metamodels need the method '{name}', which is not fitted", hint=hint, field="metamodels"
+            )
 
     def _check_runs(self) -> None:
         if not self.runs:
-            raise ConfigError("a list of runs is needed", hint="for example - {file: load-1.csv}", field="runs")
+            raise ConfigError(
+                "a list of runs is needed", hint="for example - {file: load-1.csv}", field="runs"
+            )
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
                 raise ConfigError(f"a second run named '{name}'", hint="names must differ", field="runs")
         if all(run.role == HELD_OUT for run in self.runs):
-            raise ConfigError("every run is held out, none is trained", hint="leave out role: of some", field="runs")
+            raise ConfigError(
+                "every run is held out, none is trained", hint="leave out role: of some", field="runs"
+            )

@@ -1,9 +1,11 @@
-"""A virtual rig of two discs on a flexible shaft in pinned ends, one loaded journal bearing at mid span: run-ups under known unbalances.
+"""A virtual rig of two discs on a flexible shaft in pinned ends, one loaded journal bearing at mid span:
+run-ups under known unbalances.
 
-Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here: discs of 4.3 kg and 50 mm
-radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal split, 50 and 30 g.mm of unbalance, 27 speeds, 1 %
-and 1 deg of noise, thresholds within .2 %; the bearing differs from the rotor file's in one of three ways (TRUTHS). Where a rotor is
-unstable it has no steady amplitude, and the table has no row.
+Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here:
+discs of 4.3 kg and 50 mm radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal
+split, 50 and 30 g.mm of unbalance, 27 speeds, 1 % and 1 deg of noise, thresholds within .2 %; the bearing
+differs from the rotor file's in one of three ways (TRUTHS). Where a rotor is unstable it has no steady
+amplitude, and the table has no row.
 """
 
 from __future__ import annotations
@@ -24,10 +26,18 @@ from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
-from labpipe.simulate.virtual_rigs import LoggedFile, Simulation, Truth, VirtualRigKind, chosen_runs, generator
+from labpipe.simulate.virtual_rigs import (
+    LoggedFile,
+    Simulation,
+    Truth,
+    VirtualRigKind,
+    chosen_runs,
+    generator,
+)
 
 KIND = "virtual-unbalance-rig"
-# factors: every coefficient times a smooth field of its own over load and speed; inside: the family of the joint fit; outside: not.
+# factors: every coefficient times a smooth field of its own over load and speed; inside: the family of the
+# joint fit; outside: not.
 TRUTHS = ("factors", "inside", "outside")
 LOWEST_FACTOR, HIGHEST_FACTOR = 0.72, 1.27
 # Parameters of the truth inside the family, logarithms as in FilmFamily.
@@ -47,46 +57,79 @@ class RunUpNoise(Settings):
 
     def __post_init__(self) -> None:
         if min(self.amplitude, self.phase, self.threshold) <= 0:
-            raise ConfigError("the noise of a run-up is positive", hint="fits weigh by it; for example amplitude: 1 %")
+            raise ConfigError(
+                "the noise of a run-up is positive", hint="fits weigh by it; for example amplitude: 1 %"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualUnbalanceRig(Settings):
     """The rotor of a rotor file with a model error, its loads and its noise; *rig*: contents of `rotor`.
 
-    Entries marked 'outside' belong to the truth of that name, the others to all. The virtual rotor has the known unbalances of the file.
+    Entries marked 'outside' belong to the truth of that name, the others to all. The virtual rotor has the
+    known unbalances of the file.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    rotor: str = setting("file", "rotor file with pins, relative to this file", file_kind="run-up-rotor", into="rig")
+    rotor: str = setting(
+        "file", "rotor file with pins, relative to this file", file_kind="run-up-rotor", into="rig"
+    )
     name: str = setting("text", "name of the rig", default="Virtual unbalance rig")
-    truth: str = setting("choice", "how the bearing differs from the rotor file's", choices=TRUTHS, default="outside")
-    viscosity_error: float = setting("value", "outside: true viscosity over the rotor file's, less one", unit="1", default=-0.15)
-    clearance_error: float = setting("value", "outside: true clearance over the rotor file's, less one", unit="1", default=0.05)
-    groove_width: float = setting("value", "outside: true width of the grooves", unit="rad", default=float(np.deg2rad(30)))
-    heating: float = setting("value", "outside: viscosity lost at the highest speed, going with the speed squared", unit="1", default=0.1)
+    truth: str = setting(
+        "choice", "how the bearing differs from the rotor file's", choices=TRUTHS, default="outside"
+    )
+    viscosity_error: float = setting(
+        "value", "outside: true viscosity over the rotor file's, less one", unit="1", default=-0.15
+    )
+    clearance_error: float = setting(
+        "value", "outside: true clearance over the rotor file's, less one", unit="1", default=0.05
+    )
+    groove_width: float = setting(
+        "value", "outside: true width of the grooves", unit="rad", default=float(np.deg2rad(30))
+    )
+    heating: float = setting(
+        "value",
+        "outside: viscosity lost at the highest speed, going with the speed squared",
+        unit="1",
+        default=0.1,
+    )
     loads: tuple[float, ...] = setting(
-        "values", "static loads of the run-ups", unit="N", default=tuple(POUND * pounds for pounds in (0.823, 1.321, 1.817, 2.316))
+        "values",
+        "static loads of the run-ups",
+        unit="N",
+        default=tuple(POUND * pounds for pounds in (0.823, 1.321, 1.817, 2.316)),
     )
     held_out: float = setting("value", "load of the run-up that no fit sees", unit="N", default=3.808 * POUND)
     speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz", default=(400 / 60, 3000 / 60))
     count: int = setting("integer", "number of speeds", default=27)
-    second_unbalance: bool = setting("flag", "also a run-up of every load with the unbalance at the last plane alone", default=False)
-    shaker: bool = setting("flag", "also a run-up of every load under a force that does not turn", default=False)
-    shaker_force: float = setting("value", "amplitude of that force, along x at the first plane", unit="N", default=2.0)
+    second_unbalance: bool = setting(
+        "flag", "also a run-up of every load with the unbalance at the last plane alone", default=False
+    )
+    shaker: bool = setting(
+        "flag", "also a run-up of every load under a force that does not turn", default=False
+    )
+    shaker_force: float = setting(
+        "value", "amplitude of that force, along x at the first plane", unit="N", default=2.0
+    )
     shaker_ratio: float = setting("value", "its frequency over the shaft's", unit="1", default=0.95)
     noise: RunUpNoise = setting("section", "measuring noise", section=RunUpNoise, default=RunUpNoise())
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
         if self.rig is not None and not self.rig.unbalances:
-            raise ConfigError("the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor")
+            raise ConfigError(
+                "the rotor has no unbalances", hint="add unbalances: to the rotor file", field="rotor"
+            )
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
         if not self.loads or min(*self.loads, self.held_out) <= 0:
-            raise ConfigError("every static load must be positive", hint="for example loads: [3.66 N, 5.88 N]")
+            raise ConfigError(
+                "every static load must be positive", hint="for example loads: [3.66 N, 5.88 N]"
+            )
         if not max(abs(self.viscosity_error), abs(self.clearance_error)) < 0.5 or not 0 <= self.heating < 0.5:
-            raise ConfigError("viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %")
+            raise ConfigError(
+                "viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %"
+            )
         if not (self.shaker_force > 0 and self.shaker_ratio > 0):
             raise ConfigError("shaker_force and shaker_ratio must be positive")
 
@@ -97,10 +140,17 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def nominal(self) -> RunUpRotor:
-        """The rotor file's rotor, its range of search that of the run-ups where the file has none; ConfigError without a rotor."""
+        """The rotor file's rotor, its range of search that of the run-ups where the file has none.
+
+        ConfigError without a rotor.
+        """
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-        return self.rig if self.rig.speeds is not None else replace(self.rig, speeds=(float(self.omega[0]), float(self.omega[-1])))
+        return (
+            self.rig
+            if self.rig.speeds is not None
+            else replace(self.rig, speeds=(float(self.omega[0]), float(self.omega[-1])))
+        )
 
     @property
     def load_of_run(self) -> dict[str, float]:
@@ -121,19 +171,31 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 
 
 def family(rig: RunUpRotor, loads: Iterable[float]) -> FilmFamily:
-    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the speeds."""
-    return FilmFamily(rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads))))))
+    """The family about a rotor file's bearing, with references in the middle of the loads [N] and of the
+    speeds.
+    """
+    return FilmFamily(
+        rig.place.film("a virtual run-up"), rig.search.high / 2, float(np.exp(np.mean(np.log(list(loads)))))
+    )
 
 
-def smooth_factors(load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]) -> FloatArray:
-    """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over load and speed.
+def smooth_factors(
+    load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]
+) -> FloatArray:
+    """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over
+    load and speed.
 
-    Half a wave to one wave over each range, the phases fixed by the golden ratio so that all coefficients differ. Equation (sim-factors).
+    Half a wave to one wave over each range, the phases fixed by the golden ratio so that all coefficients
+    differ. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
     v = (load - loads[0]) / (loads[1] - loads[0])
     phase = 2 * np.pi * np.mod(np.arange(1, 25) * 0.6180339887, 1).reshape(3, 8)
-    wave = (np.cos(1.5 * np.pi * u[:, None] + phase[0]) + np.cos(np.pi * v + phase[1]) + np.cos(np.pi * (u[:, None] - v) + phase[2])) / 3
+    wave = (
+        np.cos(1.5 * np.pi * u[:, None] + phase[0])
+        + np.cos(np.pi * v + phase[1])
+        + np.cos(np.pi * (u[:, None] - v) + phase[2])
+    ) / 3
     return (HIGHEST_FACTOR + LOWEST_FACTOR) / 2 + (HIGHEST_FACTOR - LOWEST_FACTOR) / 2 * wave
 
 
@@ -149,14 +211,19 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed, which no parameter of the family describes."""
+    """Other grooves, and a viscosity that falls with the square of the speed, which no parameter of the
+    family describes.
+    """
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        thinner = (1 + virtual.viscosity_error) * (1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2)
-        # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and damping scaled back.
+        thinner = (1 + virtual.viscosity_error) * (
+            1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2
+        )
+        # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and
+        # damping scaled back.
         bearing = replace(film, clearance=clearance, groove_width=virtual.groove_width)
         rig = replace(virtual.nominal, place=replace(virtual.nominal.place, bearing=bearing), tabulated=None)
         stiffness, damping = rig.start_coefficients(load, np.asarray(speed) * thinner)
@@ -181,10 +248,24 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
     shape = (speed.size, len(rig.planes), 2)
     ones = np.ones(shape)
     unbalance, shaker = _excitation(virtual, name)
-    unit = RunUp(name, load, speed, rig.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, unbalance=unbalance, shaker=shaker)
+    unit = RunUp(
+        name,
+        load,
+        speed,
+        rig.plane_names,
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        unbalance=unbalance,
+        shaker=shaker,
+    )
     exact = rig.excited(unit).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
-    noisy = exact * (1 + noise.amplitude * rng.standard_normal(shape)) * np.exp(1j * noise.phase * rng.standard_normal(shape))
+    noisy = (
+        exact
+        * (1 + noise.amplitude * rng.standard_normal(shape))
+        * np.exp(1j * noise.phase * rng.standard_normal(shape))
+    )
     errors = {"amplitude_error": noise.amplitude * np.abs(noisy), "phase_error": noise.phase * ones}
     return replace(unit, response=noisy, threshold=_threshold(virtual, name, coefficients, rng), **errors)
 
@@ -198,18 +279,27 @@ def _excitation(virtual: VirtualUnbalanceRig, name: str) -> tuple[dict[str, comp
     return rig.known_unbalance, None
 
 
-def _threshold(virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator) -> Uncertain | None:
-    """The threshold with its noise, on the first run-up of a load; None where there is none within the search."""
+def _threshold(
+    virtual: VirtualUnbalanceRig, name: str, coefficients: CoefficientsAtSpeed, rng: np.random.Generator
+) -> Uncertain | None:
+    """The threshold with its noise, on the first run-up of a load.
+
+    None where there is none within the search.
+    """
     if name.endswith(("-second", "-shaker")):
         return None
     exact = virtual.nominal.threshold(coefficients)
     if exact is None:
         return None
-    return Uncertain(exact * (1 + virtual.noise.threshold * rng.standard_normal()), exact * virtual.noise.threshold)
+    return Uncertain(
+        exact * (1 + virtual.noise.threshold * rng.standard_normal()), exact * virtual.noise.threshold
+    )
 
 
 def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
-    """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's speeds [N/m, N s/m]."""
+    """Per load: the true critical speed and threshold [rad/s], and the eight coefficients at the run-up's
+    speeds [N/m, N s/m].
+    """
     rig, loads = virtual.nominal, {}
     for name, load in virtual.load_of_run.items():
         if name.endswith(("-second", "-shaker")):
@@ -224,7 +314,12 @@ def truth(virtual: VirtualUnbalanceRig) -> dict[str, Any]:
             "coefficients": [[float(f"{value:.6g}") for value in row] for row in eight],
         }
     bounds = {"inside": dict(zip(("logarithms", "bounds"), (INSIDE.tolist(), BOUND.tolist()), strict=True))}
-    return {"kind": virtual.truth, "speeds": virtual.omega.tolist(), **bounds.get(virtual.truth, {}), "loads": loads}
+    return {
+        "kind": virtual.truth,
+        "speeds": virtual.omega.tolist(),
+        **bounds.get(virtual.truth, {}),
+        "loads": loads,
+    }
 
 
 def _write(path: Path, run: RunUp) -> None:
@@ -235,14 +330,18 @@ def _write(path: Path, run: RunUp) -> None:
 
 def _simulate(virtual: VirtualUnbalanceRig, seed: int, runs: Sequence[str]) -> Simulation:
     """One table of 1x amplitudes and phases over speed per run."""
-    return Simulation({run.name: LoggedFile(run, _write) for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)})
+    return Simulation(
+        {run.name: LoggedFile(run, _write) for run in run_ups(virtual, seed, runs)}, {"truth": truth(virtual)}
+    )
 
 
 def _parameters(virtual: VirtualUnbalanceRig, runs: Sequence[str]) -> Truth:
     """Critical and threshold speed of the first run [rad/s]."""
     coefficients = true_coefficients(virtual, virtual.load_of_run[runs[0]])
     threshold = virtual.nominal.threshold(coefficients)
-    return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | ({} if threshold is None else {"threshold": threshold})
+    return {"critical_speed": virtual.nominal.critical_speed(coefficients)} | (
+        {} if threshold is None else {"threshold": threshold}
+    )
 
 
 UNBALANCE_RIG = VirtualRigKind(

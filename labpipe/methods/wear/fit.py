@@ -1,4 +1,7 @@
-"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with its uncertainty."""
+"""Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al.
+
+2017), each with its uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,18 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.budget import Source, changes_by, with_sources
-from labpipe.estimation.derived import drawn_densely
-from labpipe.estimation.diagnostics import MISMATCH_P, collinear_groups, estimate_findings, excess_findings, quality_findings
+from labpipe.estimation.derived import drawn_densely, reported_fit
+from labpipe.estimation.diagnostics import (
+    MISMATCH_P,
+    collinear_groups,
+    estimate_findings,
+    excess_findings,
+    quality_findings,
+)
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import (
     Estimate,
-    condition_number,
-    correlation,
     derived,
     determination,
     estimated,
@@ -52,7 +59,8 @@ from labpipe.records.response import FrequencyResponse
 
 # Findings of a wear identification: bounds, further minima, identifiability, healthy bearing.
 
-# Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two parameters.
+# Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two
+# parameters.
 RIVAL = 9.21
 AT_BOUND = 1e-4
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
@@ -75,7 +83,9 @@ def bound_findings(names: Sequence[str]) -> list[Finding]:
             DEPTH: "no wear is visible, or it is deeper than depth_limit",
             ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
         }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
-        findings.append(Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it"))
+        findings.append(
+            Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
+        )
     return findings
 
 
@@ -85,10 +95,12 @@ def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
         return []
-    places = "; ".join(f"{_place(misfit, minimum)} (chi-square {minimum.chi2 - best.chi2:+.2g})" for minimum in rivals)
+    places = "; ".join(
+        f"{_place(misfit, minimum)} (chi-square {minimum.chi2 - best.chi2:+.2g})" for minimum in rivals
+    )
     message = (
-        f"the misfit has further minima of nearly the same chi-square: {places}. Use more lines, all terms, or the complex "
-        "objective; prior knowledge of the bearing may select one"
+        f"the misfit has further minima of nearly the same chi-square: {places}. Use more lines, all terms, "
+        "or the complex objective; prior knowledge of the bearing may select one"
     )
     return [Finding("multi-modal", message)]
 
@@ -102,7 +114,9 @@ def angle_findings(identifiable: bool) -> list[Finding]:
     """A finding where the angle is not identifiable."""
     if identifiable:
         return []
-    message = "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
+    message = (
+        "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
+    )
     return [Finding("not-identifiable", message)]
 
 
@@ -130,15 +144,16 @@ def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMes
     best = minima[0]
     cells = f"{mesh.around} x {mesh.across}"
     return (
-        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil films of {cells} cells "
-        f"around tables of {settings.cells_around} x {settings.cells_across}."
+        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil "
+        f"films of {cells} cells around tables of {settings.cells_around} x {settings.cells_across}."
     )
 
 
 # Model worn-bearing: depth and angle of wear from the response of a rotor (Mendes et al. 2017), each with
 # its uncertainty.
 
-# Number of further minima that are refined as the best one is, and their largest excess of chi-square, relative.
+# Number of further minima that are refined as the best one is, and their largest excess of chi-square,
+# relative.
 MOST_RIVALS, NEAR = 3, 0.5
 LEAST_SENSITIVITY = 1e-6
 # Increase of chi-square below which zero wear fits as well as the best wear.
@@ -151,7 +166,9 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least chi-square without wear."""
+    """All minima, the best first, with its misfit in standard deviations, covariances (n, n) and the least
+    chi-square without wear.
+    """
 
     misfit: Misfit
     minima: tuple[Minimum, ...]
@@ -176,9 +193,11 @@ class _Solved:
 
 
 def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
-    """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response, as one Fit.
+    """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response,
+    as one Fit.
 
-    ConfigError where settings, rotor and response do not fit together, FitError where the response cannot support the fit.
+    ConfigError where settings, rotor and response do not fit together, FitError where the response cannot
+    support the fit.
     """
     wear: WearSettings = settings.model_settings
     measured = worn_receptance(response, settings, wear)
@@ -187,22 +206,14 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     parameters, findings = _reported(solved, estimate)
     frequency = measured.frequency
     lines = np.isin(response.frequency, frequency)
-    fit = Fit(
-        name=settings.name,
-        model=settings.model,
+    band = settings.band or (float(frequency[0]), float(frequency[-1]))
+    fit = replace(
+        reported_fit(settings, estimate, parameters, band, frequency.size, solved.misfit.n_prior),
         estimator=NAMES[wear.objective],
-        band_hz=settings.band or (float(frequency[0]), float(frequency[-1])),
-        lines=frequency.size,
-        equations=estimate.dof + len(solved.misfit.model.names) - solved.misfit.n_prior,
-        dof=estimate.dof,
-        gof=estimate.gof,
-        parameters=parameters,
-        condition_number=condition_number(estimate.scaled_design),
-        correlation=correlation(solved.covariance),
-        converged=estimate.converged,
-        iterations=estimate.iterations,
         findings=(
-            *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]),
+            *_estimate_findings(
+                solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]
+            ),
             *findings,
             *quality_findings(response, [0, 1], [0, 1], lines),
         ),
@@ -214,7 +225,8 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
-    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from its minimum, C J^T r.
+    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from
+    its minimum, C J^T r.
 
     Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
     """
@@ -228,7 +240,9 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
     beside = np.zeros(n_parameter - len(misfit.model.names))
 
     def values(change: ComplexArray) -> FloatArray:
-        moved = replace(measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change))
+        moved = replace(
+            measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change)
+        )
         residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
 
@@ -237,18 +251,29 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
         for rig in misfit.model.rig.ends(source):
             model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, with_slopes=False)
             moved = measured.terms(model.response(best)[0])
-            ends.append(MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size)
+            ends.append(
+                MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0] / misfit.size
+            )
         return np.concatenate([-misfit.model.scale * (step @ (ends[0] - ends[1])) / 2, beside])
 
-    return [*changes_by(measured.errors, values), *((uncertainty, by_bearings(uncertainty.source)) for uncertainty in uncertainties)]
+    return [
+        *changes_by(measured.errors, values),
+        *((uncertainty, by_bearings(uncertainty.source)) for uncertainty in uncertainties),
+    ]
 
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
-    """Search on the tables, refine on the films; an unknown noise is estimated from the residual and the search repeated."""
+    """Search on the tables, refine on the films.
+
+    An unknown noise is estimated from the residual and the search repeated.
+    """
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
     n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
-        raise FitError(f"{n_response} equations cannot determine {len(misfit.model.names)} parameters", hint="use more lines or terms")
+        raise FitError(
+            f"{n_response} equations cannot determine {len(misfit.model.names)} parameters",
+            hint="use more lines or terms",
+        )
     candidates = minima(misfit, start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _ranked(misfit, candidates[:1])
@@ -267,7 +292,13 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
             misfit, ranked = without, merged([healthy, *ranked])
     jacobian = misfit.jacobian(ranked[0].parameters)
     covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
-    return _Solved(misfit, tuple(ranked), covariance, film_covariance(misfit, ranked[0].parameters, covariance), healthy_chi2)
+    return _Solved(
+        misfit,
+        tuple(ranked),
+        covariance,
+        film_covariance(misfit, ranked[0].parameters, covariance),
+        healthy_chi2,
+    )
 
 
 def _size(misfit: Misfit, best: Minimum) -> float:
@@ -278,7 +309,9 @@ def _size(misfit: Misfit, best: Minimum) -> float:
 
 
 def _ranked(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
-    """The minima, those of nearly the same chi-square refined on the films, the lowest first with its misfit."""
+    """The minima, those of nearly the same chi-square refined on the films, the lowest first with its
+    misfit.
+    """
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
@@ -319,11 +352,17 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
     identifiable = ANGLE not in intervals or is_identifiable(intervals[ANGLE])
-    factors = dict(zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False))
+    factors = dict(
+        zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False)
+    )
     plain = [
-        _parameter(solved, number, factors.get(number), intervals.get(name), identifiable) for number, name in enumerate(misfit.model.names)
+        _parameter(solved, number, factors.get(number), intervals.get(name), identifiable)
+        for number, name in enumerate(misfit.model.names)
     ]
-    findings = [*bound_findings([name for name in at if identifiable or name != ANGLE]), *rival_findings(solved.minima, misfit)]
+    findings = [
+        *bound_findings([name for name in at if identifiable or name != ANGLE]),
+        *rival_findings(solved.minima, misfit),
+    ]
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
@@ -336,17 +375,26 @@ def _reported(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...
 def _intervals(solved: _Solved) -> dict[str, Interval]:
     """Profile intervals of depth and angle, widened by the error of the films' mesh."""
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
-    noise, film = (np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance))
+    noise, film = (
+        np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance)
+    )
     intervals = {}
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
             interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
-            intervals[name] = widened(interval, parameters[number], limit * film[number], model.low[number], model.high[number])
+            intervals[name] = widened(
+                interval, parameters[number], limit * film[number], model.low[number], model.high[number]
+            )
     return intervals
 
 
-def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool) -> Parameter:
-    """One parameter; an angle that is not identifiable and a parameter at its bound have no standard error."""
+def _parameter(
+    solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool
+) -> Parameter:
+    """One parameter.
+
+    An angle that is not identifiable and a parameter at its bound have no standard error.
+    """
     model = solved.misfit.model
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])
@@ -356,16 +404,27 @@ def _parameter(solved: _Solved, number: int, vif: float | None, interval: Interv
     if interval is not None:
         parameter = replace(parameter, ci95=(scale * interval.low, scale * interval.high))
     if at_bound or (name == ANGLE and not identifiable):
-        ends = None if name == ANGLE and not identifiable else parameter.ci95 if interval is not None else None
-        parameter = replace(parameter, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound)
+        ends = (
+            None if name == ANGLE and not identifiable else parameter.ci95 if interval is not None else None
+        )
+        parameter = replace(
+            parameter, std_error=None, t_ratio=None, significant=None, ci95=ends, at_bound=at_bound
+        )
     return parameter
 
 
 def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:
     """Findings on the estimate; collinear nuisance parameters are left out, their prior determines them."""
     names = [solved.misfit.model.names[number] for number in _sensitive_parameters(solved)]
-    findings = [*estimate_findings(estimate, names, solved.misfit.receptance.frequency.size), *excess_findings(estimate, biased)]
-    group = {name for collinear in (collinear_groups(estimate.scaled_design, names) if names else []) for name in collinear}
+    findings = [
+        *estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
+        *excess_findings(estimate, biased),
+    ]
+    group = {
+        name
+        for collinear in (collinear_groups(estimate.scaled_design, names) if names else [])
+        for name in collinear
+    }
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]
 
@@ -375,21 +434,33 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
     misfit, best = solved.misfit, solved.best
     lengths = np.linalg.norm(misfit.jacobian(best.parameters), axis=0)
     at = bounds_reached(misfit, best)
-    return tuple(n for n, name in enumerate(misfit.model.names) if lengths[n] > LEAST_SENSITIVITY and name not in at)
+    return tuple(
+        n for n, name in enumerate(misfit.model.names) if lengths[n] > LEAST_SENSITIVITY and name not in at
+    )
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
     """The joint region of depth and angle; none for a healthy rig or where the angle is not identifiable."""
     model = solved.misfit.model
-    if DEPTH not in model.names or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None:
+    if (
+        DEPTH not in model.names
+        or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None
+    ):
         return ()
     outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
-    wide = widened_region(outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2])
-    return (Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL),)
+    wide = widened_region(
+        outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2]
+    )
+    return (
+        Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL),
+    )
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
-    """Measured and fitted receptance in the fit's frame, all terms, between the lines too; of a tuning also the model before it."""
+    """Measured and fitted receptance in the fit's frame, all terms, between the lines too.
+
+    Of a tuning also the model before it.
+    """
     receptance = measured.measured
     variance = None
     if receptance.covariance is not None:

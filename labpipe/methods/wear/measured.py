@@ -34,7 +34,8 @@ SMALL_ANGLE = 1e-5
 
 @dataclass(frozen=True)
 class WornReceptance:
-    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of the terms used.
+    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
+    the terms used.
 
     *errors*: what sources of systematic error do to it, in the same frame.
     """
@@ -63,12 +64,17 @@ class WornReceptance:
 
 
 def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
-    """Lines, frame and terms of a fit; ConfigError where they do not fit the response, FitError where nothing is left."""
+    """Lines, frame and terms of a fit.
+
+    ConfigError where they do not fit the response, FitError where nothing is left.
+    """
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
     turn = np.kron(left, right.T)
-    covariance = None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
+    covariance = (
+        None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
+    )
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
     errors += _of_directions(response, wear.response, measured.matrix)
@@ -76,15 +82,24 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an uncertainty."""
+    """Changes of the matrix in the fit's frame by the direction of each sensor and force whose angle has an
+    uncertainty.
+    """
     errors = []
     for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
         for number, port in enumerate(ports):
             for calibration in port.uncertainties:
                 if calibration.effect == "direction" and port.angle is not None:
-                    ahead, behind = (_turn(_with_angle(response, of_forces, number, step), frame) for step in (SMALL_ANGLE, -SMALL_ANGLE))
-                    slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (2 * SMALL_ANGLE)
-                    errors.append(MatrixError(calibration.uncertainty, calibration.uncertainty.std_error * slope))
+                    ahead, behind = (
+                        _turn(_with_angle(response, of_forces, number, step), frame)
+                        for step in (SMALL_ANGLE, -SMALL_ANGLE)
+                    )
+                    slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (
+                        2 * SMALL_ANGLE
+                    )
+                    errors.append(
+                        MatrixError(calibration.uncertainty, calibration.uncertainty.std_error * slope)
+                    )
     return errors
 
 
@@ -100,7 +115,9 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
     """L and R of L H R, from the response's own frame to the fit's."""
     if len(response.outputs) != 2 or len(response.inputs) != 2:
         ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
-        raise ConfigError(f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z")
+        raise ConfigError(
+            f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
+        )
     left = np.linalg.inv(_sensing(response.outputs))
     right = np.linalg.inv(_forcing(response.inputs))
     if frame == "dFRF":
@@ -116,7 +133,9 @@ def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
 
 
 def _forcing(ports: tuple[Port, ...]) -> ComplexArray:
-    """Q of (force in y and z) = Q (forces): directions of the forces as columns, or A of forward and backward."""
+    """Q of (force in y and z) = Q (forces): directions of the forces as columns, or A of forward and
+    backward.
+    """
     return FROM_DIRECTIONAL if _is_directional(ports) else _in_yz(ports, "forces").T
 
 
@@ -125,14 +144,18 @@ def _is_directional(ports: tuple[Port, ...]) -> bool:
 
 
 def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
-    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to up (y, 90 deg)."""
+    """Rows (part along y, part along z): of dofs named y and z, else by angle, from horizontal (x, 0 deg) to
+    up (y, 90 deg).
+    """
     dofs = tuple(port.dof for port in ports)
     if set(dofs) == {"y", "z"}:
         return np.array([[dof == "y", dof == "z"] for dof in dofs], np.complex128)
     try:
         return directions(ports, role).astype(np.complex128)
     except DataError as error:
-        raise ConfigError(error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal") from None
+        raise ConfigError(
+            error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal"
+        ) from None
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
@@ -142,7 +165,9 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
         return _explicit(response.frequency, wear.lines)
     if wear.half_power:
         size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
-        peaks = [half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power]
+        peaks = [
+            half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power
+        ]
         inside &= np.any([lines_in(response.frequency, (peak.low, peak.high)) for peak in peaks], axis=0)
     if not np.any(inside):
         raise FitError("no frequency line is left", hint="widen the band")
@@ -155,7 +180,10 @@ def _explicit(frequency: FloatArray, wanted: tuple[float, ...]) -> BoolArray:
     spacing = float(np.median(np.diff(frequency))) if frequency.size > 1 else 0.0
     for line, line_hz in zip(wanted, frequency[nearest], strict=True):
         if abs(line - line_hz) > 0.51 * spacing:
-            raise ConfigError(f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz", hint="is it masked or out of the band?")
+            raise ConfigError(
+                f"there is no line near {line:g} Hz; the nearest is {line_hz:g} Hz",
+                hint="is it masked or out of the band?",
+            )
     chosen = np.zeros(frequency.shape, bool)
     chosen[nearest] = True
     return chosen
@@ -169,10 +197,12 @@ Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
 @dataclass
 class Misfit:
-    """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once *size* is known.
+    """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
+    *size* is known.
 
-    The last point is cached, because optimisers ask for residual and Jacobian one after the other. size: standard deviation of the
-    residual as `compared` gives it; 1 where the noise of the FRF is known. The prior's rows stand last.
+    The last point is cached, because optimisers ask for residual and Jacobian one after the other. size:
+    standard deviation of the residual as `compared` gives it; 1 where the noise of the FRF is known. The
+    prior's rows stand last.
     """
 
     model: WornModel
@@ -232,27 +262,37 @@ def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
 
 
 def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights where no noise is known.
+    """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights
+    where no noise is known.
 
-    A covariance estimated from few averages inflates the residual: it is scaled back so that its weight beside the prior is right.
-    Equation (wear-complex).
+    A covariance estimated from few averages inflates the residual: it is scaled back so that its weight
+    beside the prior is right. Equation (wear-complex).
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)
     weights = whitener(chosen) if weighted else equal_weights(chosen)
-    uncertainty = weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1)) if weighted else None
+    uncertainty = (
+        weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1))
+        if weighted
+        else None
+    )
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
 
     size, excess = (
-        (1.0, 1.0) if uncertainty is None else (float(np.sqrt(uncertainty.inflation)), uncertainty.excess / uncertainty.inflation)
+        (1.0, 1.0)
+        if uncertainty is None
+        else (float(np.sqrt(uncertainty.inflation)), uncertainty.excess / uncertainty.inflation)
     )
     return Misfit(model, measured, compared=compared, weighted=weighted, size=size, excess=excess)
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017); phases do not enter. Equation (wear-log)."""
+    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017).
+
+    Phases do not enter. Equation (wear-log).
+    """
     matrix = measured.chosen.matrix
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -262,4 +302,7 @@ def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     return Misfit(model, measured, compared=compared, weighted=False)
 
 
-MISFITS: dict[str, Callable[[WornModel, WornReceptance], Misfit]] = {"complex": complex_misfit, "log": log_misfit}
+MISFITS: dict[str, Callable[[WornModel, WornReceptance], Misfit]] = {
+    "complex": complex_misfit,
+    "log": log_misfit,
+}

@@ -1,4 +1,6 @@
-"""The figures of worn-bearing fits: where depth and angle lie together, and a model before and after its tuning."""
+"""The figures of worn-bearing fits: where depth and angle lie together, and a model before and after its
+tuning.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from labpipe.report.wording import fit_title, unit_text
 
 
 def region_figure(fit: Fit, region: Region) -> Figure:
-    """The outline of the joint confidence region around the estimate, with the intervals of each parameter alone."""
+    """The outline of the joint confidence region around the estimate, with the intervals of each parameter
+    alone.
+    """
     parameters = [fit.parameter(name) for name in region.names]
     factors = [scale_of(parameter.unit) for parameter in parameters]
     x, y = (np.vstack([region.outline, region.outline[:1]]) * factors).T
@@ -25,11 +29,14 @@ def region_figure(fit: Fit, region: Region) -> Figure:
     series.append(dots("estimate", estimate[:1], estimate[1:], 1, marker="o", size=6.0))
     axes = [Axis(parameter.name, unit_text(parameter.unit)) for parameter in parameters]
     caption = (
-        f"{fit_title(fit)}: joint {100 * region.level:g} % confidence region of {' and '.join(region.names)}, from the profile of chi², "
-        "all other parameters estimated again. Dashed: the 95 % interval of each alone, which is narrower than the region."
+        f"{fit_title(fit)}: joint {100 * region.level:g} % confidence region of "
+        f"{' and '.join(region.names)}, from the profile of chi², all other parameters estimated again. "
+        "Dashed: the 95 % interval of each alone, which is narrower than the region."
     )
     chart = stacked([Panel(axes[0], axes[1], tuple(series))], 3.6)
-    return Figure(chart, caption, f"Joint confidence region of {' and '.join(region.names)} of fit {fit_title(fit)}")
+    return Figure(
+        chart, caption, f"Joint confidence region of {' and '.join(region.names)} of fit {fit_title(fit)}"
+    )
 
 
 REGION_DETAIL = FitDetailKind(Region, lambda fit, region: [region_figure(fit, region)])

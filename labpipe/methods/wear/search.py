@@ -1,10 +1,12 @@
 """Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing.
 
-Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of the intervals.
+Error of a wear identification by the finite cells of its oil films, as a part of the covariance and of the
+intervals.
 
-Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the cells round the bend. The
-change of the coefficients from half the cells moves the estimate; a third of it is the standard deviation of the mesh's own error. Films
-err independently: a mesh that suits one may not suit the other.
+Noise is not the only uncertainty: where the film divides, coefficients bend sharply over the depth, and the
+cells round the bend. The change of the coefficients from half the cells moves the estimate; a third of it is
+the standard deviation of the mesh's own error. Films err independently: a mesh that suits one may not suit
+the other.
 """
 
 from __future__ import annotations
@@ -33,10 +35,12 @@ TOLERANCE = 1e-10
 # The same until the minima that starts share are known.
 START_TOLERANCE = 1e-5
 MOST_EVALUATIONS = 60
-# Change of a refined minimum, in standard errors, that counts as converged, and the largest number of corrections.
+# Change of a refined minimum, in standard errors, that counts as converged, and the largest number of
+# corrections.
 SETTLED, MOST_REFINEMENTS = 0.03, 12
-# The films' slopes cost several films each: they are computed once the last correction moved the minimum by less than NEAR standard
-# errors, at the latest in round LATEST (from 0), and again after one that moves it by more than FAR, SLOPE_ROUNDS times at most.
+# The films' slopes cost several films each: they are computed once the last correction moved the minimum by
+# less than NEAR standard errors, at the latest in round LATEST (from 0), and again after one that moves it by
+# more than FAR, SLOPE_ROUNDS times at most.
 NEAR, LATEST, FAR, SLOPE_ROUNDS = 3.0, 2, 1.0, 3
 
 
@@ -52,18 +56,28 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean; that alone where wear is known before."""
+    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean.
+
+    That alone where wear is known before.
+    """
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
     if DEPTH not in model.names or DEPTH in model.prior.names:
         return [mean]
     depths = [max(depth, SHALLOWEST_START) for depth in settings.start_depths]
     scales = [model.scale[model.names.index(name)] for name in (DEPTH, ANGLE)]
-    return [np.array([depth / scales[0], angle / scales[1], *mean]) for depth, angle in product(depths, settings.start_angles)]
+    return [
+        np.array([depth / scales[0], angle / scales[1], *mean])
+        for depth, angle in product(depths, settings.start_angles)
+    ]
 
 
-def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE) -> Minimum:
-    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move (default: all)."""
+def descend(
+    misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
+) -> Minimum:
+    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move
+    (default: all).
+    """
     moving = list(range(start.size)) if free is None else list(free)
     model, whole = misfit.model, np.array(start, float)
     low, high = model.low[moving], model.high[moving]
@@ -97,7 +111,10 @@ def descend(misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None
 
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
-    """The distinct minima of all scaled starts (n,) [1], the lowest first; FitError when no start leads to a finite misfit."""
+    """The distinct minima of all scaled starts (n,) [1], the lowest first.
+
+    FitError when no start leads to a finite misfit.
+    """
     rough = _ranked([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
     candidates = _ranked([_continued(misfit, minimum) for minimum in merged(rough)])
     if not np.isfinite(candidates[0].chi2):
@@ -121,12 +138,18 @@ def merged(candidates: Sequence[Minimum]) -> list[Minimum]:
     """The minima in their order, those at the same place merged."""
     distinct: list[Minimum] = []
     for candidate in candidates:
-        near = next((n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters)), None)
+        near = next(
+            (n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters)), None
+        )
         if near is None:
             distinct.append(candidate)
         else:
             first = distinct[near]
-            distinct[near] = replace(first, starts=first.starts + candidate.starts, evaluations=first.evaluations + candidate.evaluations)
+            distinct[near] = replace(
+                first,
+                starts=first.starts + candidate.starts,
+                evaluations=first.evaluations + candidate.evaluations,
+            )
     return distinct
 
 
@@ -136,11 +159,14 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
     return bool(apart[0] < SAME and (np.max(apart) < SAME or max(first[0], second[0]) < SHALLOW))
 
 
-def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf) -> tuple[Misfit, Minimum]:
+def refined(
+    misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf
+) -> tuple[Misfit, Minimum]:
     """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly.
 
-    The first corrections have the tables' slopes, since they move the minimum furthest, the next one the films' own. The minimum is
-    marked as not converged where this does not settle; beyond a chi-square that is *hopeless* it is left as it stands.
+    The first corrections have the tables' slopes, since they move the minimum furthest, the next one the
+    films' own. The minimum is marked as not converged where this does not settle; beyond a chi-square that is
+    *hopeless* it is left as it stands.
     """
     slopes, moved = 0, np.inf
     for number in range(MOST_REFINEMENTS):
@@ -149,7 +175,9 @@ def refined(misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None,
         slopes += with_slopes
         misfit = replace(misfit, model=misfit.model.refined(before, with_slopes), _last=None)
         correction = descend(misfit, before, free)
-        minimum = replace(correction, starts=minimum.starts, evaluations=minimum.evaluations + correction.evaluations)
+        minimum = replace(
+            correction, starts=minimum.starts, evaluations=minimum.evaluations + correction.evaluations
+        )
         if minimum.chi2 > hopeless:
             break
         moved = float(np.linalg.norm(misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)))
@@ -168,7 +196,9 @@ PROFILE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Interval:
-    """Ends of a profile interval in scaled units; *open*: whether it ends at the bound only because the range does."""
+    """Ends of a profile interval in scaled units; *open*: whether it ends at the bound only because the range
+    does.
+    """
 
     low: float
     high: float
@@ -176,8 +206,11 @@ class Interval:
     open_high: bool
 
 
-def profile_interval(misfit: Misfit, best: Minimum, number: int, std_error: float, limit: float = 1.96) -> Interval:
-    """Where the root of the misfit's increase reaches *limit* standard deviations, all other parameters re-estimated.
+def profile_interval(
+    misfit: Misfit, best: Minimum, number: int, std_error: float, limit: float = 1.96
+) -> Interval:
+    """Where the root of the misfit's increase reaches *limit* standard deviations, all other parameters
+    re-estimated.
 
     *std_error*: a first guess of the distance for one standard deviation, scaled. Equation (wear-profile).
     """
@@ -185,7 +218,9 @@ def profile_interval(misfit: Misfit, best: Minimum, number: int, std_error: floa
     return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
 
 
-def _end(misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float) -> tuple[float, bool]:
+def _end(
+    misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float
+) -> tuple[float, bool]:
     """One end of the interval, and True if it is the bound."""
     here = float(best.parameters[number])
     bound = float((misfit.model.low if side < 0 else misfit.model.high)[number])
@@ -221,11 +256,14 @@ def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> 
     return float(np.sqrt(max(descend(misfit, start, free, PROFILE_TOLERANCE).chi2 - best.chi2, 0.0)))
 
 
-def joint_region(misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24) -> FloatArray:
-    """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1]; *covariance* (n, n), scaled.
+def joint_region(
+    misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24
+) -> FloatArray:
+    """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1];
+    *covariance* (n, n), scaled.
 
-    Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the chi-square quantile of
-    two parameters; cut at the bounds. Equation (wear-region).
+    Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the
+    chi-square quantile of two parameters; cut at the bounds. Equation (wear-region).
     """
     limit = float(np.sqrt(chi2_quantile(level, 2)))
     root = np.linalg.cholesky(covariance[:2, :2])
@@ -253,12 +291,16 @@ HOPELESS = 6000.0
 N_DEPTH, N_ANGLE = 13, 5
 # Mesh around the best wear, in standard errors.
 AROUND = np.linspace(-3.0, 3.0, 7)
-# Least information on a parameter without sensitivity, as the angle at zero depth: a standard error of 10,000 scaled units.
+# Least information on a parameter without sensitivity, as the angle at zero depth: a standard error of 10,000
+# scaled units.
 LEAST_INFORMATION = 1e-8
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
-    """Minimum at zero depth, refined on the films; no start leads there, because the slope by depth is zero."""
+    """Minimum at zero depth, refined on the films.
+
+    No start leads there, because the slope by depth is zero.
+    """
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
     refined_misfit, healthy = refined(misfit, healthy, nuisances, best.chi2 + HOPELESS)
@@ -266,10 +308,12 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
 
 
 def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
-    """P(no wear | response), even odds before, and wear evenly likely over the whole range of depth and angle.
+    """P(no wear | response), even odds before, and wear evenly likely over the whole range of depth and
+    angle.
 
-    1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters estimated again at every
-    point (their spread is the same with and without wear, so it cancels). Equation (wear-healthy).
+    1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters
+    estimated again at every point (their spread is the same with and without wear, so it cancels). Equation
+    (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
     share = _peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)
@@ -277,7 +321,9 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
 
 
 def _peak_share(misfit: Misfit, best: Minimum) -> float:
-    """Mean over the range of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the area."""
+    """Mean over the range of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the
+    area.
+    """
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
     return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
 
@@ -285,12 +331,16 @@ def _peak_share(misfit: Misfit, best: Minimum) -> float:
 def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
     """Covariance of depth and angle (2, 2), scaled."""
     jacobian = misfit.jacobian(best.parameters)
-    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
+    spread: FloatArray = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[
+        :2, :2
+    ]
     return spread
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
-    """Mean over the range of exp(-(chi2 - chi2_min) / 2) on a mesh that is dense at small depths and around the best wear."""
+    """Mean over the range of exp(-(chi2 - chi2_min) / 2) on a mesh that is dense at small depths and around
+    the best wear.
+    """
     low, high = misfit.model.low[:2], misfit.model.high[:2]
     widths = np.minimum(np.sqrt(np.diag(_spread(misfit, best))), (high - low) / 8)
     places = [best.parameters[number] + widths[number] * AROUND for number in (0, 1)]
@@ -316,10 +366,11 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
 
 
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films; zero where there is no film.
+    """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films;
+    zero where there is no film.
 
-    Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the residual by the film's error; *covariance* (n, n) [1]:
-    that of the noise. Equation (wear-film).
+    Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the residual by the film's
+    error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
     """
     residual, jacobian = misfit.residual(parameters), misfit.jacobian(parameters)
     total = np.zeros_like(covariance)
@@ -331,8 +382,13 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
 
 
 def widened(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
-    """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within *low* and *high*; all scaled."""
-    first, last = best - np.hypot(best - interval.low, distance), best + np.hypot(interval.high - best, distance)
+    """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
+    *low* and *high*; all scaled.
+    """
+    first, last = (
+        best - np.hypot(best - interval.low, distance),
+        best + np.hypot(interval.high - best, distance),
+    )
     return Interval(
         float(interval.low if interval.open_low else max(first, low)),
         float(interval.high if interval.open_high else min(last, high)),
@@ -342,7 +398,9 @@ def widened(interval: Interval, best: float, distance: float, low: float, high: 
 
 
 def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, film: FloatArray) -> FloatArray:
-    """An outline (n, 2) about *best* (2,) for the covariance *noise* (2, 2), stretched to noise and *film* (2, 2); all scaled [1]."""
+    """An outline (n, 2) about *best* (2,) for the covariance *noise* (2, 2), stretched to noise and *film*
+    (2, 2); all scaled [1].
+    """
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
     stretched: FloatArray = best + (outline - best) @ stretch.T
     return stretched

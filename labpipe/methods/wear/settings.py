@@ -50,29 +50,55 @@ class WearSettings(Settings):
     _: KW_ONLY
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
-    response: str = setting("choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF")
-    terms: str = setting("choice", "all terms of the response, direct or cross terms only", choices=TERMS, default="full")
-    objective: str = setting(
-        "choice", "complex: weighted by the FRF's covariance; log: squared log10 of amplitude ratios", choices=OBJECTIVES, default="complex"
+    response: str = setting(
+        "choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF"
     )
-    lines: tuple[float, ...] = setting("values", "these frequency lines only; default: all of the band", unit="Hz", default=())
+    terms: str = setting(
+        "choice", "all terms of the response, direct or cross terms only", choices=TERMS, default="full"
+    )
+    objective: str = setting(
+        "choice",
+        "complex: weighted by the FRF's covariance; log: squared log10 of amplitude ratios",
+        choices=OBJECTIVES,
+        default="complex",
+    )
+    lines: tuple[float, ...] = setting(
+        "values", "these frequency lines only; default: all of the band", unit="Hz", default=()
+    )
     half_power: tuple[tuple[float, float], ...] = setting(
         "bands", "lines between the half-power points of the peak in each band", unit="Hz", default=()
     )
     depth_limit: float = setting("value", "largest depth of the search", unit="m", default=50e-6)
-    angle_limit: float = setting("value", "largest angle of the search, either way", unit="rad", default=np.pi / 9)
-    start_depths: tuple[float, ...] = setting("values", "depths of the mesh of starts", unit="m", default=(0.0, 15e-6, 30e-6, 45e-6))
-    start_angles: tuple[float, ...] = setting(
-        "values", "angles of the mesh of starts", unit="rad", default=tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist())
+    angle_limit: float = setting(
+        "value", "largest angle of the search, either way", unit="rad", default=np.pi / 9
     )
-    viscosity: Uncertain | None = setting("uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None)
-    clearance: Uncertain | None = setting("uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None)
+    start_depths: tuple[float, ...] = setting(
+        "values", "depths of the mesh of starts", unit="m", default=(0.0, 15e-6, 30e-6, 45e-6)
+    )
+    start_angles: tuple[float, ...] = setting(
+        "values",
+        "angles of the mesh of starts",
+        unit="rad",
+        default=tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist()),
+    )
+    viscosity: Uncertain | None = setting(
+        "uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None
+    )
+    clearance: Uncertain | None = setting(
+        "uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None
+    )
     cavitation_pressure: Uncertain | None = setting(
         "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar; zero or negative", unit="Pa", default=None
     )
-    beta: Uncertain | None = setting("uncertain", "damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", unit="s", default=None)
-    prior: str = setting("text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default="")
-    same_wear: bool = setting("flag", "the fit of `prior` was of this same wear: its depth and angle are known too", default=False)
+    beta: Uncertain | None = setting(
+        "uncertain", "damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", unit="s", default=None
+    )
+    prior: str = setting(
+        "text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default=""
+    )
+    same_wear: bool = setting(
+        "flag", "the fit of `prior` was of this same wear: its depth and angle are known too", default=False
+    )
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=120)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=30)
     rig: RotorRig | None = None
@@ -88,13 +114,22 @@ class WearSettings(Settings):
         if not all(0 <= depth <= self.depth_limit for depth in self.start_depths):
             raise ConfigError("'start_depths' leave the range of depths", hint="from 0 to depth_limit")
         if not all(abs(angle) <= self.angle_limit for angle in self.start_angles):
-            raise ConfigError("'start_angles' leave the range of angles", hint="from -angle_limit to angle_limit")
+            raise ConfigError(
+                "'start_angles' leave the range of angles", hint="from -angle_limit to angle_limit"
+            )
         if self.same_wear and (not self.prior or self.healthy):
-            raise ConfigError("'same_wear' goes with the 'prior' of a worn bearing", hint="prior: FIT, the fit of another speed or load")
+            raise ConfigError(
+                "'same_wear' goes with the 'prior' of a worn bearing",
+                hint="prior: FIT, the fit of another speed or load",
+            )
         if self.prior and self.nuisances:
-            raise ConfigError(f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out")
+            raise ConfigError(
+                f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out"
+            )
         if self.healthy and not self.nuisances:
-            raise ConfigError("nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its uncertainty")
+            raise ConfigError(
+                "nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
+            )
         self._check_nuisances()
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)
@@ -106,7 +141,9 @@ class WearSettings(Settings):
                 continue
             if name == "cavitation_pressure":
                 if nuisance.value > 0:
-                    raise ConfigError("'cavitation_pressure' is above the ambient pressure", hint="give zero or less")
+                    raise ConfigError(
+                        "'cavitation_pressure' is above the ambient pressure", hint="give zero or less"
+                    )
             elif not nuisance.value > 0:
                 raise ConfigError(f"'{name}' must be positive")
             elif nuisance.std_error > 0.25 * nuisance.value:
@@ -115,7 +152,11 @@ class WearSettings(Settings):
     @property
     def nuisances(self) -> tuple[str, ...]:
         """Nuisance parameters with a standard error, estimated together with the wear."""
-        return tuple(name for name in NUISANCES if getattr(self, name) is not None and getattr(self, name).std_error > 0)
+        return tuple(
+            name
+            for name in NUISANCES
+            if getattr(self, name) is not None and getattr(self, name).std_error > 0
+        )
 
     @property
     def nuisance_prior(self) -> Gaussian:
@@ -141,7 +182,10 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`. ConfigError if there is no such fit."""
+    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
+
+    ConfigError if there is no such fit.
+    """
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
@@ -149,28 +193,39 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         if fit.name == wear.prior:
             return replace(settings, model_settings=replace(wear, posterior=posterior(fit, wear.same_wear)))
     hint = nearest(wear.prior, [fit.name for fit in fits])
-    raise ConfigError(f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}")
+    raise ConfigError(
+        f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}"
+    )
 
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
-    """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it was of the *same_wear*.
+    """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it
+    was of the *same_wear*.
 
-    Standard errors are taken as inflated where the residual exceeds the noise; ConfigError where the fit tuned nothing.
+    Standard errors are taken as inflated where the residual exceeds the noise; ConfigError where the fit
+    tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)
     numbers = [number for number, parameter in enumerate(estimated) if parameter.name in carried]
-    if same_wear and not all(any(p.name == name and p.std_error for p in estimated) for name in (DEPTH, ANGLE)):
+    if same_wear and not all(
+        any(p.name == name and p.std_error for p in estimated) for name in (DEPTH, ANGLE)
+    ):
         what = f"wear.same_wear: the fit '{fit.name}' gives no depth and angle with standard errors"
         raise ConfigError(what, hint="begin with the test that tells both best")
     if not numbers:
         hint = "give it wear: {healthy: true, ...}"
         raise ConfigError(f"wear.prior: the fit '{fit.name}' tuned none of {', '.join(NUISANCES)}", hint=hint)
     chosen = [estimated[number] for number in numbers]
-    errors = [parameter.std_error_inflated or parameter.std_error or LEAST_SHARE * max(abs(parameter.value), 1e-12) for parameter in chosen]
+    errors = [
+        parameter.std_error_inflated or parameter.std_error or LEAST_SHARE * max(abs(parameter.value), 1e-12)
+        for parameter in chosen
+    ]
     covariance = fit.correlation[np.ix_(numbers, numbers)] * np.outer(errors, errors)
     rows = tuple(tuple(row) for row in covariance.tolist())
-    return Gaussian(tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows)
+    return Gaussian(
+        tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows
+    )
 
 
 # The model worn-bearing as an entry of the table of models. What fits is imported by the first fit.
@@ -195,5 +250,12 @@ def _begin(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 
 WORN_BEARING = ModelKind(
-    _fit, "wear", WearSettings, "wear: {rotor: ../configs/rotors/FILE.yaml}", earlier=_earlier, begin=_begin, keys=(), estimators=("ml",)
+    _fit,
+    "wear",
+    WearSettings,
+    "wear: {rotor: ../configs/rotors/FILE.yaml}",
+    earlier=_earlier,
+    begin=_begin,
+    keys=(),
+    estimators=("ml",),
 )

@@ -1,9 +1,10 @@
-"""Coefficients of the bearings of a rotor as functions of wear and its conditions, and the response of the rotor with them.
+"""Coefficients of the bearings of a rotor as functions of wear and its conditions, and the response of the
+rotor with them.
 
 Response of a rotor with a worn bearing, and its derivatives by the parameters of the bearing's coefficients.
 
-With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf: exact, and from the few
-dofs of the reduced rotor only.
+With Z = K + j w C of the bearings and H the receptance of the rotor on them, dH/dp = -H_ob (dZ/dp) H_bf:
+exact, and from the few dofs of the reduced rotor only.
 
 Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation pressure.
 
@@ -35,35 +36,52 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 @dataclass(frozen=True)
 class VaryingSupport:
-    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes (n, 2, 2) [SI]."""
+    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes
+    (n, 2, 2) [SI].
+    """
 
     support: Support
     stiffness_slopes: FloatArray
     damping_slopes: FloatArray
 
     def __post_init__(self) -> None:
-        if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (2, 2):
-            raise ConfigError(f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter")
+        if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (
+            2,
+            2,
+        ):
+            raise ConfigError(
+                f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter"
+            )
 
 
 def response_with_slopes(
     rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n, n_line, 2, 2).
+    """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n,
+    n_line, 2, 2).
 
-    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the reduced rotor.
-    Equation (rotor-slopes).
+    *bearings* are added to *rotor* and share their parameters; bearings, output and force are nodes of the
+    reduced rotor. Equation (rotor-slopes).
     """
     bearings = list(bearings)
     response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
-    # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of matrices.
-    places = [(2 * number + row, 2 * number + column) for number in range(len(bearings)) for row, column in np.ndindex(2, 2)]
+    # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of
+    # matrices.
+    places = [
+        (2 * number + row, 2 * number + column)
+        for number in range(len(bearings))
+        for row, column in np.ndindex(2, 2)
+    ]
     products = np.empty((2, len(places), rotor.omega.size, 2, 2), np.complex128)
     for product, (row, column) in zip(products[0], places, strict=True):
         np.multiply(to_output[:, :, row, None], from_force[:, column, None, :], out=product)
     np.multiply(products[0], 1j * rotor.omega[:, None, None], out=products[1])
     slopes = np.concatenate(
-        [_flat(bearing.stiffness_slopes for bearing in bearings), _flat(bearing.damping_slopes for bearing in bearings)], axis=1
+        [
+            _flat(bearing.stiffness_slopes for bearing in bearings),
+            _flat(bearing.damping_slopes for bearing in bearings),
+        ],
+        axis=1,
     )
     return response, -(slopes @ products.reshape(slopes.shape[1], -1)).reshape(-1, *response.shape)
 
@@ -74,7 +92,9 @@ def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
-    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z (Mendes et al. 2017, eq. 18)."""
+    """The directional response A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]] of (..., 2, 2) [m/N] in y and z
+    (Mendes et al. 2017, eq. 18).
+    """
     turned: ComplexArray = np.linalg.inv(FROM_DIRECTIONAL) @ matrix @ FROM_DIRECTIONAL
     return turned
 
@@ -83,8 +103,9 @@ def forward_backward(matrix: ComplexArray) -> ComplexArray:
 class WornRig:
     """A rotor on all its bearings except the worn one; made once per speed and set of lines.
 
-    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of the exciter;
-    bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle [rad], from a table or the film itself.
+    rotor: reduced to the worn bearing's *node*, *output*, the node of the sensors, and *force*, the node of
+    the exciter; bearing: coefficients of the worn bearing with their derivatives by depth [m] and angle
+    [rad], from a table or the film itself.
     """
 
     rotor: ReducedRotor
@@ -93,10 +114,14 @@ class WornRig:
     force: int
 
 
-def worn_response(depth: float, angle: float, rig: WornRig, directional: bool = False) -> tuple[ComplexArray, ComplexArray]:
-    """Receptance (n_line, 2, 2) [m/N] with a wear of *depth* [m] at *angle* [rad] from the bottom, and its derivatives (2, n_line, 2, 2).
+def worn_response(
+    depth: float, angle: float, rig: WornRig, directional: bool = False
+) -> tuple[ComplexArray, ComplexArray]:
+    """Receptance (n_line, 2, 2) [m/N] with a wear of *depth* [m] at *angle* [rad] from the bottom, and its
+    derivatives (2, n_line, 2, 2).
 
-    The derivatives are by depth and by angle [1/N, m/(N rad)]. *directional*: forward and backward instead of y and z.
+    The derivatives are by depth and by angle [1/N, m/(N rad)]. *directional*: forward and backward instead of
+    y and z.
     """
     response, slopes = response_with_slopes(rig.rotor, [rig.bearing(depth, angle)], rig.output, rig.force)
     return (forward_backward(response), forward_backward(slopes)) if directional else (response, slopes)
@@ -105,23 +130,36 @@ def worn_response(depth: float, angle: float, rig: WornRig, directional: bool = 
 # Coefficients of the bearings of a rotor as functions of wear, viscosity, clearance and cavitation
 # pressure.
 
-# Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the films.
+# Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
+# films.
 WEAR_NODES = ((41, 9), (21, 7), (13, 5))
-# Further axes: nodes along them, and along the Sommerfeld number where it varies by less than this factor either way.
+# Further axes: nodes along them, and along the Sommerfeld number where it varies by less than this factor
+# either way.
 FURTHER_NODES = 4
 NARROW, NARROW_NODES = 1.1, 3
-# Largest change of the displacement over clearance in the last step of a table's equilibria: far below what lies between its nodes.
+# Largest change of the displacement over clearance in the last step of a table's equilibria: far below what
+# lies between its nodes.
 TABLE_TOLERANCE = 1e-5
-# The same of a film that corrects a table: tight, so that coefficients do not depend on the film it started from.
+# The same of a film that corrects a table: tight, so that coefficients do not depend on the film it started
+# from.
 FILM_TOLERANCE = 1e-9
 WEAR = ("wear_depth", "wear_angle")
-# Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation pressure [Pa].
-STEPS = {"wear_depth": 1e-6, "wear_angle": float(np.deg2rad(1.0)), "viscosity": 0.01, "clearance": 0.01, "cavitation_pressure": 2e3}
+# Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation
+# pressure [Pa].
+STEPS = {
+    "wear_depth": 1e-6,
+    "wear_angle": float(np.deg2rad(1.0)),
+    "viscosity": 0.01,
+    "clearance": 0.01,
+    "cavitation_pressure": 2e3,
+}
 
 
 @dataclass(frozen=True)
 class Ranges:
-    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure [Pa]; wear limits."""
+    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure
+    [Pa]; wear limits.
+    """
 
     depth: float
     angle: float
@@ -156,7 +194,9 @@ class Ranges:
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
     interpolated = table.coefficients(bearing, speed)
-    return np.stack([interpolated.stiffness, interpolated.damping]), np.stack([interpolated.stiffness_slopes, interpolated.damping_slopes])
+    return np.stack([interpolated.stiffness, interpolated.damping]), np.stack(
+        [interpolated.stiffness_slopes, interpolated.damping_slopes]
+    )
 
 
 def _point(bearing: JournalBearing) -> FloatArray:
@@ -166,8 +206,9 @@ def _point(bearing: JournalBearing) -> FloatArray:
 def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, FloatArray]:
     """Derivatives (2, 2, 2) of stiffness and damping by parameters *names* [N/m, N s/m per SI unit], by name.
 
-    By differences wide enough for a film of finite cells. Without wear K c / W and C c Omega / W depend on mu / c^2 only (and on the
-    cavitation pressure over the mean pressure): the derivative by clearance follows from that by viscosity, without films of its own.
+    By differences wide enough for a film of finite cells. Without wear K c / W and C c Omega / W depend on mu
+    / c^2 only (and on the cavitation pressure over the mean pressure): the derivative by clearance follows
+    from that by viscosity, without films of its own.
     """
     alike = film.bearing.wear_depth == 0 and "clearance" in names
     own_names = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
@@ -187,23 +228,30 @@ def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
         ends[1] = max(ends[1], 0.0)
     if name == "cavitation_pressure":
         ends[0] = min(ends[0], 0.0)
-    films = [journal_equilibrium(replace(film.bearing, **{name: end}), film.load, film.speed, film.mesh, film) for end in ends]
+    films = [
+        journal_equilibrium(replace(film.bearing, **{name: end}), film.load, film.speed, film.mesh, film)
+        for end in ends
+    ]
     change = np.array([films[0].stiffness - films[1].stiffness, films[0].damping - films[1].damping])
     slope: FloatArray = change / (ends[0] - ends[1])
     return slope
 
 
 @lru_cache(maxsize=32)
-def cached_table(bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh) -> JournalTable:
+def cached_table(
+    bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh
+) -> JournalTable:
     """The table of a bearing under its load [N] at *speed* [rad/s]; made at the first call."""
     return journal_table(bearing, load, speed, ranges, mesh)
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its *slopes*.
+    """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its
+    *slopes*.
 
-    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by each of them.
+    point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and damping, by
+    each of them.
     """
 
     point: FloatArray
@@ -211,14 +259,17 @@ class Correction:
     slopes: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of PARAMETERS."""
+        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
+        PARAMETERS.
+        """
         moved: FloatArray = self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
         return moved
 
 
 @dataclass(frozen=True)
 class TabledBearing:
-    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in *fixed*.
+    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in
+    *fixed*.
 
     film: the last film that corrected it, from which the next one starts.
     """
@@ -249,7 +300,8 @@ class TabledBearing:
         return VaryingSupport(Support(self.place.node, *matrices), *slopes)
 
     def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
-        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around them.
+        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around
+        them.
 
         *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
         """
@@ -277,7 +329,8 @@ class TabledBearing:
         return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)
 
     def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:
-        """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a standard deviation with its signs.
+        """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a
+        standard deviation with its signs.
 
         A third of the change from half the cells each way: the error of a second-order method.
         """
@@ -287,29 +340,48 @@ class TabledBearing:
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
     def shifted(self, change: FloatArray) -> TabledBearing:
-        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
+        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N
+        s/m].
+        """
         if self.fixed is not None:
-            return replace(self, fixed=Support(self.place.node, self.fixed.stiffness + change[0], self.fixed.damping + change[1]))
+            return replace(
+                self,
+                fixed=Support(
+                    self.place.node, self.fixed.stiffness + change[0], self.fixed.damping + change[1]
+                ),
+            )
         assert self.correction is not None
         return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
-        varied = {name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)}
+        varied = {
+            name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)
+        }
         return replace(self.place.film("wear"), **varied)
 
 
-def tabled(place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh) -> TabledBearing:
-    """A bearing of the rig with its table; ConfigError where a bearing with fixed wear would follow other parameters."""
+def tabled(
+    place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh
+) -> TabledBearing:
+    """A bearing of the rig with its table.
+
+    ConfigError where a bearing with fixed wear would follow other parameters.
+    """
     if not place.is_film and not worn:
         coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
-        return TabledBearing(place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping))
+        return TabledBearing(
+            place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping)
+        )
     bearing = place.film("wear")
     if not worn and not ranges.wide:
         film = journal_equilibrium(bearing, load, speed, mesh)
-        return TabledBearing(place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping))
+        return TabledBearing(
+            place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping)
+        )
     if bearing.wear_depth > 0 and not worn:
         raise ConfigError(
-            f"'{place.name}' has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation pressure",
+            f"'{place.name}' has a fixed wear, which cannot be combined with estimated viscosity, clearance "
+            "or cavitation pressure",
             hint="leave them out, or its wear",
         )
     table = cached_table(bearing, load, speed, ranges.of_table(worn), mesh)

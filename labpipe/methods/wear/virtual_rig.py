@@ -1,7 +1,8 @@
-"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an unbalance line.
+"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an
+unbalance line.
 
-The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a finer mesh than
-an identification uses.
+The rig differs from its rotor file, as a real one does: other viscosity and clearance, and oil films on a
+finer mesh than an identification uses.
 """
 
 from __future__ import annotations
@@ -42,16 +43,26 @@ class JournalNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of `rotor`."""
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
+    `rotor`.
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
-    viscosity_error: float = setting("value", "true viscosity over the rotor file's, less one", unit="1", default=0.0)
-    clearance_error: float = setting("value", "true clearance over the rotor file's, less one", unit="1", default=0.0)
-    cavitation_pressure: float = setting("value", "true pressure at which the film tears", unit="Pa", default=0.0)
-    states: tuple[tuple[str, Wear], ...] = setting("sections", "states of the worn bearing by name", section=Wear, default=HEALTHY)
+    viscosity_error: float = setting(
+        "value", "true viscosity over the rotor file's, less one", unit="1", default=0.0
+    )
+    clearance_error: float = setting(
+        "value", "true clearance over the rotor file's, less one", unit="1", default=0.0
+    )
+    cavitation_pressure: float = setting(
+        "value", "true pressure at which the film tears", unit="Pa", default=0.0
+    )
+    states: tuple[tuple[str, Wear], ...] = setting(
+        "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
+    )
     cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
     cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
     force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
@@ -59,7 +70,9 @@ class VirtualJournalRig(Settings):
     lowest: float = setting("value", "and from here", unit="Hz", default=0.0)
     sample_rate: float = setting("value", "sampling rate", unit="Hz", default=256.0)
     duration: float = setting("value", "length of one run", unit="s", default=60.0)
-    unbalance: float = setting("value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5)
+    unbalance: float = setting(
+        "value", "mass times eccentricity at the force's node", unit="kg.m", default=1e-5
+    )
     noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
     rig: RotorRig | None = None
 
@@ -112,7 +125,9 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
-    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above zero; (n, 2, 2) [m/N]."""
+    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above
+    zero; (n, 2, 2) [m/N].
+    """
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
     parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
@@ -122,7 +137,9 @@ def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexA
 
 @lru_cache(maxsize=8)
 def _response(virtual: VirtualJournalRig, wear: Wear) -> ComplexArray:
-    """H on every line of a run that the force excites and at the shaft speed, which comes last, (n_line + 1, 2, 2) [m/N]."""
+    """H on every line of a run that the force excites and at the shaft speed, which comes last, (n_line + 1,
+    2, 2) [m/N].
+    """
     rig = true_rig(virtual, wear.depth, wear.angle)
     return receptance(rig, np.append(_lines(virtual), rig.speed), virtual.mesh)
 
@@ -143,7 +160,10 @@ def _run(virtual: VirtualJournalRig, name: str, rng: np.random.Generator) -> Rec
     spectrum[excited] = rng.standard_normal(h.shape[0] - 1) + 1j * rng.standard_normal(h.shape[0] - 1)
     spectrum *= virtual.force * n / np.sqrt(2 * np.sum(np.abs(spectrum) ** 2))
     at_lines[excited] = h[:-1, :, AXES.index(axis)]
-    channels = [Channel("f", "force", "input", axis), *(Channel(dof, "displacement", "output", dof) for dof in AXES)]
+    channels = [
+        Channel("f", "force", "input", axis),
+        *(Channel(dof, "displacement", "output", dof) for dof in AXES),
+    ]
     turning = h[-1], virtual.unbalance, virtual.rig.omega
     return shaken_rotor(virtual, name, channels, spectrum, at_lines, turning, rng)
 
@@ -154,14 +174,20 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
     bearing = rig.place(virtual.bearing).bearing
     states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}
     film_values = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
-    return {**film_values, "loads": {name: list(load) for name, load in rig.static_loads().items()}, "states": states}
+    return {
+        **film_values,
+        "loads": {name: list(load) for name, load in rig.static_loads().items()},
+        "states": states,
+    }
 
 
 def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
     """Wear and film of the state of the runs; ConfigError where they are of several states."""
     states = dict.fromkeys(virtual.wear(run) for run in runs)
     if len(states) != 1:
-        raise ConfigError("'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]")
+        raise ConfigError(
+            "'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]"
+        )
     (wear,) = states
     true_values = truth(virtual)
     film = {name: float(true_values[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}

@@ -19,9 +19,13 @@ from labpipe.records.identification import Fit
 PROBE = CalibrationSettings("probe.csv", "x [um]", "u [V]", name="probe")
 
 
-def table(folder: Path, x: np.ndarray, y: np.ndarray, names: str = "x [um],u [V]", group: np.ndarray | None = None) -> Path:
+def table(
+    folder: Path, x: np.ndarray, y: np.ndarray, names: str = "x [um],u [V]", group: np.ndarray | None = None
+) -> Path:
     columns = [x, y] if group is None else [x, y, group]
-    rows = "".join(",".join(f"{number!r}" for number in row) + "\n" for row in np.column_stack(columns).tolist())
+    rows = "".join(
+        ",".join(f"{number!r}" for number in row) + "\n" for row in np.column_stack(columns).tolist()
+    )
     (folder / "probe.csv").write_text(f"{names}\n{rows}")
     return folder / "probe.csv"
 
@@ -39,7 +43,9 @@ def test_a_straight_line_is_found_in_si_units(tmp_path: Path, slope: float, inte
     """V per um is 1e6 V/m."""
     (fit,) = fitted(table(tmp_path, X, slope * X + intercept))
     assert fit.parameter("slope").value == pytest.approx(1e6 * slope, rel=1e-8, abs=1e-5)
-    assert fit.parameter("intercept").value == pytest.approx(intercept, rel=1e-8, abs=1e-8 * (1 + 200 * slope))
+    assert fit.parameter("intercept").value == pytest.approx(
+        intercept, rel=1e-8, abs=1e-8 * (1 + 200 * slope)
+    )
     assert (fit.parameter("slope").unit, fit.parameter("intercept").unit) == ("V/m", "V")
 
 
@@ -49,7 +55,9 @@ def test_uncertainty_is_that_of_linear_regression(tmp_path: Path) -> None:
     (fit,) = fitted(table(tmp_path, X, y))
     theirs = stats.linregress(X * 1e-6, y)
     slope = fit.parameter("slope")
-    assert slope.value == pytest.approx(theirs.slope, rel=1e-9) and slope.std_error == pytest.approx(theirs.stderr, rel=1e-7)
+    assert slope.value == pytest.approx(theirs.slope, rel=1e-9) and slope.std_error == pytest.approx(
+        theirs.stderr, rel=1e-7
+    )
     reach = stats.t.ppf(0.975, X.size - 2) * theirs.stderr
     assert slope.ci95 == pytest.approx((theirs.slope - reach, theirs.slope + reach), rel=1e-7)
     assert fit.parameter("intercept").std_error == pytest.approx(theirs.intercept_stderr, rel=1e-7)
@@ -76,7 +84,9 @@ def test_through_the_origin_the_slope_is_the_ratio_of_sums(tmp_path: Path) -> No
         ("x [um],u [V]", {"x_unit": "mm"}, ("V/m", "V"), 1e3),
     ],
 )
-def test_units_of_slope_and_intercept(tmp_path: Path, names: str, changes: dict[str, str], units: tuple[str, str], factor: float) -> None:
+def test_units_of_slope_and_intercept(
+    tmp_path: Path, names: str, changes: dict[str, str], units: tuple[str, str], factor: float
+) -> None:
     (fit,) = fitted(table(tmp_path, X, 3 * X + 1, names), **changes)
     assert (fit.parameter("slope").unit, fit.parameter("intercept").unit) == units
     assert fit.parameter("slope").value == pytest.approx(3 * factor, rel=1e-9)
@@ -84,8 +94,17 @@ def test_units_of_slope_and_intercept(tmp_path: Path, names: str, changes: dict[
 
 def test_a_power_of_the_set_value(tmp_path: Path) -> None:
     f = np.linspace(100, 400, 9)
-    (fit,) = fitted(table(tmp_path, f, 0.009189 * f**2, "f [Hz],p [N]"), x="f [Hz]", y="p [N]", x_power=2, through_origin=True)
-    assert fit.parameter("slope").value == pytest.approx(0.009189, rel=1e-9) and fit.parameter("slope").unit == "N/Hz^2"
+    (fit,) = fitted(
+        table(tmp_path, f, 0.009189 * f**2, "f [Hz],p [N]"),
+        x="f [Hz]",
+        y="p [N]",
+        x_power=2,
+        through_origin=True,
+    )
+    assert (
+        fit.parameter("slope").value == pytest.approx(0.009189, rel=1e-9)
+        and fit.parameter("slope").unit == "N/Hz^2"
+    )
 
 
 def test_one_line_for_each_value_of_a_group(tmp_path: Path) -> None:
@@ -94,7 +113,9 @@ def test_one_line_for_each_value_of_a_group(tmp_path: Path) -> None:
     path = table(tmp_path, x, x * 10 * group, "x [um],u [V],gap [mm]", group)
     fits = fitted(path, group="gap [mm]")
     assert [fit.parameter("slope").value for fit in fits] == pytest.approx([4e6, 5e6, 6e6])
-    assert [fit.test for fit in fits] == ["gap 0.0004 m", "gap 0.0005 m", "gap 0.0006 m"] and {fit.name for fit in fits} == {"probe"}
+    assert [fit.test for fit in fits] == ["gap 0.0004 m", "gap 0.0005 m", "gap 0.0006 m"] and {
+        fit.name for fit in fits
+    } == {"probe"}
 
 
 def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
@@ -132,13 +153,16 @@ def test_a_cell_that_is_no_number_is_named_by_its_row(tmp_path: Path) -> None:
         fitted(table(tmp_path, X, y))
 
 
-@pytest.mark.parametrize("unit", ["m", "N", "V", "A", "kg", "s", "Hz", "rad", "K", "1", "Pa", "m/s", "m/s^2", "N/m", "N.s/m", "T"])
+@pytest.mark.parametrize(
+    "unit", ["m", "N", "V", "A", "kg", "s", "Hz", "rad", "K", "1", "Pa", "m/s", "m/s^2", "N/m", "N.s/m", "T"]
+)
 def test_the_si_name_of_a_unit(unit: str) -> None:
     assert si_name(parse_unit(unit)) == unit
 
 
 @pytest.mark.parametrize(
-    ("unit", "name"), [("kN", "N"), ("um", "m"), ("rpm", "Hz"), ("%", "1"), ("degC", "K"), ("bar", "Pa"), ("gn", "m/s^2")]
+    ("unit", "name"),
+    [("kN", "N"), ("um", "m"), ("rpm", "Hz"), ("%", "1"), ("degC", "K"), ("bar", "Pa"), ("gn", "m/s^2")],
 )
 def test_the_si_name_of_other_units(unit: str, name: str) -> None:
     assert si_name(parse_unit(unit)) == name

@@ -1,4 +1,6 @@
-"""A floating bearing on the command line: recordings of the virtual rig, a dry test as the baseline, the coefficients, what is refused."""
+"""A floating bearing on the command line: recordings of the virtual rig, a dry test as the baseline, the
+coefficients, what is refused.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from labpipe.cli.main import run_command
 
 ROOT = Path(__file__).parents[3]
 CHANNELS = "".join(
-    f'  {letter}{axis}: {{column: "{letter}_{axis} [{unit}]", quantity: {quantity}, unit: {unit}, role: {role}, dof: {axis}}}\n'
+    f'  {letter}{axis}: {{column: "{letter}_{axis} [{unit}]", quantity: {quantity}, unit: {unit}, role: '
+    f"{role}, dof: {axis}}}\n"
     for letter, quantity, unit, role in (
         ("f", "force", "mN", "input"),
         ("d", "displacement", "nm", "output"),
@@ -26,7 +29,8 @@ tests:
   - {name: dry, recordings: dry-*.parquet}
   - {name: seal, recordings: seal-*.parquet, conditions: {speed: 2000 rpm}}
 rig: rig.yaml
-frf: {excitation: periodic, period: 1 s, result: spectra, band: 10-100 Hz, remove: {speed: 2000 rpm, harmonics: 2}}
+frf: {excitation: periodic, period: 1 s, result: spectra, band: 10-100 Hz,
+      remove: {speed: 2000 rpm, harmonics: 2}}
 identify:
   hoses: {model: dynamic-stiffness, test: dry, motion: absolute, stator_mass: 60 kg +- 0.6 kg}
   seal: {model: dynamic-stiffness, baseline: hoses, compare: true, stator_mass: 60 kg +- 0.6 kg}
@@ -38,14 +42,29 @@ report: {formats: [html]}
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The shipped virtual rig, one recording per condition (zipper)."""
     folder = tmp_path_factory.mktemp("floating")
-    assert run_command(["simulate", str(ROOT / "configs/virtual-floating.yaml"), "-o", str(folder), "--set", "excitation=zipper"]) == 0
+    assert (
+        run_command(
+            [
+                "simulate",
+                str(ROOT / "configs/virtual-floating.yaml"),
+                "-o",
+                str(folder),
+                "--set",
+                "excitation=zipper",
+            ]
+        )
+        == 0
+    )
     (folder / "rig.yaml").write_text(RIG)
     (folder / "pipeline.yaml").write_text(PIPELINE)
     return folder
 
 
 def test_the_truth_of_the_virtual_rig_comes_back(recorded: Path, tmp_path: Path, labpipe) -> None:
-    """Within 4 standard errors each; the whirl frequency ratio 0.3520 is that of the true K, C and M (0.3505 without M)."""
+    """Within 4 standard errors each.
+
+    The whirl frequency ratio 0.3520 is that of the true K, C and M (0.3505 without M).
+    """
     ended = labpipe("run", recorded / "pipeline.yaml", "-o", tmp_path)
     assert ended.code == 0 and "best of 4 models by BIC: kcm" in ended.out
     fits = {fit["name"]: fit for fit in json.loads((tmp_path / "identification.json").read_text())["fits"]}
@@ -54,37 +73,58 @@ def test_the_truth_of_the_virtual_rig_comes_back(recorded: Path, tmp_path: Path,
     found = {parameter["name"]: parameter for parameter in fits["seal"]["parameters"]}
     for name, value in truth["conditions"]["seal"].items():
         if name in found:
-            assert abs(found[name]["value"] - value) < 4 * (found[name]["std_error_inflated"] or found[name]["std_error"])
+            assert abs(found[name]["value"] - value) < 4 * (
+                found[name]["std_error_inflated"] or found[name]["std_error"]
+            )
     assert found["whirl_frequency_ratio"]["value"] == pytest.approx(0.3520, abs=5e-4)
     dry = {parameter["name"]: parameter["value"] for parameter in fits["hoses"]["parameters"]}
-    assert dry["k_xx"] == pytest.approx(truth["baseline"]["k_xx"], rel=1e-3) and dry["m_xx"] == pytest.approx(0, abs=0.05)
+    assert dry["k_xx"] == pytest.approx(truth["baseline"]["k_xx"], rel=1e-3) and dry["m_xx"] == pytest.approx(
+        0, abs=0.05
+    )
 
 
 def test_effective_forces_as_derived_channels_give_the_same(recorded: Path, tmp_path: Path, labpipe) -> None:
-    """f - m_s a with m_s of the rig file: the balance, and the same error in both tests, as with `stator_mass`."""
-    derived = "".join(f"  e{axis}: {{quantity: force, derived: f{axis} - m_s * a{axis}, dof: {axis}}}\n" for axis in "xy")
+    """f - m_s a with m_s of the rig file: the balance, and the same error in both tests, as with
+    `stator_mass`.
+    """
+    derived = "".join(
+        f"  e{axis}: {{quantity: force, derived: f{axis} - m_s * a{axis}, dof: {axis}}}\n" for axis in "xy"
+    )
     plain = (
         RIG.replace(", role: input", "")
         .replace(", role: output", "")
         .replace("\nchannels", "\nconstants: {m_s: 60 kg +- 0.6 kg}\nchannels")
     )
     (recorded / "derived.yaml").write_text(plain + derived)
-    text = PIPELINE.replace("rig.yaml", "derived.yaml").replace(", stator_mass: 60 kg +- 0.6 kg", "").replace("compare: true", "form: kcm")
+    text = (
+        PIPELINE.replace("rig.yaml", "derived.yaml")
+        .replace(", stator_mass: 60 kg +- 0.6 kg", "")
+        .replace("compare: true", "form: kcm")
+    )
     for name, pipeline in (("derived", text), ("given", PIPELINE.replace("compare: true", "form: kcm"))):
         (recorded / f"{name}-pipeline.yaml").write_text(pipeline.replace("[html]", "[]"))
         assert labpipe("run", recorded / f"{name}-pipeline.yaml", "-o", tmp_path / name).code == 0
-    derived_fits, given_fits = (json.loads((tmp_path / name / "identification.json").read_text())["fits"] for name in ("derived", "given"))
+    derived_fits, given_fits = (
+        json.loads((tmp_path / name / "identification.json").read_text())["fits"]
+        for name in ("derived", "given")
+    )
     for one, other in zip(derived_fits, given_fits, strict=True):
         assert one["gof"]["chi2_reduced"] == pytest.approx(other["gof"]["chi2_reduced"], rel=1e-6)
         for a, b in zip(one["parameters"], other["parameters"], strict=True):
             assert a["value"] == pytest.approx(b["value"], rel=1e-5, abs=1e-4 * b["std_error"])
-            assert (a["std_error_inflated"] or a["std_error"]) == pytest.approx(b["std_error_inflated"] or b["std_error"], rel=1e-3)
+            assert (a["std_error_inflated"] or a["std_error"]) == pytest.approx(
+                b["std_error_inflated"] or b["std_error"], rel=1e-3
+            )
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("result: spectra, ", "", "model dynamic-stiffness needs spectra of all channels, not an FRF; frf: {result: spectra}"),
+        (
+            "result: spectra, ",
+            "",
+            "model dynamic-stiffness needs spectra of all channels, not an FRF; frf: {result: spectra}",
+        ),
         (
             "dynamic-stiffness, test: dry, motion: absolute, stator_mass",
             "mdof, test: dry, mass",
@@ -99,7 +139,9 @@ def test_effective_forces_as_derived_channels_give_the_same(recorded: Path, tmp_
         ("stator_mass: 60 kg +- 0.6 kg}\nreport", "stator_mass: 60 mm}\nreport", "stator_mass"),
     ],
 )
-def test_what_is_wrong_is_said_where_it_is(recorded: Path, tmp_path: Path, labpipe, old: str, new: str, message: str) -> None:
+def test_what_is_wrong_is_said_where_it_is(
+    recorded: Path, tmp_path: Path, labpipe, old: str, new: str, message: str
+) -> None:
     text = PIPELINE.replace(old, new)
     assert text != PIPELINE
     (recorded / "wrong.yaml").write_text(text)
@@ -108,7 +150,9 @@ def test_what_is_wrong_is_said_where_it_is(recorded: Path, tmp_path: Path, labpi
 
 
 def test_the_report_of_a_matrix_keeps_the_baseline(recorded: Path, tmp_path: Path, labpipe) -> None:
-    """The dry test is at no point of the matrix: its fit has its page, those at the points are drawn on demand."""
+    """The dry test is at no point of the matrix: its fit has its page, those at the points are drawn on
+    demand.
+    """
     matrix = "matrix: {water: {fit: seal, over: [speed]}}\nreport: {formats: [md]}\n"
     text = PIPELINE.replace("compare: true", "form: kcm").replace("report: {formats: [html]}\n", matrix)
     (recorded / "matrix.yaml").write_text(text)
@@ -119,7 +163,9 @@ def test_the_report_of_a_matrix_keeps_the_baseline(recorded: Path, tmp_path: Pat
 
 def test_a_fit_whose_baseline_failed_says_why_that_failed(recorded: Path, tmp_path: Path, labpipe) -> None:
     """The dry test has no third force channel: its own cause is told, not that a name is missing."""
-    text = PIPELINE.replace("  - {name: seal", "  - {name: spare, recordings: seal-*.parquet}\n  - {name: seal")
+    text = PIPELINE.replace(
+        "  - {name: seal", "  - {name: spare, recordings: seal-*.parquet}\n  - {name: seal"
+    )
     text = text.replace("name: dry, recordings: dry-*.parquet", "name: dry, recordings: short-*.parquet")
     for path in recorded.glob("dry-*.parquet"):
         table = pq.read_table(path)
@@ -127,4 +173,6 @@ def test_a_fit_whose_baseline_failed_says_why_that_failed(recorded: Path, tmp_pa
     (recorded / "short.yaml").write_text(text)
     ended = labpipe("run", recorded / "short.yaml", "-o", tmp_path)
     assert ended.code == 2 and "no earlier fit" not in ended.err
-    assert "identify.seal: it begins with 'hoses', which has no result: " in ended.err and "period" in ended.err
+    assert (
+        "identify.seal: it begins with 'hoses', which has no result: " in ended.err and "period" in ended.err
+    )

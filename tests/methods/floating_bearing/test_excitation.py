@@ -15,7 +15,10 @@ from tests.methods.floating_bearing.test_fit import EVEN, GIVEN, fitted
 
 @dataclass(frozen=True)
 class ShapedRig(FloatingRig):
-    """Forces that go with a power of the frequency, of the same r.m.s.; the noise stays that of the flat spectrum."""
+    """Forces that go with a power of the frequency, of the same r.m.s..
+
+    The noise stays that of the flat spectrum.
+    """
 
     exponent: int = 0
 
@@ -24,16 +27,23 @@ class ShapedRig(FloatingRig):
         return super().forces() * (shape / np.sqrt(np.mean(shape**2)))[:, None, None]
 
     def std(self) -> np.ndarray:
-        return FloatingRig(**{name: getattr(self, name) for name in ("bearing", "baseline", "frequency", "noise")}).std()
+        return FloatingRig(
+            **{name: getattr(self, name) for name in ("bearing", "baseline", "frequency", "noise")}
+        ).std()
 
 
 def shaped(exponent: int, excitation: str = "hadamard") -> FloatingRig:
-    return ShapedRig(EVEN.bearing, baseline=EVEN.baseline, noise=1e-3, exponent=exponent, excitation=excitation)
+    return ShapedRig(
+        EVEN.bearing, baseline=EVEN.baseline, noise=1e-3, exponent=exponent, excitation=excitation
+    )
 
 
 def errors(fit: Fit) -> dict[str, float]:
     """Geometric means of the standard errors of K, C and M."""
-    groups = {letter: [p.std_error for p in fit.parameters if p.name.startswith(f"{letter}_") and not p.derived] for letter in "kcm"}
+    groups = {
+        letter: [p.std_error for p in fit.parameters if p.name.startswith(f"{letter}_") and not p.derived]
+        for letter in "kcm"
+    }
     return {letter: float(np.exp(np.mean(np.log(group)))) for letter, group in groups.items()}
 
 
@@ -54,7 +64,9 @@ def test_flat_forces_are_what_they_are() -> None:
 
 
 def test_one_force_at_a_time_hears_what_both_would_give() -> None:
-    """Equal time and peak: two runs each; zipper: one run of twice the time, whose half of the lines may be sqrt 2 as large."""
+    """Equal time and peak: two runs each; zipper: one run of twice the time, whose half of the lines may be
+    sqrt 2 as large.
+    """
     rng = np.random.default_rng(1)
     alternating = fitted(shaped(0, "alternating").draw(rng), **GIVEN)
     (forecast,) = [e for e in alternating.detail(DynamicStiffness).excitations if "once" in e.name]

@@ -15,7 +15,8 @@ from labpipe.methods.floating_bearing.findings import motion_findings
     ("moved", "accelerated", "level"),
     [
         (None, False, None),
-        # Two and nine tenths of a standard error are noise, one and nine tenths per mille of the motion are too little to matter.
+        # Two and nine tenths of a standard error are noise, one and nine tenths per mille of the motion are
+        # too little to matter.
         ((0.1, 2.9), False, None),
         ((0.0019, 100.0), False, None),
         ((0.0021, 3.1), False, "warning"),

@@ -1,4 +1,6 @@
-"""The model dynamic-stiffness as a fit: coefficients, given numbers and their uncertainty, baselines, refusals, findings."""
+"""The model dynamic-stiffness as a fit: coefficients, given numbers and their uncertainty, baselines,
+refusals, findings.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,15 @@ from labpipe.records.recording import Channel
 from labpipe.records.spectra import ChannelSpectra, UncertainFactor
 from labpipe.report.build import build
 from labpipe.report.document import Figure, Table
-from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, FloatingRig, kcm, less_inertia, pads, truth
+from tests.methods.floating_bearing.floating_rig import (
+    JOURNAL,
+    SEAL,
+    FloatingRig,
+    kcm,
+    less_inertia,
+    pads,
+    truth,
+)
 
 RIG = FloatingRig(kcm(**SEAL), conditions={"speed": "3000 rpm"})
 GIVEN = {"stator_mass": "60 kg", "baseline_stiffness": "1.35 MN/m", "baseline_damping": "800 N.s/m"}
@@ -31,7 +41,9 @@ FIT = ("mass", "estimator", "compare", "input", "output", "band", "bands", "slid
 
 def settings_of(fits: tuple[Fit, ...] = (), **keys: object) -> FitSettings:
     fit = {key: keys.pop(key) for key in FIT if key in keys}
-    settings = FitSettings("dynamic-stiffness", name="seal", model_settings=DynamicStiffnessSettings(**keys), **fit)
+    settings = FitSettings(
+        "dynamic-stiffness", name="seal", model_settings=DynamicStiffnessSettings(**keys), **fit
+    )
     return settings.kind.begin(settings, fits)
 
 
@@ -50,28 +62,42 @@ def values(fit: Fit) -> np.ndarray:
 
 @pytest.mark.parametrize("excitation", ["hadamard", "alternating", "zipper"])
 def test_the_truth_lies_within_the_intervals(excitation: str) -> None:
-    """Twelve coefficients of a water seal on a shaft that moves: none beyond four standard errors, their squares together chi-square."""
+    """Twelve coefficients of a water seal on a shaft that moves: none beyond four standard errors, their
+    squares together chi-square.
+    """
     fit = fitted(drawn(replace(EVEN, excitation=excitation)), **GIVEN)
-    ratios = np.array([(fit.parameter(name).value - value) / fit.parameter(name).std_error for name, value in truth(SEAL).items()])
+    ratios = np.array(
+        [
+            (fit.parameter(name).value - value) / fit.parameter(name).std_error
+            for name, value in truth(SEAL).items()
+        ]
+    )
     assert np.max(np.abs(ratios)) < 4 and 3.1 < np.sum(ratios**2) < 28.3
     assert fit.gof.chi2_p > 0.01 and fit.converged and [f.code for f in fit.findings] == ["shaft-moves"]
     assert fit.equations == 4 * 90 * (1 if excitation == "zipper" else 2)
 
 
 def test_a_baseline_on_the_relative_motion_or_none_is_wrong_here() -> None:
-    """What the balance is for: without the baseline k_xx is 1.35 MN/m too large and more; chi-square does not see it."""
+    """What the balance is for: without the baseline k_xx is 1.35 MN/m too large and more.
+
+    Chi-square does not see it.
+    """
     without = fitted(drawn(), stator_mass="60 kg")
     assert without.parameter("k_xx").value - SEAL["k"][0][0] > 1.0e6
 
 
 def test_forces_less_inertia_are_the_same_balance() -> None:
-    """Derived channels with their covariance instead of a given mass: the same estimates, and the same uncertainty of the mass."""
+    """Derived channels with their covariance instead of a given mass: the same estimates, and the same
+    uncertainty of the mass.
+    """
     bare = replace(RIG, baseline=kcm([[0.0, 0.0]] * 2, [[0.0, 0.0]] * 2))
     direct = fitted(drawn(bare), stator_mass="60 kg +- 0.6 kg")
     effective = fitted(less_inertia(drawn(bare), 60.0, 0.6))
     assert values(effective) == pytest.approx(values(direct), rel=1e-6)
     for name in ("k_xx", "m_xx", "c_xy"):
-        assert effective.parameter(name).full_error == pytest.approx(direct.parameter(name).full_error, rel=1e-4)
+        assert effective.parameter(name).full_error == pytest.approx(
+            direct.parameter(name).full_error, rel=1e-4
+        )
     with pytest.raises(ConfigError, match="without the stator's inertia already"):
         fitted(less_inertia(drawn(bare), 60.0, 0.6), stator_mass="60 kg")
 
@@ -88,9 +114,13 @@ def test_forces_less_inertia_are_the_same_balance() -> None:
 def test_the_uncertainty_of_a_given_number_is_what_a_fit_with_another_number_shows(
     key: str, text: str, uncertainty: float, moved: str, estimator: str
 ) -> None:
-    """Refitted with the number a tenth of its uncertainty larger: ten times the change is the systematic part of every interval."""
+    """Refitted with the number a tenth of its uncertainty larger: ten times the change is the systematic part
+    of every interval.
+    """
     spectra = drawn()
-    plain, other = (fitted(spectra, estimator=estimator, **{**GIVEN, key: number}) for number in (text, moved))
+    plain, other = (
+        fitted(spectra, estimator=estimator, **{**GIVEN, key: number}) for number in (text, moved)
+    )
     (shown,) = plain.detail(DynamicStiffness).uncertainties
     change = values(other) - values(plain)
     scale = np.sqrt(np.diag(plain.detail(DynamicStiffness).noise))
@@ -101,33 +131,46 @@ def test_the_uncertainty_of_a_given_number_is_what_a_fit_with_another_number_sho
 
 
 def test_chi_square_allows_given_numbers_their_uncertainty() -> None:
-    """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then the least of chi-square at
-    other numbers plus their distance squared, here from the parabola through three fits."""
+    """A mass 2 % too large is a mismatch if it is exact, and none if it is known to 2 %: chi-square is then
+    the least of chi-square at other numbers plus their distance squared, here from the parabola through three
+    fits.
+    """
     spectra = drawn(replace(EVEN, noise=0.001))
-    exact, uncertain = (fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg"))
-    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [f.code for f in uncertain.findings]
+    exact, uncertain = (
+        fitted(spectra, **{**GIVEN, "stator_mass": text}) for text in ("61.2 kg", "61.2 kg +- 1.2 kg")
+    )
+    assert "model-mismatch" in [f.code for f in exact.findings] and "model-mismatch" not in [
+        f.code for f in uncertain.findings
+    ]
     steps = np.array([-1.3, -1.0, -0.7])
     squares = []
     for step in steps:
         moved = fitted(spectra, **{**GIVEN, "stator_mass": f"{61.2 + 1.2 * step} kg"})
         squares.append(moved.gof.chi2_reduced * moved.dof + step**2)
     second, first, constant = np.polyfit(steps, squares, 2)
-    assert uncertain.gof.chi2_reduced * uncertain.dof == pytest.approx(constant - first**2 / (4 * second), rel=5e-3)
+    assert uncertain.gof.chi2_reduced * uncertain.dof == pytest.approx(
+        constant - first**2 / (4 * second), rel=5e-3
+    )
 
 
 def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> None:
-    """Dry and wet test with the same wrong mass: a baseline with K, C and M has the error too, with the other sign, and takes it back."""
+    """Dry and wet test with the same wrong mass: a baseline with K, C and M has the error too, with the other
+    sign, and takes it back.
+    """
     dry = fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60 kg +- 0.6 kg")
     assert dry.parameter("k_yy").ci95[0] < 1.2e6 < dry.parameter("k_yy").ci95[1]
     assert dry.parameter("m_xx").full_error == pytest.approx(0.6, rel=0.01)
     dry = replace(dry, name="dry", test="dry")
     wet = fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="60 kg +- 0.6 kg")
     sizes = {
-        uncertainty.source: float(np.max(np.abs(uncertainty.changes[:, 8]))) for uncertainty in wet.detail(DynamicStiffness).uncertainties
+        uncertainty.source: float(np.max(np.abs(uncertainty.changes[:, 8])))
+        for uncertainty in wet.detail(DynamicStiffness).uncertainties
     }
     assert sizes["mass of the stator, 60 kg +- 0.6 kg"] < 1e-6 < sizes["noise of dry, test dry"]
     heavier = replace(fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60.6 kg"), name="dry")
-    assert values(fitted(drawn(RIG), (heavier,), baseline="dry", stator_mass="60.6 kg")) == pytest.approx(values(wet), rel=1e-6)
+    assert values(fitted(drawn(RIG), (heavier,), baseline="dry", stator_mass="60.6 kg")) == pytest.approx(
+        values(wet), rel=1e-6
+    )
     # Another number for the mass is another error, and stays.
     other = fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="61 kg +- 0.6 kg")
     assert other.parameter("m_xx").full_error > 0.8
@@ -135,8 +178,13 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
 
 
 def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
-    """Hoses with a mass of 5 kg fitted as K and C: the uncertainty that they bring is that of their widened intervals."""
-    heavy = replace(RIG, baseline=kcm([[1.5e6, 0.0], [0.0, 1.2e6]], [[900.0, 0.0], [0.0, 700.0]], [[5.0, 0.0], [0.0, 5.0]]))
+    """Hoses with a mass of 5 kg fitted as K and C: the uncertainty that they bring is that of their widened
+    intervals.
+    """
+    heavy = replace(
+        RIG,
+        baseline=kcm([[1.5e6, 0.0], [0.0, 1.2e6]], [[900.0, 0.0], [0.0, 700.0]], [[5.0, 0.0], [0.0, 5.0]]),
+    )
     dry = replace(fitted(drawn(heavy.dry()), motion="absolute", stator_mass="60 kg", form="kc"), name="dry")
     assert "model-mismatch" in [f.code for f in dry.findings]
     (uncertainty,) = settings_of((dry,), baseline="dry").model_settings.known.uncertainties
@@ -146,7 +194,9 @@ def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
 
 def test_a_baseline_is_named_by_its_fit_or_its_test() -> None:
     dry = replace(fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60 kg"), name="hoses", test="dry")
-    by_fit, by_test = (fitted(drawn(RIG), (dry,), baseline=name, stator_mass="60 kg") for name in ("hoses", "dry"))
+    by_fit, by_test = (
+        fitted(drawn(RIG), (dry,), baseline=name, stator_mass="60 kg") for name in ("hoses", "dry")
+    )
     assert values(by_fit).tolist() == values(by_test).tolist()
     # The test that the baseline was fitted on is not fitted against itself.
     assert identify(drawn(RIG.dry()), settings_of((dry,), baseline="dry", stator_mass="60 kg")) == ()
@@ -165,7 +215,9 @@ def test_least_squares_is_that_of_the_literature() -> None:
     inertia = 60.0 - (1.35e6 + 800j * w[:, None, None]) / w[:, None, None] ** 2
     h = (z[..., :2] - inertia * z[..., 4:]).swapaxes(1, 2) @ np.linalg.inv(z[..., 2:4].swapaxes(1, 2))
     slope, level = np.polyfit(w**2, h[:, 0, 1].real, 1)
-    assert (fit.parameter("k_xy").value, fit.parameter("m_xy").value) == pytest.approx((level, -slope), rel=1e-9)
+    assert (fit.parameter("k_xy").value, fit.parameter("m_xy").value) == pytest.approx(
+        (level, -slope), rel=1e-9
+    )
     assert fit.parameter("c_yy").value == pytest.approx(np.sum(w * h[:, 1, 1].imag) / np.sum(w**2), rel=1e-9)
     _, covariance = np.polyfit(w**2, h[:, 0, 1].real, 1, cov=True)
     assert fit.parameter("k_xy").std_error == pytest.approx(np.sqrt(covariance[1, 1]), rel=1e-6)
@@ -174,11 +226,23 @@ def test_least_squares_is_that_of_the_literature() -> None:
 
 def test_symmetries_tie_their_coefficients() -> None:
     seal = fitted(drawn(), symmetry="seal", **GIVEN)
-    assert seal.parameter("k_yx").value == -seal.parameter("k_xy").value and seal.parameter("c_yy").value == seal.parameter("c_xx").value
-    assert seal.parameter("k_yx").ci95[0] == -seal.parameter("k_xy").ci95[1] and seal.parameter("k_yx").derived
+    assert (
+        seal.parameter("k_yx").value == -seal.parameter("k_xy").value
+        and seal.parameter("c_yy").value == seal.parameter("c_xx").value
+    )
+    assert (
+        seal.parameter("k_yx").ci95[0] == -seal.parameter("k_xy").ci95[1] and seal.parameter("k_yx").derived
+    )
     assert seal.parameter("k_xy").std_error < 0.8 * fitted(drawn(), **GIVEN).parameter("k_xy").std_error
     direct = fitted(drawn(), symmetry="direct", **GIVEN)
-    assert [p.name for p in direct.parameters if not p.derived] == ["k_xx", "k_yy", "c_xx", "c_yy", "m_xx", "m_yy"]
+    assert [p.name for p in direct.parameters if not p.derived] == [
+        "k_xx",
+        "k_yy",
+        "c_xx",
+        "c_yy",
+        "m_xx",
+        "m_yy",
+    ]
     assert "model-mismatch" in [f.code for f in direct.findings]
 
 
@@ -214,7 +278,9 @@ def test_bands_have_coefficients_of_their_own() -> None:
         upper = (w > 2 * np.pi * 109)[:, None, None]
         return np.where(upper, 2 * kcm(SEAL["k"], SEAL["c"])(w), kcm(SEAL["k"], SEAL["c"])(w))
 
-    fit = fitted(drawn(replace(EVEN, bearing=stepped)), form="bands", band_width="89 Hz", symmetry="seal", **GIVEN)
+    fit = fitted(
+        drawn(replace(EVEN, bearing=stepped)), form="bands", band_width="89 Hz", symmetry="seal", **GIVEN
+    )
     for number in (1, 2):
         for name, value in (("k_xx", 5.0e6), ("k_xy", 2.4e6), ("c_xx", 4.2e4), ("c_xy", 8e3)):
             p = fit.parameter(f"{name}_{number}")
@@ -228,14 +294,29 @@ def test_bands_have_coefficients_of_their_own() -> None:
 
 def test_relative_displacements_alone_are_refused_and_absolute_ones_are_not() -> None:
     spectra = drawn()
-    short = replace(spectra, channels=spectra.channels[:4], vectors=spectra.vectors[..., :4], covariance=spectra.covariance[..., :4, :4])
+    short = replace(
+        spectra,
+        channels=spectra.channels[:4],
+        vectors=spectra.vectors[..., :4],
+        covariance=spectra.covariance[..., :4, :4],
+    )
     with pytest.raises(ConfigError, match="displacements against the shaft, which moves too"):
         fitted(short, stator_mass="60 kg")
     with pytest.raises(ConfigError, match="the baseline acts with the stator's absolute motion"):
         fitted(short, baseline_stiffness="1 MN/m")
-    stiff = replace(EVEN, rotor=kcm([[1e14, 0], [0, 1e14]], [[0.0, 0.0]] * 2), bearing=kcm([[0.0, 0.0]] * 2, [[0.0, 0.0]] * 2), noise=1e-4)
+    stiff = replace(
+        EVEN,
+        rotor=kcm([[1e14, 0], [0, 1e14]], [[0.0, 0.0]] * 2),
+        bearing=kcm([[0.0, 0.0]] * 2, [[0.0, 0.0]] * 2),
+        noise=1e-4,
+    )
     still = drawn(stiff)
-    alone = replace(still, channels=still.channels[:4], vectors=still.vectors[..., :4], covariance=still.covariance[..., :4, :4])
+    alone = replace(
+        still,
+        channels=still.channels[:4],
+        vectors=still.vectors[..., :4],
+        covariance=still.covariance[..., :4, :4],
+    )
     found = fitted(alone, motion="absolute", stator_mass="60 kg", form="kc")
     assert found.parameter("k_xx").value == pytest.approx(1.35e6, rel=2e-3)
 
@@ -246,7 +327,9 @@ def test_inertia_that_nothing_takes_out_warns_where_the_shaft_moves() -> None:
 
 
 def test_forces_and_probes_at_an_angle_are_turned_into_x_and_y() -> None:
-    """Force at 45 and 135 deg, probes at 30 and 120 deg: the same noise-free motion, the same coefficients."""
+    """Force at 45 and 135 deg, probes at 30 and 120 deg: the same noise-free motion, the same
+    coefficients.
+    """
     turn = {"f": np.radians([45.0, 135.0]), "d": np.radians([30.0, 120.0])}
     quiet = replace(EVEN, noise=1e-6).draw(np.random.default_rng(2))
     mixing = np.eye(6)
@@ -255,8 +338,15 @@ def test_forces_and_probes_at_an_angle_are_turned_into_x_and_y() -> None:
         mixing[place : place + 2, place : place + 2] = [[np.cos(a), np.sin(a)] for a in turn[letter]]
         for n, angle in enumerate(turn[letter]):
             old = channels[place + n]
-            channels[place + n] = Channel(old.name, old.quantity, old.role, f"{np.degrees(angle):g} deg", float(angle))
-    turned = replace(quiet, channels=tuple(channels), vectors=quiet.vectors @ mixing.T, covariance=mixing @ quiet.covariance @ mixing.T)
+            channels[place + n] = Channel(
+                old.name, old.quantity, old.role, f"{np.degrees(angle):g} deg", float(angle)
+            )
+    turned = replace(
+        quiet,
+        channels=tuple(channels),
+        vectors=quiet.vectors @ mixing.T,
+        covariance=mixing @ quiet.covariance @ mixing.T,
+    )
     assert values(fitted(turned, **GIVEN)) == pytest.approx(values(fitted(quiet, **GIVEN)), rel=1e-9)
 
 
@@ -268,9 +358,17 @@ def test_forces_and_probes_at_an_angle_are_turned_into_x_and_y() -> None:
         ({"eliminate": True}, ConfigError, "'eliminate' is not for"),
         ({"mass": [1.0, 2.0]}, ConfigError, "the stator has one mass"),
         ({"input": "q"}, ConfigError, "no force channel 'q'"),
-        ({"output": "dx"}, ConfigError, r"displacement channels dx \(x\) do not give the motion in x and in y"),
+        (
+            {"output": "dx"},
+            ConfigError,
+            r"displacement channels dx \(x\) do not give the motion in x and in y",
+        ),
         ({"band": (300.0, 400.0)}, FitError, "0 lines in the band"),
-        ({"estimator": "ls", "compare": True}, ConfigError, "'compare' is not for estimator ls; leave it out, or estimator: ml$"),
+        (
+            {"estimator": "ls", "compare": True},
+            ConfigError,
+            "'compare' is not for estimator ls; leave it out, or estimator: ml$",
+        ),
         ({"estimator": "ls", "form": "pad"}, ConfigError, "least squares is for form kc or kcm"),
     ],
 )
@@ -312,7 +410,9 @@ def test_two_forces_of_one_direction_are_not_added_unasked() -> None:
     more = replace(spectra, channels=(*spectra.channels, extra), vectors=vectors, covariance=covariance)
     with pytest.raises(ConfigError, match="'fx' and 'fx_raw' have one dof, x"):
         fitted(more, **GIVEN)
-    assert values(fitted(more, input=["fx", "fy"], **GIVEN)) == pytest.approx(values(fitted(spectra, **GIVEN)), rel=1e-9)
+    assert values(fitted(more, input=["fx", "fy"], **GIVEN)) == pytest.approx(
+        values(fitted(spectra, **GIVEN)), rel=1e-9
+    )
 
 
 def test_a_fit_for_each_of_several_bands() -> None:
@@ -321,7 +421,9 @@ def test_a_fit_for_each_of_several_bands() -> None:
 
 
 def test_a_fit_survives_its_file() -> None:
-    fit = fitted(drawn(replace(EVEN, bearing=kcm(**JOURNAL))), compare=True, rotor_mass="80 kg +- 1 kg", **GIVEN)
+    fit = fitted(
+        drawn(replace(EVEN, bearing=kcm(**JOURNAL))), compare=True, rotor_mass="80 kg +- 1 kg", **GIVEN
+    )
     entry = json.loads(json.dumps(fit_entry(fit)))
     assert fit_entry(read_fit(entry)) == entry
 
@@ -330,10 +432,14 @@ def test_the_report_shows_measured_model_and_baseline() -> None:
     """Numbers of the figure: dots are G m^-1 of each line, the dashed line K_b + jw C_b."""
     fit = fitted(drawn(), compare=True, **{**GIVEN, "stator_mass": "60 kg +- 0.6 kg"})
     blocks = [block for section in build(Identification((fit,))).sections for block in section.blocks]
-    figures = {block.alternative.split(" of fit")[0]: block.graphic for block in blocks if isinstance(block, Figure)}
+    figures = {
+        block.alternative.split(" of fit")[0]: block.graphic for block in blocks if isinstance(block, Figure)
+    }
     panels = figures["Real and imaginary parts of the dynamic stiffness"].panels
     measured, model, baseline = panels[4].series
-    assert [series.name for series in panels[4].series] == ["measured", "model", "baseline"] and len(panels) == 8
+    assert [series.name for series in panels[4].series] == ["measured", "model", "baseline"] and len(
+        panels
+    ) == 8
     assert baseline.y == pytest.approx(1e-6 * 800 * 2 * np.pi * baseline.x)
     exact = 1e-6 * 4.2e4 * 2 * np.pi * measured.x
     assert np.mean((measured.low < exact) & (exact < measured.high)) == pytest.approx(0.95, abs=0.05)
@@ -346,17 +452,26 @@ def test_the_report_shows_measured_model_and_baseline() -> None:
 
 
 def test_the_budget_holds_every_number_that_counts() -> None:
-    """Random and systematic part of every parameter; the whirl frequency ratio moves with the mass as a fit with another mass shows."""
+    """Random and systematic part of every parameter.
+
+    The whirl frequency ratio moves with the mass as a fit with another mass shows.
+    """
     spectra, heavier = drawn(), "60.06 kg"
-    fit = fitted(spectra, **{**GIVEN, "stator_mass": "60 kg +- 0.6 kg", "baseline_stiffness": "1.35 MN/m +- 2 %"})
+    fit = fitted(
+        spectra, **{**GIVEN, "stator_mass": "60 kg +- 0.6 kg", "baseline_stiffness": "1.35 MN/m +- 2 %"}
+    )
     moved = fitted(spectra, **{**GIVEN, "stator_mass": heavier})
-    assert [source.unit for source in fit.budget.sources] == ["kg", "N/m"] and fit.budget.sources[0].std_error == 0.6
+    assert [source.unit for source in fit.budget.sources] == ["kg", "N/m"] and fit.budget.sources[
+        0
+    ].std_error == 0.6
     for parameter in fit.parameters:
         column = fit.budget.names.index(parameter.name)
         assert fit.budget.combined[column] == pytest.approx(parameter.full_error)
         assert parameter.systematic == pytest.approx(fit.budget.systematic[column])
         change = 10 * (moved.parameter(parameter.name).value - parameter.value)
-        assert fit.budget.changes[0, column] == pytest.approx(change, rel=0.05, abs=0.03 * parameter.std_error)
+        assert fit.budget.changes[0, column] == pytest.approx(
+            change, rel=0.05, abs=0.03 * parameter.std_error
+        )
     assert fitted(spectra, **GIVEN).budget is None
 
 
@@ -368,15 +483,22 @@ def test_lines_of_one_vector_are_drawn_in_pairs() -> None:
     assert np.mean(ratio) == pytest.approx(1, abs=0.3)
 
 
-def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_averages_out_is_noted() -> None:
-    """Forces and accelerations follow a motion in the covariance: the balance holds for it. A covariance five times too large does not."""
+def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_averages_out_is_noted() -> (
+    None
+):
+    """Forces and accelerations follow a motion in the covariance: the balance holds for it.
+
+    A covariance five times too large does not.
+    """
     rng, still = np.random.default_rng(4), drawn()
     motion = rng.normal(size=(200, 2)) + 1j * rng.normal(size=(200, 2))
     w = 2 * np.pi * EVEN.frequency[:, None, None]
     h = kcm(**SEAL)(2 * np.pi * EVEN.frequency)
     inertia = (60.0 - (1.35e6 + 800j * w) / w**2) * np.eye(2)
     # [F; D; A] = [H d - M w^2 x + Z x; d; -w^2 x] balances for any d, with x = d.
-    columns = np.concatenate([h - w**2 * inertia, np.broadcast_to(np.eye(2), h.shape), -(w**2) * np.eye(2)], axis=1)
+    columns = np.concatenate(
+        [h - w**2 * inertia, np.broadcast_to(np.eye(2), h.shape), -(w**2) * np.eye(2)], axis=1
+    )
     scatter = 1e-6 * np.einsum("lij,kj->lki", columns, motion)
     extra = np.einsum("lki,lkj->lij", scatter, scatter.conj()) / 200
     moved = fitted(replace(still, covariance=still.covariance + extra[:, None]), **GIVEN)
@@ -387,7 +509,9 @@ def test_motion_that_differs_from_period_to_period_is_no_noise_but_scatter_that_
 
 
 def test_levels_are_held_against_each_other_without_what_they_have_in_common() -> None:
-    """3 % more stiffness at the larger orbit, beside an uncertainty of 10 % in the baseline that both tests share."""
+    """3 % more stiffness at the larger orbit, beside an uncertainty of 10 % in the baseline that both tests
+    share.
+    """
     hard = {**SEAL, "k": (1.03 * np.array(SEAL["k"])).tolist()}
     given = {**GIVEN, "baseline_stiffness": "1.35 MN/m +- 30 %"}
     names = {"low": SEAL, "same": SEAL, "high": hard}
@@ -395,7 +519,11 @@ def test_levels_are_held_against_each_other_without_what_they_have_in_common() -
         name: replace(fitted(drawn(replace(EVEN, bearing=kcm(**matrices)), seed), **given), test=name)
         for seed, (name, matrices) in enumerate(names.items())
     }
-    conditions = {"low": {"amplitude": "5 um"}, "same": {"amplitude": "10 um"}, "high": {"amplitude": "20 um"}}
+    conditions = {
+        "low": {"amplitude": "5 um"},
+        "same": {"amplitude": "10 um"},
+        "high": {"amplitude": "20 um"},
+    }
     assert fits["low"].parameter("k_xx").full_error > 0.06 * 5e6
     _, high = with_level_findings([fits["low"], fits["high"]], conditions)
     (finding,) = [f for f in high.findings if f.code == "amplitude"]
@@ -405,10 +533,15 @@ def test_levels_are_held_against_each_other_without_what_they_have_in_common() -
 
 
 def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
-    """Both probes 1 % wrong by one calibrator: H goes with 1 / D, so that every coefficient is off by 1 % of itself, with one sign."""
+    """Both probes 1 % wrong by one calibrator: H goes with 1 / D, so that every coefficient is off by 1 % of
+    itself, with one sign.
+    """
     spectra = drawn()
     slopes = [np.diag([0.0, 0, *row, 0, 0]) for row in ((-1.0, 0.0), (0.0, -1.0))]
-    gains = tuple(UncertainFactor(name, 1.0, 0.01, "1", slope, source="calibrator") for name, slope in zip("xy", slopes, strict=True))
+    gains = tuple(
+        UncertainFactor(name, 1.0, 0.01, "1", slope, source="calibrator")
+        for name, slope in zip("xy", slopes, strict=True)
+    )
     fit = fitted(replace(spectra, factors=gains), **GIVEN)
     (uncertainty,) = fit.detail(DynamicStiffness).uncertainties
     assert uncertainty.source == "calibrator" and np.abs(uncertainty.changes[0]) == pytest.approx(
@@ -421,11 +554,17 @@ def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
 
 
 def test_forces_of_one_pattern_are_told_what_separates_the_directions() -> None:
-    """One run with the force in x: x and y move in the proportion that H gives them, so that no column of H is known by itself."""
+    """One run with the force in x: x and y move in the proportion that H gives them, so that no column of H
+    is known by itself.
+    """
     both = replace(EVEN, excitation="alternating")
     whole = drawn(both)
-    first = replace(whole, vectors=whole.vectors[:, :1], covariance=whole.covariance[:, :1], runs=whole.runs[:1])
-    (finding,) = [finding for finding in fitted(first, form="kcm", **GIVEN).findings if finding.code == "collinear"]
+    first = replace(
+        whole, vectors=whole.vectors[:, :1], covariance=whole.covariance[:, :1], runs=whole.runs[:1]
+    )
+    (finding,) = [
+        finding for finding in fitted(first, form="kcm", **GIVEN).findings if finding.code == "collinear"
+    ]
     assert "let the forces act in two ways" in finding.message and "zipper" in finding.message
     assert "rotor-2dof-direct" not in finding.message and "FRF" not in finding.message
     assert "collinear" not in {finding.code for finding in fitted(whole, form="kcm", **GIVEN).findings}
@@ -441,5 +580,7 @@ def test_forces_of_one_pattern_are_told_what_separates_the_directions() -> None:
     ],
 )
 def test_the_remedy_follows_the_motions_of_a_group(group: list[str], said: str) -> None:
-    """The second letter is the direction of the motion: terms of both are mixed by the forces, terms of one by the band."""
+    """The second letter is the direction of the motion: terms of both are mixed by the forces, terms of one
+    by the band.
+    """
     assert remedy(group).startswith(said)

@@ -42,19 +42,28 @@ def seal(**changes: object) -> FloatingRig:
 
 
 def spectra(rig: FloatingRig, run: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Frequencies [Hz] and amplitudes (n_line, 2) of f, d, a, u in the rig's band, by a plain DFT of the whole recording."""
+    """Frequencies [Hz] and amplitudes (n_line, 2) of f, d, a, u in the rig's band, by a plain DFT of the
+    whole recording.
+    """
     (recording,) = recordings(rig, 1, [run])
     frequency = np.fft.rfftfreq(recording.n_sample, 1 / recording.sample_rate)
     band = (frequency > rig.band[0] - 1e-6) & (frequency < rig.band[1] + 1e-6)
     amplitude = np.fft.rfft(recording.samples, axis=0)[band] * 2 / recording.n_sample
     names = [channel.name for channel in recording.channels]
-    pairs = {letter: [names.index(f"{letter}_{axis}") for axis in "xy"] for letter in "fdau" if f"{letter}_x" in names}
+    pairs = {
+        letter: [names.index(f"{letter}_{axis}") for axis in "xy"]
+        for letter in "fdau"
+        if f"{letter}_x" in names
+    }
     return frequency[band], {letter: amplitude[:, columns] for letter, columns in pairs.items()}
 
 
 @pytest.mark.parametrize("run", ["seal-x", "seal-y", "seal-plus", "seal-minus", "seal-zipper", "seal-random"])
 def test_the_stator_is_in_balance_whatever_the_shaft_does(run: str) -> None:
-    """F - m_s A - (K_b + j w C_b) X_s = (K + j w C - w^2 M) D with the printed matrices; a random force disturbs the shaft."""
+    """F - m_s A - (K_b + j w C_b) X_s = (K + j w C - w^2 M) D with the printed matrices.
+
+    A random force disturbs the shaft.
+    """
     frequency, of = spectra(seal(shaft_noise=50.0), run)
     jw = 2j * np.pi * frequency[:, None]
     left = of["f"] - 60.0 * of["a"] - (4e6 + jw * 2e3) * of["a"] / jw**2
@@ -75,7 +84,11 @@ def test_the_shaft_moves_on_its_own_supports() -> None:
 
 def test_relaxation_and_pad_are_added_in_both_directions() -> None:
     """G jwt/(1 + jwt) and (R_0 + jw R_1)/(1 + 2 z jw/w_0 - w^2/w_0^2), at every line."""
-    condition = Condition(stiffness=[[2e7, 0], [0, 2e7]], relaxation=Relaxation(1e7, 2e-3), pad=Pad("10 MN/m", "5 kN.s/m", "60 Hz", "50 %"))
+    condition = Condition(
+        stiffness=[[2e7, 0], [0, 2e7]],
+        relaxation=Relaxation(1e7, 2e-3),
+        pad=Pad("10 MN/m", "5 kN.s/m", "60 Hz", "50 %"),
+    )
     rig = replace(seal(), conditions=(("pads", condition),))
     frequency, of = spectra(rig, "pads-x")
     lines = np.abs(of["f"][:, 0]) > 1
@@ -109,8 +122,12 @@ def test_the_amplitude_of_the_lines_follows_the_slope() -> None:
 
 
 def test_runout_turns_with_the_shaft_and_its_tacho() -> None:
-    """Dry and without force, with 32 Hz on a line: 1x of 5 um, 2x of 2 um in both probes, y a quarter turn behind; a pulse per turn."""
-    turning = replace(seal(), conditions=(("dry", Condition(speed="32 Hz")),), runout=(5e-6, 2e-6), force=1e-9)
+    """Dry and without force, with 32 Hz on a line: 1x of 5 um, 2x of 2 um in both probes, y a quarter turn
+    behind; a pulse per turn.
+    """
+    turning = replace(
+        seal(), conditions=(("dry", Condition(speed="32 Hz")),), runout=(5e-6, 2e-6), force=1e-9
+    )
     (recording,) = recordings(turning, 1, ["dry-x"])
     amplitude = np.fft.rfft(recording.samples, axis=0) * 2 / recording.n_sample
     at = {order: amplitude[order * 32 * 8] for order in (1, 2, 3)}
@@ -123,8 +140,15 @@ def test_runout_turns_with_the_shaft_and_its_tacho() -> None:
 
 
 def test_an_unbalance_moves_stator_and_shaft_together() -> None:
-    """At a speed that is a line: without force the stator is in balance at 1x too, and the shaft feels m e W^2 turning from x to y."""
-    turning = replace(seal(), conditions=(("seal", replace(seal().conditions[0][1], speed=32.0)),), unbalance=1e-3, force=1e-9)
+    """At a speed that is a line: without force the stator is in balance at 1x too, and the shaft feels m e
+    W^2 turning from x to y.
+    """
+    turning = replace(
+        seal(),
+        conditions=(("seal", replace(seal().conditions[0][1], speed=32.0)),),
+        unbalance=1e-3,
+        force=1e-9,
+    )
     frequency, of = spectra(turning, "seal-x")
     line = int(np.argmin(np.abs(frequency - 32)))
     w = 2 * np.pi * 32
@@ -146,8 +170,13 @@ def test_a_late_probe_is_late() -> None:
 
 
 def test_noise_is_that_of_the_settings_on_every_channel() -> None:
-    """Two seeds with silent shakers differ by noise alone; 8000 samples give a standard deviation within 3 %."""
-    rig = replace(seal(drives=True), conditions=(("dry", Condition()),), noise=FloatingNoise(3.0, 2e-7, 0.04, 1e-3))
+    """Two seeds with silent shakers differ by noise alone.
+
+    8000 samples give a standard deviation within 3 %.
+    """
+    rig = replace(
+        seal(drives=True), conditions=(("dry", Condition()),), noise=FloatingNoise(3.0, 2e-7, 0.04, 1e-3)
+    )
     first, second = (recordings(rig, seed, ["dry-x"])[0].samples for seed in (1, 2))
     spread = np.std(first - second, axis=0) / np.sqrt(2)
     np.testing.assert_allclose(spread, [3.0, 3.0, 2e-7, 2e-7, 0.04, 0.04, 1e-3, 1e-3, 0.0], rtol=0.03)
@@ -159,12 +188,15 @@ def test_the_journal_bearing_is_the_one_of_a_bearing_file(labpipe, tmp_path: Pat
     assert isinstance(rig, FloatingRig)
     k = truth(replace(rig, conditions=rig.conditions[:1]))["conditions"]["2kN"]
     (tmp_path / "b.yaml").write_text(
-        "kind: journal-bearing\ndiameter: 100 mm\nlength: 50 mm\nclearance: 100 um\nviscosity: 0.03 Pa.s\nspeed: 3010 rpm\nload: 2 kN\n"
+        "kind: journal-bearing\ndiameter: 100 mm\nlength: 50 mm\nclearance: 100 um\nviscosity: 0.03 "
+        "Pa.s\nspeed: 3010 rpm\nload: 2 kN\n"
     )
     run = labpipe("bearing", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
     assert run.code == 0
     result = json.loads((tmp_path / "b.json").read_text())
-    np.testing.assert_allclose([[k["k_xx"], k["k_xy"]], [k["k_yx"], k["k_yy"]]], result["stiffness"], rtol=1e-9)
+    np.testing.assert_allclose(
+        [[k["k_xx"], k["k_xy"]], [k["k_yx"], k["k_yy"]]], result["stiffness"], rtol=1e-9
+    )
     np.testing.assert_allclose([[k["c_xx"], k["c_xy"]], [k["c_yx"], k["c_yy"]]], result["damping"], rtol=1e-9)
     assert k["k_xy"] > 0 > k["k_yx"]
 
@@ -198,7 +230,10 @@ def test_impossible_conditions_are_refused() -> None:
         ({"speed": -1.0}, "must not be negative"),
         ({"mass": ((1.0, 0.0),)}, "2 x 2"),
         ({"relaxation": {"stiffness": 1.0, "time": 0.0}}, "relaxation time is positive"),
-        ({"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 0.0, "damping_ratio": 0.5}}, "frequency of a pad"),
+        (
+            {"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 0.0, "damping_ratio": 0.5}},
+            "frequency of a pad",
+        ),
     ):
         with pytest.raises(ConfigError, match=message):
             Condition(**settings)
@@ -217,13 +252,18 @@ def test_a_study_may_repeat_spectra_of_all_channels() -> None:
 
 
 def test_the_shipped_recordings_are_made_by_their_recipe(root: Path, tmp_path: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
-    assert labpipe("simulate", "configs/virtual-floating-matrix.yaml", "-o", tmp_path, "--seed", "1").code == 0
+    assert (
+        labpipe("simulate", "configs/virtual-floating-matrix.yaml", "-o", tmp_path, "--seed", "1").code == 0
+    )
     shipped = root / "sample_data/floating"
     assert sum(path.stat().st_size for path in shipped.iterdir()) < 600_000
     made, kept = (json.loads((folder / "truth.json").read_text())["truth"] for folder in (tmp_path, shipped))
     assert list(made["conditions"]) == list(kept["conditions"])
     for name, values in kept["conditions"].items():
         assert made["conditions"][name] == pytest.approx(values, rel=1e-9, abs=1e-9)
-        one, other = (pq.read_table(folder / f"{name}-zipper.parquet").to_pandas().to_numpy() for folder in (tmp_path, shipped))
+        one, other = (
+            pq.read_table(folder / f"{name}-zipper.parquet").to_pandas().to_numpy()
+            for folder in (tmp_path, shipped)
+        )
         # A rounding of the last bit may move a value by one step of the logger.
         assert np.max(np.abs(one - other)) <= 1

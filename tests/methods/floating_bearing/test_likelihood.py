@@ -1,4 +1,6 @@
-"""V against a plain sum over lines with whole matrices, its gradient and the forms' derivatives against differences."""
+"""V against a plain sum over lines with whole matrices, its gradient and the forms' derivatives against
+differences.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def test_derivatives_of_a_form_are_those_of_central_differences(form, symmetry: 
     for number in range(values.size):
         step = np.zeros(values.size)
         step[number] = 1e-5 * max(abs(values[number]), 0.1)
-        change = (model.stiffness(values + step, OMEGA) - model.stiffness(values - step, OMEGA)) / (2 * step[number])
+        change = (model.stiffness(values + step, OMEGA) - model.stiffness(values - step, OMEGA)) / (
+            2 * step[number]
+        )
         assert np.allclose(change, exact[number], rtol=1e-6, atol=1e-6 * np.max(np.abs(exact[number])))
 
 
@@ -48,7 +52,10 @@ def test_forms_are_those_of_their_formulas() -> None:
         "kcm": (1e7 + 1e5 * s + 20 * s**2, [1e7, 1e5, 20.0]),
         "relaxation": (1e7 + 1e5 * s + 3e6 * s * tau / (1 + s * tau), [1e7, 1e5, 3e6, np.log(tau)]),
         "pad": (1e7 + 1e5 * s + pad, [1e7, 1e5, 3e6, 2e4, np.log(2 * np.pi * f), np.log(zeta)]),
-        "rational": (1e7 + 1e5 * s + pad + 20 * s**2, [1e7, 1e5, 3e6, 2e4, 20.0, np.log(2 * np.pi * f), np.log(zeta)]),
+        "rational": (
+            1e7 + 1e5 * s + pad + 20 * s**2,
+            [1e7, 1e5, 3e6, 2e4, 20.0, np.log(2 * np.pi * f), np.log(zeta)],
+        ),
         "fractional": (1e7 + 3e6 * (1j * w / (2 * np.pi)) ** 0.7, [1e7, 3e6, 0.7]),
     }
     for name, (expected, values) in by_hand.items():
@@ -82,7 +89,9 @@ BASELINE = Baseline(StiffnessModel(FORMS["kc"], "isotropic"), np.array([1.4e6, 8
 
 @pytest.mark.parametrize("absolute", [False, True])
 def test_the_sum_is_that_of_whole_matrices_and_its_gradient_exact(absolute: bool) -> None:
-    """METHODS: B = [I, -H, -(M_s I + Z_b / (jw)^2)], V = sum e^H (B C B^H)^-1 e, line by line with numpy's solver, for all six channels."""
+    """METHODS: B = [I, -H, -(M_s I + Z_b / (jw)^2)], V = sum e^H (B C B^H)^-1 e, line by line with numpy's
+    solver, for all six channels.
+    """
     rng = np.random.default_rng(3)
     spectra = correlated(rng)
     model = StiffnessModel(FORMS["pad"], "none")
@@ -108,13 +117,19 @@ def test_the_sum_is_that_of_whole_matrices_and_its_gradient_exact(absolute: bool
     for number in range(values.size):
         step = np.zeros(values.size)
         step[number] = 1e-5 * max(abs(values[number]), 0.1)
-        assert gradient[number] == pytest.approx((plain(values + step) - plain(values - step)) / (2 * step[number]), rel=2e-5)
+        assert gradient[number] == pytest.approx(
+            (plain(values + step) - plain(values - step)) / (2 * step[number]), rel=2e-5
+        )
 
 
 def test_without_noise_the_truth_comes_out() -> None:
     """Noise of 1e-7: the coefficients to as many digits, on a shaft that moves."""
-    quiet = FloatingRig(kcm(**SEAL), noise=1e-7, baseline=kcm([[1.4e6, 0], [0, 1.4e6]], [[800.0, 0], [0, 800.0]]))
-    balance = balance_of(stator_of(quiet.draw(np.random.default_rng(1)), None, (), ()), Given(Uncertain(60.0), BASELINE))
+    quiet = FloatingRig(
+        kcm(**SEAL), noise=1e-7, baseline=kcm([[1.4e6, 0], [0, 1.4e6]], [[800.0, 0], [0, 800.0]])
+    )
+    balance = balance_of(
+        stator_of(quiet.draw(np.random.default_rng(1)), None, (), ()), Given(Uncertain(60.0), BASELINE)
+    )
     found = estimate(balance, StiffnessModel(FORMS["kcm"], "none"), Noise())
     exact = np.concatenate([np.ravel(SEAL[letter]) for letter in "kcm"])
     assert np.all(np.abs(found.values - exact) < 1e-5 * np.abs(exact)) and found.converged
@@ -136,5 +151,6 @@ def test_corrections_for_a_covariance_from_few_periods() -> None:
     """By hand for nu = 10: 2 V times 10/8 too large, covariance times 100/63."""
     assert Noise(10.0).excess == pytest.approx(1.25) and Noise(10.0).inflation == pytest.approx(100 / 63)
     assert Noise().excess == 1 and Noise(shared=1.9).inflation == 1.9
-    # 95 % of F(d1, d2) with d1 = 40: chi-square is rarer at the same value than F with few degrees of freedom.
+    # 95 % of F(d1, d2) with d1 = 40: chi-square is rarer at the same value than F with few degrees of
+    # freedom.
     assert Noise().p_value(60.0, 40) < Noise(200.0).p_value(60.0, 40) < Noise(6.0).p_value(60.0, 40)

@@ -9,7 +9,16 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
-from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Shaft, Valued, crossover, derived_values, effective, whirl
+from labpipe.methods.floating_bearing.values import (
+    LIMIT,
+    FittedStiffness,
+    Shaft,
+    Valued,
+    crossover,
+    derived_values,
+    effective,
+    whirl,
+)
 from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
 from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, kcm
@@ -64,17 +73,24 @@ def test_slopes_are_those_of_differences() -> None:
         size = abs(values[number])
         square, stiffness = (up.square - down.square) / 2e-6, (up.stiffness - down.stiffness) / 2e-6
         assert found.slopes[number] * size == pytest.approx(square, rel=1e-5, abs=1e-7 * found.square)
-        assert found.stiffness_slopes[number] * size == pytest.approx(stiffness, rel=1e-5, abs=1e-7 * found.stiffness)
+        assert found.stiffness_slopes[number] * size == pytest.approx(
+            stiffness, rel=1e-5, abs=1e-7 * found.stiffness
+        )
 
 
 def test_the_interval_is_fiellers() -> None:
-    """K = q J, C = c I: w^2 = (q / c)^2. phi = q^2 - c^2 x; its ends solve phi^2 = 1.96^2 var phi, var by the slopes 2 q and -2 c x."""
+    """K = q J, C = c I: w^2 = (q / c)^2. phi = q^2 - c^2 x.
+
+    Its ends solve phi^2 = 1.96^2 var phi, var by the slopes 2 q and -2 c x.
+    """
     model = StiffnessModel(FORMS["kc"], "seal")
     q, c, sq, sc = 2.4e6, 4.2e4, 4e5, 4e3
     found = whirl(model, np.array([0.0, q, c, 0.0]), np.diag([0.0, sq**2, sc**2, 0.0]))
     for end in found.interval:
         # The quadratic is taken with the slopes at the estimates.
-        assert (q**2 - c**2 * end) ** 2 == pytest.approx(LIMIT**2 * ((2 * q * sq) ** 2 + (2 * c * end * sc) ** 2), rel=1e-6)
+        assert (q**2 - c**2 * end) ** 2 == pytest.approx(
+            LIMIT**2 * ((2 * q * sq) ** 2 + (2 * c * end * sc) ** 2), rel=1e-6
+        )
     assert found.interval[1] - found.square > 1.2 * (found.square - found.interval[0])
 
 
@@ -82,11 +98,15 @@ def test_small_errors_give_the_interval_of_first_order() -> None:
     values, covariance = numbers(SEAL), some_covariance(numbers(SEAL), 1e-4)
     found = whirl(KCM, values, covariance)
     error = np.sqrt(found.slopes @ covariance @ found.slopes)
-    assert np.subtract(found.interval, found.square) == pytest.approx([-LIMIT * error, LIMIT * error], rel=5e-3)
+    assert np.subtract(found.interval, found.square) == pytest.approx(
+        [-LIMIT * error, LIMIT * error], rel=5e-3
+    )
 
 
 def test_cross_stiffness_of_one_sign_does_not_whirl() -> None:
-    """K_xy K_yx > 0 as of an orthotropic bearing under 45 deg: the square is negative, and no ratio is given but words."""
+    """K_xy K_yx > 0 as of an orthotropic bearing under 45 deg: the square is negative, and no ratio is given
+    but words.
+    """
     still = kcm([[5e6, 1e6], [1e6, 5e6]], [[4.2e4, 0.0], [0.0, 4.2e4]], SEAL["m"])
     fit = fitted(drawn(replace(EVEN, bearing=still)), **GIVEN)
     assert "whirl_frequency_ratio" not in [p.name for p in fit.parameters]
@@ -95,23 +115,35 @@ def test_cross_stiffness_of_one_sign_does_not_whirl() -> None:
 
 
 def test_damping_of_a_forward_orbit_and_where_it_changes_sign() -> None:
-    """C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2 (M_xy - M_yx)) / (2 w); zero at the root of the quadratic."""
+    """C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2 (M_xy - M_yx)) / (2 w).
+
+    Zero at the root of the quadratic.
+    """
     values, covariance = numbers(SEAL), some_covariance(numbers(SEAL), 1e-3)
     course = effective(KCM, values, covariance, OMEGA)
     by_hand = 4.2e4 - (4.8e6 - OMEGA**2 * 4.0) / (2 * OMEGA)
-    assert course.damping == pytest.approx(by_hand, rel=1e-9) and course.stiffness == pytest.approx(5e6 - 45 * OMEGA**2 + 8e3 * OMEGA)
-    slopes = np.array([0, -1, 1, 0, *(np.array([1, 0, 0, 1]) * OMEGA[3]), 0, OMEGA[3] ** 2, -(OMEGA[3] ** 2), 0]) / (2 * OMEGA[3])
+    assert course.damping == pytest.approx(by_hand, rel=1e-9) and course.stiffness == pytest.approx(
+        5e6 - 45 * OMEGA**2 + 8e3 * OMEGA
+    )
+    slopes = np.array(
+        [0, -1, 1, 0, *(np.array([1, 0, 0, 1]) * OMEGA[3]), 0, OMEGA[3] ** 2, -(OMEGA[3] ** 2), 0]
+    ) / (2 * OMEGA[3])
     assert course.damping_error[3] == pytest.approx(np.sqrt(slopes @ covariance @ slopes), rel=1e-9)
     found = crossover(KCM, values, covariance, OMEGA)
     assert found.omega == pytest.approx(max(np.roots([4.0, 2 * 4.2e4, -4.8e6])), rel=1e-5)
     error = np.sqrt(found.slopes @ covariance @ found.slopes)
-    assert np.subtract(found.interval, found.omega) == pytest.approx([-LIMIT * error, LIMIT * error], rel=0.02)
+    assert np.subtract(found.interval, found.omega) == pytest.approx(
+        [-LIMIT * error, LIMIT * error], rel=0.02
+    )
 
 
 def test_a_shaft_that_turns_the_other_way_swaps_the_cross_terms() -> None:
     backward = {letter: np.transpose(matrix).tolist() for letter, matrix in SEAL.items()}
     forward_values, values = numbers(SEAL), numbers(backward)
-    one, other = effective(KCM, forward_values, np.eye(12), OMEGA), effective(KCM, values, np.eye(12), OMEGA, -1.0)
+    one, other = (
+        effective(KCM, forward_values, np.eye(12), OMEGA),
+        effective(KCM, values, np.eye(12), OMEGA, -1.0),
+    )
     assert other.damping == pytest.approx(one.damping) and Shaft(-50.0).sense == -1
     assert crossover(KCM, values, np.eye(12), OMEGA) is None
 
@@ -121,17 +153,23 @@ def named(valued: tuple[Valued, ...]) -> dict[str, Parameter]:
 
 
 def test_coefficients_at_the_speed_and_the_onset_speed() -> None:
-    """At w = W: K_xx - W^2 M_xx. A short bearing, k_xy = c W / 2 at every speed: a rotor m on it is unstable from W = 2 sqrt(k / m) on."""
+    """At w = W: K_xx - W^2 M_xx. A short bearing, k_xy = c W / 2 at every speed: a rotor m on it is unstable
+    from W = 2 sqrt(k / m) on.
+    """
     speed = 50.0
     values = numbers(SEAL)
     found = FittedStiffness(KCM, values, 1e-6 * np.diag(values**2), 2e-6 * np.diag(values**2), 700)
     shown = named(derived_values(found, OMEGA, Shaft(speed))[0])
     w = 2 * np.pi * speed
-    assert shown["k_xx_synchronous"].value == pytest.approx(5e6 - 45 * w**2) and shown["c_yx_synchronous"].value == pytest.approx(-8e3)
+    assert shown["k_xx_synchronous"].value == pytest.approx(5e6 - 45 * w**2) and shown[
+        "c_yx_synchronous"
+    ].value == pytest.approx(-8e3)
     assert shown["k_xx_synchronous"].std_error == pytest.approx(1e-3 * np.hypot(5e6, 45 * w**2), rel=1e-9)
     assert "k_xx_synchronous" not in named(derived_values(found, OMEGA, Shaft(5.0))[0])
     k, c, m = 5e6, 4.2e4, 80.0
-    short = FittedStiffness(KC, np.array([k, c * w / 2, -c * w / 2, k, c, 0, 0, c]), 1e-6 * np.eye(8), 1e-6 * np.eye(8), 700)
+    short = FittedStiffness(
+        KC, np.array([k, c * w / 2, -c * w / 2, k, c, 0, 0, c]), 1e-6 * np.eye(8), 1e-6 * np.eye(8), 700
+    )
     onset = named(derived_values(short, OMEGA, Shaft(speed, Uncertain(m, 0.8)))[0])["onset_speed"]
     assert onset.value == pytest.approx(2 * np.sqrt(k / m) / (2 * np.pi), rel=1e-9)
     assert onset.std_error_inflated == pytest.approx(onset.value * 0.005, rel=1e-6)
@@ -140,7 +178,9 @@ def test_coefficients_at_the_speed_and_the_onset_speed() -> None:
         """Largest real part of the eigenvalues of m x'' + C x' + K(W) x = 0."""
         cross = c * 2 * np.pi * turns / 2
         lower = np.hstack([-np.array([[k, cross], [-cross, k]]) / m, -c / m * np.eye(2)])
-        return float(np.max(np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower])).real))
+        return float(
+            np.max(np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower])).real)
+        )
 
     assert growth(0.999 * onset.value) < 0 < growth(1.001 * onset.value)
     soft = named(derived_values(short, OMEGA, Shaft(speed, Uncertain(m), k))[0])["onset_speed"]
@@ -156,16 +196,29 @@ def test_the_ratio_of_a_fit_is_over_the_speed_of_its_test() -> None:
 
 
 def test_coefficients_without_dimension() -> None:
-    """By hand: k c / W, c c w / W, m c w^2 / W; S = mu N L D / W (R / c)^2 = 0.01 50 0.05 0.1 / 1000 (0.05 / 1e-4)^2 = 0.625."""
-    bearing = {"load": "1 kN", "clearance": "100 um", "viscosity": "10 mPa.s", "diameter": "100 mm", "length": "50 mm"}
+    """By hand: k c / W, c c w / W, m c w^2 / W.
+
+    S = mu N L D / W (R / c)^2 = 0.01 50 0.05 0.1 / 1000 (0.05 / 1e-4)^2 = 0.625.
+    """
+    bearing = {
+        "load": "1 kN",
+        "clearance": "100 um",
+        "viscosity": "10 mPa.s",
+        "diameter": "100 mm",
+        "length": "50 mm",
+    }
     fit = fitted(drawn(), **GIVEN, **bearing)
     for letter, factor in zip("kcm", 1e-7 * (100 * np.pi) ** np.arange(3), strict=True):
         plain, scaled = fit.parameter(f"{letter}_xy"), fit.parameter(f"{letter}_xy_dimensionless")
-        assert (scaled.value, scaled.std_error) == pytest.approx((factor * plain.value, factor * plain.std_error))
+        assert (scaled.value, scaled.std_error) == pytest.approx(
+            (factor * plain.value, factor * plain.std_error)
+        )
         assert scaled.ci95 == pytest.approx(tuple(factor * end for end in plain.ci95)) and scaled.derived
     assert fit.parameter("sommerfeld").value == pytest.approx(0.625)
     rig = replace(EVEN, conditions={"speed": "3000 rpm", "load": "1 kN"})
     by_condition = fitted(drawn(rig), clearance="100 um", **GIVEN)
-    assert by_condition.parameter("k_xx_dimensionless").value == pytest.approx(fit.parameter("k_xx_dimensionless").value)
+    assert by_condition.parameter("k_xx_dimensionless").value == pytest.approx(
+        fit.parameter("k_xx_dimensionless").value
+    )
     with pytest.raises(ConfigError, match=r"conditions\.speed"):
         fitted(drawn(replace(EVEN, conditions={"speed": "fast"})), **GIVEN)

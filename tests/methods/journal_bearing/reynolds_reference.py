@@ -1,9 +1,11 @@
-"""An oil film solved independently of labpipe: stiffness and damping of a worn or grooved journal bearing by exact complementarity.
+"""An oil film solved independently of labpipe: stiffness and damping of a worn or grooved journal bearing by
+exact complementarity.
 
-Vertices instead of cells, those of the wear's edges on them; conductances by Gauss points; the pressure is either above its least value
-or the surplus is zero, exactly, by active sets (each a sparse direct solution); the linearisation is exact for the last active set.
-Frame: y horizontal, z up, theta from +y to +z, spin y to z, K = -dF/dx, C = -dF/dx'. Mesh error on 960 x 120 vertices, from 1920 x 240:
-.02 to .09 % of the largest coefficient (the front jumps from vertex to vertex).
+Vertices instead of cells, those of the wear's edges on them; conductances by Gauss points; the pressure is
+either above its least value or the surplus is zero, exactly, by active sets (each a sparse direct solution);
+the linearisation is exact for the last active set. Frame: y horizontal, z up, theta from +y to +z, spin y to
+z, K = -dF/dx, C = -dF/dx'. Mesh error on 960 x 120 vertices, from 1920 x 240: .02 to .09 % of the largest
+coefficient (the front jumps from vertex to vertex).
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ COARSEST = 150
 
 @dataclass(frozen=True)
 class Bearing:
-    """Lengths [m], *clearance* radial, viscosity [Pa s], wear depth [m] at an angle [rad], two grooves of *groove* [rad]."""
+    """Lengths [m], *clearance* radial, viscosity [Pa s], wear depth [m] at an angle [rad], two grooves of
+    *groove* [rad].
+    """
 
     diameter: float
     length: float
@@ -34,14 +38,19 @@ class Bearing:
 
 
 class Film:
-    """The dimensionless film on *around* vertices by half of *across* strips; pressures over 6 mu Omega (R / c)^2."""
+    """The dimensionless film on *around* vertices by half of *across* strips.
+
+    Pressures over 6 mu Omega (R / c)^2.
+    """
 
     def __init__(self, bearing: Bearing, around: int, across: int) -> None:
         depth = bearing.depth / bearing.clearance
         self.place = _vertices(around, depth, bearing.angle)
         self.arc = np.append(np.diff(self.place), self.place[0] + 2 * np.pi - self.place[-1])
         points = self.place[:, None] + self.arc[:, None] * POINTS
-        self.bore = 1 + (np.maximum(0, depth - 1 - np.cos(points - np.pi / 2 - bearing.angle)) if depth > 0 else 0 * points)
+        self.bore = 1 + (
+            np.maximum(0, depth - 1 - np.cos(points - np.pi / 2 - bearing.angle)) if depth > 0 else 0 * points
+        )
         self.by_move = -np.stack([np.cos(points), np.sin(points)])
         self.strips = across // 2
         self.width = np.full(self.strips, 1 / self.strips)
@@ -91,7 +100,12 @@ class Film:
         for _ in range(100):
             index = np.flatnonzero(self.active)
             symmetric = {"SymmetricMode": True}
-            factors = splu(operator[index][:, index].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+            factors = splu(
+                operator[index][:, index].tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options=symmetric,
+            )
             pressure = np.zeros(wedge.size)
             pressure[index] = factors.solve(-wedge[index])
             surplus = operator @ pressure + wedge
@@ -103,8 +117,13 @@ class Film:
 
     def start_from(self, coarse: Film) -> None:
         """The active set of a coarser film as a start."""
-        around = np.minimum(np.rint(np.arange(self.arc.size) * coarse.arc.size / self.arc.size).astype(int), coarse.arc.size - 1)
-        across = np.minimum(np.rint(np.arange(self.strips) * coarse.strips / self.strips).astype(int), coarse.strips - 1)
+        around = np.minimum(
+            np.rint(np.arange(self.arc.size) * coarse.arc.size / self.arc.size).astype(int),
+            coarse.arc.size - 1,
+        )
+        across = np.minimum(
+            np.rint(np.arange(self.strips) * coarse.strips / self.strips).astype(int), coarse.strips - 1
+        )
         self.active = coarse.active.reshape(-1, coarse.strips)[around][:, across].ravel() & self.free
 
     def balanced(self, load: np.ndarray, move: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -128,14 +147,29 @@ def _vertices(around: int, depth: float, angle: float) -> np.ndarray:
     half = float(np.arccos(1 - depth))
     first, worn = 1.5 * np.pi + angle - half, round(around * half / np.pi)
     rest = around - worn
-    return np.concatenate([first + 2 * half * np.arange(worn) / worn, first + 2 * half + 2 * (np.pi - half) * np.arange(rest) / rest])
+    return np.concatenate(
+        [
+            first + 2 * half * np.arange(worn) / worn,
+            first + 2 * half + 2 * (np.pi - half) * np.arange(rest) / rest,
+        ]
+    )
 
 
 def coefficients(
     bearing: Bearing, load: tuple[float, float], speed: float, around: int = 960, across: int = 120
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacement over clearance (2,), K [N/m] and C [N s/m] (2, 2) under a *load* (2,) [N] at *speed* [rad/s]."""
-    scale = 6 * bearing.viscosity * speed * (bearing.diameter / 2 / bearing.clearance) ** 2 * bearing.diameter / 2 * bearing.length
+    """Displacement over clearance (2,), K [N/m] and C [N s/m] (2, 2) under a *load* (2,) [N] at *speed*
+    [rad/s].
+    """
+    scale = (
+        6
+        * bearing.viscosity
+        * speed
+        * (bearing.diameter / 2 / bearing.clearance) ** 2
+        * bearing.diameter
+        / 2
+        * bearing.length
+    )
     meshes = [(around, across)]
     while meshes[-1][0] > COARSEST:
         meshes.append((meshes[-1][0] // 2, max(2 * (meshes[-1][1] // 4), 8)))

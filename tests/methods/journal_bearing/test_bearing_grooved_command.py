@@ -20,7 +20,10 @@ accuracy: 0.2 %
 
 
 def test_grooves_of_twenty_degrees_give_the_printed_coefficients(labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    """S = mu N L D / W (R / c)^2 = .05 * 50 * .05 * .1 / W * 500^2; a load for S = 1.656 against Lund and Thomsen's row, z up."""
+    """S = mu N L D / W (R / c)^2 = .05 * 50 * .05 * .1 / W * 500^2.
+
+    A load for S = 1.656 against Lund and Thomsen's row, z up.
+    """
     load = 0.05 * 50 * 0.05 * 0.1 * 500**2 / 1.656
     (tmp_path / "grooved.yaml").write_text(BEARING.replace("5000 N", f"{load:.6g} N"))
     ended = labpipe("bearing", tmp_path / "grooved.yaml", "--json", tmp_path / "out.json")
@@ -32,7 +35,10 @@ def test_grooves_of_twenty_degrees_give_the_printed_coefficients(labpipe, tmp_pa
 
 
 def test_a_groove_in_plain_numbers_or_too_wide_is_refused_with_its_place(labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    for text, said in (("groove_width: 20", "has no unit"), ("groove_width: 150 deg", "a groove of 150 deg is none")):
+    for text, said in (
+        ("groove_width: 20", "has no unit"),
+        ("groove_width: 150 deg", "a groove of 150 deg is none"),
+    ):
         path = tmp_path / "wrong.yaml"
         path.write_text(BEARING.replace("groove_width: 20 deg", text))
         ended = labpipe("bearing", path)

@@ -17,7 +17,14 @@ from labpipe.project.bearing import evaluated, write_bearing
 from labpipe.project.bearing_file import open_bearing
 
 MENDES = JournalFile(
-    kind="journal-bearing", diameter=0.031, length=0.018, clearance=90e-6, viscosity=0.1044, speed=50.0, load=58.82, accuracy=0.02
+    kind="journal-bearing",
+    diameter=0.031,
+    length=0.018,
+    clearance=90e-6,
+    viscosity=0.1044,
+    speed=50.0,
+    load=58.82,
+    accuracy=0.02,
 )
 
 
@@ -29,7 +36,10 @@ def film() -> PressureField:
 
 
 def test_the_field_carries_the_load(film: PressureField) -> None:
-    """Its pressure on the journal's surface, -p n, sums to the load upwards [N]; midpoint rule, so to a percent."""
+    """Its pressure on the journal's surface, -p n, sums to the load upwards [N].
+
+    Midpoint rule, so to a percent.
+    """
     cell = (film.theta[1] - film.theta[0]) * 0.031 / 2 * (film.axial[1] - film.axial[0])
     across = film.pressure.sum(axis=1) * cell
     force = -across @ np.column_stack([np.cos(film.theta), np.sin(film.theta)])
@@ -37,7 +47,9 @@ def test_the_field_carries_the_load(film: PressureField) -> None:
 
 
 def test_field_and_middle_are_drawn_in_bar_over_degrees(film: PressureField) -> None:
-    field, middle, beside = [axes for axes in canvas_of(film_figure("b", film).graphic).axes if axes.get_label() != "<colorbar>"]
+    field, middle, beside = [
+        axes for axes in canvas_of(film_figure("b", film).graphic).axes if axes.get_label() != "<colorbar>"
+    ]
     x, y = (np.asarray(values, float) for values in middle.get_lines()[0].get_data())
     assert x[0] >= 0 and x[-1] <= 360 and np.all(np.diff(x) > 0)
     centre = np.abs(film.axial) == np.abs(film.axial).min()
@@ -51,9 +63,13 @@ def test_an_odd_number_of_cells_has_its_own_middle() -> None:
     """Pressure 3 bar at mid width, 1 bar beside it."""
     theta = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     pressure = np.outer(np.linspace(1, 1.7, 8), [1e5, 3e5, 1e5])
-    figure = film_figure("b", PressureField(theta, np.array([-0.005, 0.0, 0.005]), pressure, np.full(8, 5e-5)))
+    figure = film_figure(
+        "b", PressureField(theta, np.array([-0.005, 0.0, 0.005]), pressure, np.full(8, 5e-5))
+    )
     middle = canvas_of(figure.graphic).axes[1]
-    np.testing.assert_allclose(np.asarray(middle.get_lines()[0].get_ydata(), float), 3 * np.linspace(1, 1.7, 8))
+    np.testing.assert_allclose(
+        np.asarray(middle.get_lines()[0].get_ydata(), float), 3 * np.linspace(1, 1.7, 8)
+    )
 
 
 @pytest.mark.parametrize("torn", [0.0, -0.3, -1e-19])
@@ -61,7 +77,12 @@ def test_no_cell_lies_outside_the_contours(torn: float) -> None:
     """Rounding leaves torn cells a hair below their pressure; a field of one value has levels as well."""
     pressure = np.array([[torn, torn - 1e-17, 0.5], [1.0, 2.1, torn]])
     levels = contour_levels(pressure)
-    assert levels[0] < pressure.min() and levels[-1] > pressure.max() and np.all(np.diff(levels) > 0) and levels.size >= 8
+    assert (
+        levels[0] < pressure.min()
+        and levels[-1] > pressure.max()
+        and np.all(np.diff(levels) > 0)
+        and levels.size >= 8
+    )
     assert np.all(np.diff(contour_levels(np.full((2, 3), torn))) > 0)
 
 

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.journal_bearing.bearing import JournalBearing, converged_equilibrium, film_force, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    JournalBearing,
+    converged_equilibrium,
+    film_force,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 
 SPEED = 2 * np.pi * 50
@@ -29,8 +34,12 @@ def test_a_turned_load_turns_everything(cells: int) -> None:
     aside = journal_equilibrium(HEALTHY, (50 * np.sin(angle), -50 * np.cos(angle)), SPEED, MESH)
     np.testing.assert_allclose(aside.eccentricity_ratio, down.eccentricity_ratio, rtol=1e-7)
     np.testing.assert_allclose(aside.attitude, down.attitude, atol=1e-7)
-    np.testing.assert_allclose(aside.stiffness, turned(down.stiffness, angle), atol=1e-6 * np.abs(down.stiffness).max())
-    np.testing.assert_allclose(aside.damping, turned(down.damping, angle), atol=1e-6 * np.abs(down.damping).max())
+    np.testing.assert_allclose(
+        aside.stiffness, turned(down.stiffness, angle), atol=1e-6 * np.abs(down.stiffness).max()
+    )
+    np.testing.assert_allclose(
+        aside.damping, turned(down.damping, angle), atol=1e-6 * np.abs(down.damping).max()
+    )
 
 
 def test_viscosity_and_speed_enter_as_their_product() -> None:
@@ -54,7 +63,10 @@ def test_the_film_carries_the_load_by_its_pressure_field() -> None:
     area = worn.diameter / 2 * MESH.arc * worn.length / MESH.across
     assert equilibrium.pressure.shape == (60, 12)
     np.testing.assert_allclose(equilibrium.pressure, equilibrium.pressure[:, ::-1])
-    force = [-np.sum(equilibrium.pressure * direction(equilibrium.theta)[:, None]) * area for direction in (np.cos, np.sin)]
+    force = [
+        -np.sum(equilibrium.pressure * direction(equilibrium.theta)[:, None]) * area
+        for direction in (np.cos, np.sin)
+    ]
     np.testing.assert_allclose(force, [-12, 50], atol=1e-5)
     np.testing.assert_allclose(equilibrium.axial, -equilibrium.axial[::-1])
 
@@ -139,8 +151,12 @@ def test_bearing_wear_and_load_turned_together_turn_the_coefficients() -> None:
     aside = dataclasses.replace(worn, wear_angle=0.1 + angle)
     one = journal_equilibrium(worn, (0.0, -50.0), SPEED, MESH)
     other = journal_equilibrium(aside, (50 * np.sin(angle), -50 * np.cos(angle)), SPEED, MESH)
-    np.testing.assert_allclose(other.stiffness, turned(one.stiffness, angle), atol=1e-6 * np.abs(one.stiffness).max())
-    np.testing.assert_allclose(other.damping, turned(one.damping, angle), atol=1e-6 * np.abs(one.damping).max())
+    np.testing.assert_allclose(
+        other.stiffness, turned(one.stiffness, angle), atol=1e-6 * np.abs(one.stiffness).max()
+    )
+    np.testing.assert_allclose(
+        other.damping, turned(one.damping, angle), atol=1e-6 * np.abs(one.damping).max()
+    )
 
 
 def test_stiffness_is_the_slope_of_the_equilibrium_itself() -> None:
@@ -148,7 +164,10 @@ def test_stiffness_is_the_slope_of_the_equilibrium_itself() -> None:
     worn = dataclasses.replace(HEALTHY, wear_depth=22e-6, wear_angle=0.19)
     here = journal_equilibrium(worn, (0.0, -50.0), SPEED, MESH)
     for change in ((0.01, 0.0), (0.0, 0.01)):
-        plus, minus = (journal_equilibrium(worn, (s * change[0], -50 + s * change[1]), SPEED, MESH, here) for s in (1, -1))
+        plus, minus = (
+            journal_equilibrium(worn, (s * change[0], -50 + s * change[1]), SPEED, MESH, here)
+            for s in (1, -1)
+        )
         moved = (plus.position - minus.position) / 2
         np.testing.assert_allclose(here.stiffness @ moved, change, atol=2e-5)
 
@@ -176,7 +195,9 @@ def test_bearings_that_cannot_be_are_refused(change: dict[str, float], said: str
         dataclasses.replace(HEALTHY, **change)
 
 
-@pytest.mark.parametrize(("load", "speed", "said"), [((0.0, 0.0), SPEED, "needs a load"), ((0.0, -50.0), 0.0, "needs a speed")])
+@pytest.mark.parametrize(
+    ("load", "speed", "said"), [((0.0, 0.0), SPEED, "needs a load"), ((0.0, -50.0), 0.0, "needs a speed")]
+)
 def test_no_load_and_no_speed_are_refused(load: tuple[float, float], speed: float, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         journal_equilibrium(HEALTHY, load, speed)

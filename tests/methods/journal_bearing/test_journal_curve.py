@@ -9,12 +9,20 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
-from labpipe.methods.journal_bearing.curve import HIGHEST_SOMMERFELD, LOWEST_SOMMERFELD, TO_LOAD_FRAME, journal_curve, sommerfeld_number
+from labpipe.methods.journal_bearing.curve import (
+    HIGHEST_SOMMERFELD,
+    LOWEST_SOMMERFELD,
+    TO_LOAD_FRAME,
+    journal_curve,
+    sommerfeld_number,
+)
 from labpipe.methods.journal_bearing.film import Film, FilmMesh
 
 GROOVE = np.deg2rad(20)
 MESH = FilmMesh(72, 12)
-GROOVED = JournalBearing(diameter=16.5e-3, length=8.25e-3, clearance=0.2e-3, viscosity=0.55, groove_width=GROOVE)
+GROOVED = JournalBearing(
+    diameter=16.5e-3, length=8.25e-3, clearance=0.2e-3, viscosity=0.55, groove_width=GROOVE
+)
 
 
 def test_grooves_hold_the_ambient_pressure_and_nothing_else_does() -> None:
@@ -37,7 +45,10 @@ def test_the_film_reaches_zero_at_the_edge_of_the_groove_not_at_a_cell_s_centre(
 def test_grooves_of_any_width_are_followed_smoothly() -> None:
     """Edges within a cell: the eccentricity grows steadily with the width, without steps of a whole cell."""
     widths = np.deg2rad(np.arange(16.0, 25.0, 0.5))
-    found = [journal_equilibrium(dataclasses.replace(GROOVED, groove_width=width), (0.0, -5.0), 150.0, MESH) for width in widths]
+    found = [
+        journal_equilibrium(dataclasses.replace(GROOVED, groove_width=width), (0.0, -5.0), 150.0, MESH)
+        for width in widths
+    ]
     stiffness = np.array([one.stiffness[1, 1] for one in found])
     assert np.ptp(stiffness) / stiffness.mean() < 0.1
     assert np.max(np.abs(np.diff(stiffness))) / stiffness.mean() < 0.02
@@ -46,7 +57,10 @@ def test_grooves_of_any_width_are_followed_smoothly() -> None:
 def test_stiffness_of_a_grooved_film_is_the_slope_of_its_equilibrium() -> None:
     here = journal_equilibrium(GROOVED, (0.0, -5.0), 150.0, MESH)
     for change in ((1e-3, 0.0), (0.0, 1e-3)):
-        plus, minus = (journal_equilibrium(GROOVED, (s * change[0], -5 + s * change[1]), 150.0, MESH, here) for s in (1, -1))
+        plus, minus = (
+            journal_equilibrium(GROOVED, (s * change[0], -5 + s * change[1]), 150.0, MESH, here)
+            for s in (1, -1)
+        )
         np.testing.assert_allclose(here.stiffness @ (plus.position - minus.position) / 2, change, atol=2e-6)
 
 
@@ -62,10 +76,14 @@ def test_grooves_that_cannot_be_are_refused(width: float) -> None:
 
 
 def test_the_curve_gives_the_equilibrium_s_own_coefficients() -> None:
-    """Between nodes, in newtons and metres, for a bearing that was not tabulated: (4 fine - coarse) / 3 of two meshes."""
+    """Between nodes, in newtons and metres, for a bearing that was not tabulated: (4 fine - coarse) / 3 of
+    two meshes.
+    """
     curve = journal_curve(0.5, GROOVE, MESH, 60)
     speed, load = 180.0, 7.3
-    direct, coarse = (journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(36, 6)))
+    direct, coarse = (
+        journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(36, 6))
+    )
     number = sommerfeld_number(GROOVED, np.array(load), np.array(speed))
     np.testing.assert_allclose(number, direct.sommerfeld)
     found = curve.coefficients(number)
@@ -88,7 +106,9 @@ def test_the_curve_is_nearer_to_a_fine_film_than_its_mesh_is() -> None:
     curve, load = journal_curve(0.5, GROOVE, MESH, 60), 7.3
     errors = []
     for speed in (60.0, 120.0, 240.0):
-        own, fine = (journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(288, 48)))
+        own, fine = (
+            journal_equilibrium(GROOVED, (0.0, -load), speed, mesh) for mesh in (MESH, FilmMesh(288, 48))
+        )
         found = curve.coefficients(np.array(fine.sommerfeld)).stiffness * load / GROOVED.clearance
         stiffness, plain = (TO_LOAD_FRAME @ film.stiffness @ TO_LOAD_FRAME.T for film in (fine, own))
         errors.append([np.linalg.norm(one - stiffness) / np.linalg.norm(stiffness) for one in (plain, found)])
@@ -105,8 +125,12 @@ def test_slopes_are_the_derivatives_by_the_logarithm() -> None:
     curve = journal_curve(0.5, GROOVE, MESH, 60)
     numbers, step = np.array([0.05, 0.4, 3.0]), 1e-5
     here, plus, minus = (curve.coefficients(numbers * np.exp(change)) for change in (0, step, -step))
-    np.testing.assert_allclose(here.stiffness_slope, (plus.stiffness - minus.stiffness) / (2 * step), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(here.damping_slope, (plus.damping - minus.damping) / (2 * step), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        here.stiffness_slope, (plus.stiffness - minus.stiffness) / (2 * step), rtol=1e-5, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        here.damping_slope, (plus.damping - minus.damping) / (2 * step), rtol=1e-5, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("number", [LOWEST_SOMMERFELD / 2, HIGHEST_SOMMERFELD * 2, float("nan")])

@@ -1,4 +1,6 @@
-"""The film's equations: rounding of the maximum, the banded solver against dense algebra, the linearisation against differences."""
+"""The film's equations: rounding of the maximum, the banded solver against dense algebra, the linearisation
+against differences.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def dense_operator(film: Film, equations) -> np.ndarray:  # type: ignore[no-unty
 
 
 @pytest.mark.parametrize(("cavitation", "folded"), [(0.0, False), (-10.0, True)])
-def test_banded_factors_equal_dense_algebra(rng: np.random.Generator, cavitation: float, folded: bool) -> None:
+def test_banded_factors_equal_dense_algebra(
+    rng: np.random.Generator, cavitation: float, folded: bool
+) -> None:
     film = Film.of(MESH, 1.7, 0.3, 0.2, cavitation)
     pressure = np.full((48, 4), cavitation) if not folded else rng.uniform(0, 0.1, (48, 4))
     equations = film_equations(film, np.array([0.2, -0.3]), np.zeros(2), pressure)
@@ -62,11 +66,15 @@ def test_a_film_that_is_not_positive_definite_is_refused() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_residual_slopes_equal_differences(rng: np.random.Generator, axis: int) -> None:
-    """In flowing, cavitated and front cells alike: d residual / d displacement = by_displacement where the residual is zero."""
+    """In flowing, cavitated and front cells alike: d residual / d displacement = by_displacement where the
+    residual is zero.
+    """
     film = Film.of(MESH, 1.7, 0.4, 0.3, -0.001)
     state = film_equilibrium(film, np.array([0.004, -0.03]))
     step = 1e-6 * np.eye(2)[axis]
-    plus, minus = (film_equations(film, state.displacement + s, np.zeros(2), state.pressure) for s in (step, -step))
+    plus, minus = (
+        film_equations(film, state.displacement + s, np.zeros(2), state.pressure) for s in (step, -step)
+    )
     here = film_equations(film, state.displacement, np.zeros(2), state.pressure)
     assert np.count_nonzero((here.diagonal > 0) & ~here.cavitated) > 10
     moving = ~here.cavitated
@@ -109,11 +117,16 @@ def test_coarser_meshes_and_a_neighbour_lead_to_the_same_state() -> None:
 
 
 def test_a_far_neighbour_of_many_cells_is_left_by_way_of_half_the_cells() -> None:
-    """Wear that divides the film against none: the front moves over many cells, which takes 14 steps on the cells themselves."""
+    """Wear that divides the film against none: the front moves over many cells, which takes 14 steps on the
+    cells themselves.
+    """
     mesh, load = FilmMesh(240, 60), np.array([0.0, -0.035])
     healthy, worn = Film.of(mesh, 1.7), Film.of(mesh, 1.7, 0.3, 0.15)
     cold, neighbour = film_equilibrium(healthy, load), film_equilibrium(worn, load)
-    near, plain = (film_equilibrium(healthy, load, start) for start in (neighbour, dataclasses.replace(neighbour, coarse=None)))
+    near, plain = (
+        film_equilibrium(healthy, load, start)
+        for start in (neighbour, dataclasses.replace(neighbour, coarse=None))
+    )
     assert near.steps <= 6 < plain.steps
     for state in (near, plain):
         np.testing.assert_allclose(state.displacement, cold.displacement, atol=1e-7)
@@ -122,10 +135,15 @@ def test_a_far_neighbour_of_many_cells_is_left_by_way_of_half_the_cells() -> Non
 
 def test_a_start_moved_as_two_neighbours_differ_is_nearer() -> None:
     """The fourth corner of a parallelogram in load and angle: its start lies nearer than either neighbour."""
-    films, loads = [Film.of(MESH, 1.7, 0.3, angle) for angle in (0.1, 0.16)], [np.array([0.0, -w]) for w in (0.03, 0.031)]
+    films, loads = (
+        [Film.of(MESH, 1.7, 0.3, angle) for angle in (0.1, 0.16)],
+        [np.array([0.0, -w]) for w in (0.03, 0.031)],
+    )
     states = [[film_equilibrium(film, load) for load in loads] for film in films]
     start, end = states[1][0].moved(states[0][0], states[0][1]), states[1][1]
-    distances = [np.abs(one.displacement - end.displacement).max() for one in (start, states[1][0], states[0][1])]
+    distances = [
+        np.abs(one.displacement - end.displacement).max() for one in (start, states[1][0], states[0][1])
+    ]
     assert distances[0] < 0.2 * min(distances[1:])
 
 
@@ -152,9 +170,14 @@ def test_too_heavy_a_load_is_said() -> None:
 
 
 def test_worn_depth_by_hand() -> None:
-    """At the bottom the wear is its depth; half way up the bore there is none; the mean over an arc keeps the volume."""
+    """At the bottom the wear is its depth; half way up the bore there is none.
+
+    The mean over an arc keeps the volume.
+    """
     theta = np.deg2rad([270.0, 280.0, 90.0])
-    np.testing.assert_allclose(worn_depth(theta, 0.4, 0.0), [0.4, 0.4 - 1 + np.cos(np.deg2rad(10)), 0], atol=1e-15)
+    np.testing.assert_allclose(
+        worn_depth(theta, 0.4, 0.0), [0.4, 0.4 - 1 + np.cos(np.deg2rad(10)), 0], atol=1e-15
+    )
     centre = film_grid(FilmMesh(720, 4)).centre
     arc = 2 * np.pi / 720
     mean = mean_worn_depth(centre, 0.4, 0.3, arc)
@@ -168,7 +191,10 @@ def test_worn_depth_by_hand() -> None:
 def test_wear_edges_are_where_the_depth_vanishes() -> None:
     start, end = wear_edges(0.4, np.deg2rad(20))
     np.testing.assert_allclose((start + end) / 2, np.deg2rad(290))
-    inside, outside = worn_depth(np.array([start + 1e-3, end - 1e-3]), 0.4, np.deg2rad(20)), np.array([start - 1e-3, end + 1e-3])
+    inside, outside = (
+        worn_depth(np.array([start + 1e-3, end - 1e-3]), 0.4, np.deg2rad(20)),
+        np.array([start - 1e-3, end + 1e-3]),
+    )
     assert inside.min() > 0
     assert np.all(worn_depth(outside, 0.4, np.deg2rad(20)) == 0)
 
@@ -189,10 +215,17 @@ def test_interpolation_keeps_constants_and_closes_the_ring() -> None:
 
 
 def exact_complementarity(film: Film, displacement: np.ndarray) -> np.ndarray:
-    """Pressures with p >= p_cav, surplus >= 0, their product zero: cells change sides until none wants to. The readable twin."""
+    """Pressures with p >= p_cav, surplus >= 0, their product zero: cells change sides until none wants to.
+
+    The readable twin.
+    """
     n, m = film.mesh.around, film.mesh.across // 2
     centre, face = film.thickness(displacement)
-    around, across, wedge = face**3 / film.mesh.arc**2, film.slenderness**2 * centre**3, (face - np.roll(face, 1)) / film.mesh.arc
+    around, across, wedge = (
+        face**3 / film.mesh.arc**2,
+        film.slenderness**2 * centre**3,
+        (face - np.roll(face, 1)) / film.mesh.arc,
+    )
     matrix, source = np.zeros((n * m, n * m)), np.repeat(wedge, m)
     for i in range(n):
         for j in range(m):
@@ -227,8 +260,13 @@ def test_rounding_the_front_changes_little(depth: float, cavitation: float) -> N
 
 @pytest.mark.parametrize("slenderness", [0.5, 1.0, 1.7, 4.0, 40.0])
 @pytest.mark.parametrize(("depth", "angle"), [(0.0, 0.0), (0.05, 0.1), (0.55, 0.3), (0.5, -0.3)])
-def test_an_equilibrium_is_found_from_light_to_heavy_loads(slenderness: float, depth: float, angle: float) -> None:
-    """Loads over four decades, eccentricity ratios of 1e-3 ... .98 in the healthy bore; each balanced and stable in its own film."""
+def test_an_equilibrium_is_found_from_light_to_heavy_loads(
+    slenderness: float, depth: float, angle: float
+) -> None:
+    """Loads over four decades, eccentricity ratios of 1e-3 ... .98 in the healthy bore.
+
+    Each balanced and stable in its own film.
+    """
     for size in (1e-3, 1e-2, 0.1, 1.0, 10.0, 30.0):
         load = np.array([0.0, -size / (1 + 0.3 * slenderness**2)])
         for cavitation in (0.0, -0.015 * np.hypot(*load)):

@@ -1,6 +1,8 @@
-"""A film without grooves is another bearing than the one with two of 20 deg whose table Lund and Thomsen (1978) print.
+"""A film without grooves is another bearing than the one with two of 20 deg whose table Lund and Thomsen
+(1978) print.
 
-The table itself, sixteen Sommerfeld numbers at L / D = 0.5, is held by the validation manual (tests/validation/journal.py).
+The table itself, sixteen Sommerfeld numbers at L / D = 0.5, is held by the validation manual
+(tests/validation/journal.py).
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Journal-bearing files: what they hold, and their coefficients against the checked reference of an independent calculation."""
+"""Journal-bearing files: what they hold, and their coefficients against the checked reference of an
+independent calculation.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from labpipe.methods.journal_bearing.kind import JOURNAL_KIND
 from labpipe.project.bearing_file import open_bearing
 
 REFERENCE = [
-    # load N, depth um, angle deg, eccentricity ratio, attitude deg, K Cr/W and C Cr Omega/W in the order yy yz zy zz
+    # load N, depth um, angle deg, eccentricity ratio, attitude deg, K Cr/W and C Cr Omega/W in the order yy
+    # yz zy zz
     (35.38, 0.0, 0.0, 0.1326, 80.95, [2.361, 7.259, -7.946, 1.265], [14.87, -2.367, -2.367, 15.65]),
     (58.82, 0.0, 0.0, 0.2096, 75.71, [2.331, 4.329, -5.412, 1.379], [9.204, -2.345, -2.345, 10.445]),
     (58.82, 22.27, 11.0, 0.2908, 44.51, [3.176, 3.187, -5.956, 1.600], [8.406, -1.831, -1.831, 9.969]),
@@ -28,9 +31,18 @@ def file(root: Path) -> Path:
 
 @pytest.mark.parametrize(("load", "depth", "angle", "eccentricity", "attitude", "k", "c"), REFERENCE)
 def test_file_with_the_reference_s_wear(
-    file: Path, load: float, depth: float, angle: float, eccentricity: float, attitude: float, k: list[float], c: list[float]
+    file: Path,
+    load: float,
+    depth: float,
+    angle: float,
+    eccentricity: float,
+    attitude: float,
+    k: list[float],
+    c: list[float],
 ) -> None:
-    """Mesh 1440 x 72 in the reference; here the mesh that is accurate to 1 %: .5 % (eccentricity), 3.5 % of the largest coefficient."""
+    """Mesh 1440 x 72 in the reference; here the mesh that is accurate to 1 %: .5 % (eccentricity), 3.5 % of
+    the largest coefficient.
+    """
     opened = open_bearing(file, [f"load={load} N", f"wear.depth={depth} um", f"wear.angle={angle} deg"])
     (found,) = opened.coefficients([opened.settings()])
     rest = {amount.name: amount.value for amount in found.rest}
@@ -48,7 +60,9 @@ def test_json_has_the_interface_s_keys(file: Path, labpipe) -> None:  # type: ig
     assert {"eccentricity_ratio", "attitude_angle", "sommerfeld"} <= set(entry["equilibrium"])
     assert np.allclose(entry["damping"], np.transpose(entry["damping"]), rtol=1e-8)
     # mu N L D / W (R / c)^2 by hand.
-    assert entry["equilibrium"]["sommerfeld"] == pytest.approx(0.1044 * 50 * 18e-3 * 31e-3 / 58.82 * (15.5e-3 / 90e-6) ** 2)
+    assert entry["equilibrium"]["sommerfeld"] == pytest.approx(
+        0.1044 * 50 * 18e-3 * 31e-3 / 58.82 * (15.5e-3 / 90e-6) ** 2
+    )
     assert 0 < entry["model"]["mesh_error"] <= 0.01
 
 

@@ -2,7 +2,8 @@
 
 The finite film against them is a part of the validation manual (tests/validation/journal.py).
 
-Frame: y horizontal, z up, load -z, spin y to z. The closed forms are Ocvirk's, from Friswell et al., Dynamics of Rotating Machines (2010).
+Frame: y horizontal, z up, load -z, spin y to z. The closed forms are Ocvirk's, from Friswell et al., Dynamics
+of Rotating Machines (2010).
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ SHORT = JournalBearing(diameter=30e-3, length=0.75e-3, clearance=90e-6, viscosit
 
 
 def short_force(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Force by quadrature of the parabolic pressure -L^3 mu / h^3 (Omega/2 h' + dh/dt) where it is positive, on the half it starts with."""
+    """Force by quadrature of the parabolic pressure -L^3 mu / h^3 (Omega/2 h' + dh/dt) where it is positive,
+    on the half it starts with.
+    """
     y, z = position
     first = np.arctan2(z, y) - np.pi
 
@@ -51,7 +54,9 @@ def test_closed_form_is_the_integral_of_the_parabolic_pressure(eccentricity: flo
     step = 1e-4 * SHORT.clearance
     for axis in range(2):
         move = step * np.eye(2)[axis]
-        column = -(short_force(position + move, np.zeros(2)) - short_force(position - move, np.zeros(2))) / (2 * step)
+        column = -(short_force(position + move, np.zeros(2)) - short_force(position - move, np.zeros(2))) / (
+            2 * step
+        )
         np.testing.assert_allclose(stiffness[:, axis], column, atol=1e-5 * np.abs(stiffness).max())
         column = -(short_force(position, move) - short_force(position, -move)) / (2 * step)
         np.testing.assert_allclose(damping[:, axis], column, atol=1e-5 * np.abs(damping).max())

@@ -16,7 +16,9 @@ SPEED = 2 * np.pi * 50
 LOAD = (0.0, -58.85)
 MESH = FilmMesh(60, 12)
 BEARING = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
-WIDE = TableRange(viscosity_factor=1.1, clearance_factor=1.03, cavitation_pressure=-0.3e5, n_depth=13, n_angle=5)
+WIDE = TableRange(
+    viscosity_factor=1.1, clearance_factor=1.03, cavitation_pressure=-0.3e5, n_depth=13, n_angle=5
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,9 @@ def worn(depth: float, degrees: float, **change: float) -> JournalBearing:
 
 
 def test_between_its_nodes_the_table_is_the_film(wear_table: JournalTable, rng: np.random.Generator) -> None:
-    """Root mean square .5 % of the largest coefficient at this coarse mesh, whose films are the rougher part of it."""
+    """Root mean square .5 % of the largest coefficient at this coarse mesh, whose films are the rougher part
+    of it.
+    """
     errors = []
     for depth, angle in zip(rng.uniform(0, 50, 40), rng.uniform(-20, 20, 40), strict=True):
         bearing = worn(depth, angle)
@@ -68,10 +72,16 @@ def test_derivatives_equal_differences(wide_table: JournalTable, parameter: str)
     bearing = worn(22.0, 11.0, viscosity=0.107, clearance=91e-6, cavitation_pressure=-0.12e5)
     step = 1e-5 * (abs(getattr(bearing, parameter)) or 1.0)
     plus, minus = (
-        wide_table.coefficients(dataclasses.replace(bearing, **{parameter: getattr(bearing, parameter) + s}), SPEED) for s in (step, -step)
+        wide_table.coefficients(
+            dataclasses.replace(bearing, **{parameter: getattr(bearing, parameter) + s}), SPEED
+        )
+        for s in (step, -step)
     )
     found, number = wide_table.coefficients(bearing, SPEED), PARAMETERS.index(parameter)
-    stiffness, damping = (plus.stiffness - minus.stiffness) / (2 * step), (plus.damping - minus.damping) / (2 * step)
+    stiffness, damping = (
+        (plus.stiffness - minus.stiffness) / (2 * step),
+        (plus.damping - minus.damping) / (2 * step),
+    )
     np.testing.assert_allclose(found.stiffness_slopes[number], stiffness, atol=1e-5 * np.abs(stiffness).max())
     np.testing.assert_allclose(found.damping_slopes[number], damping, atol=1e-5 * np.abs(damping).max())
 
@@ -82,7 +92,10 @@ def test_a_healthy_bore_has_no_angle_and_no_slope_by_depth_that_runs_away(wear_t
     np.testing.assert_allclose(left.stiffness_slopes[1], 0, atol=1e-6 * np.abs(left.stiffness).max())
     shallow = wear_table.coefficients(worn(0.5, 15.0), SPEED)
     per_micrometre = 0.1 * np.abs(left.stiffness).max() / 1e-6
-    assert np.abs(left.stiffness_slopes[0]).max() < 2 * np.abs(shallow.stiffness_slopes[0]).max() + per_micrometre
+    assert (
+        np.abs(left.stiffness_slopes[0]).max()
+        < 2 * np.abs(shallow.stiffness_slopes[0]).max() + per_micrometre
+    )
 
 
 def test_two_processes_make_the_same_table() -> None:
@@ -92,13 +105,19 @@ def test_two_processes_make_the_same_table() -> None:
 
 
 def test_a_table_without_wear_has_no_axes_for_it() -> None:
-    """Three nodes of Sommerfeld's number on a parabola: the film at them but for Newton's tolerance, .1 % between; wear is refused."""
-    unworn = journal_table(BEARING, LOAD, SPEED, TableRange(depth=0.0, viscosity_factor=1.05, n_sommerfeld=3), MESH)
+    """Three nodes of Sommerfeld's number on a parabola: the film at them but for Newton's tolerance, .1 %
+    between; wear is refused.
+    """
+    unworn = journal_table(
+        BEARING, LOAD, SPEED, TableRange(depth=0.0, viscosity_factor=1.05, n_sommerfeld=3), MESH
+    )
     assert unworn.active == (2,)
     for factor, tolerance in ((1.0, 1e-5), (1.05, 1e-5), (1.025, 1e-3)):
         bearing = dataclasses.replace(BEARING, viscosity=BEARING.viscosity * factor)
         film, found = journal_equilibrium(bearing, LOAD, SPEED, MESH), unworn.coefficients(bearing, SPEED)
-        np.testing.assert_allclose(found.stiffness, film.stiffness, atol=tolerance * np.abs(film.stiffness).max())
+        np.testing.assert_allclose(
+            found.stiffness, film.stiffness, atol=tolerance * np.abs(film.stiffness).max()
+        )
     with pytest.raises(FitError, match="wear depth"):
         unworn.coefficients(worn(1.0, 0.0), SPEED)
 

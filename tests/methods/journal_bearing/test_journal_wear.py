@@ -1,5 +1,6 @@
-"""Worn journal bearing of Mendes et al. (2017), frame as theirs (y horizontal, z up, load -z, spin y to z), against an independent
-calculation on 1440 x 72 cells with exact complementarity (an independent calculation); smoothness over the angle of wear.
+"""Worn journal bearing of Mendes et al. (2017), frame as theirs (y horizontal, z up, load -z, spin y to z),
+against an independent calculation on 1440 x 72 cells with exact complementarity (an independent calculation);
+smoothness over the angle of wear.
 """
 
 from __future__ import annotations
@@ -7,7 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, film_force, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    JournalBearing,
+    JournalEquilibrium,
+    film_force,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 from tests.validation.journal import WEAR_SPEED as SPEED
 from tests.validation.journal import WORN
@@ -15,7 +21,12 @@ from tests.validation.journal import WORN
 
 def bearing(depth: float, angle: float) -> JournalBearing:
     return JournalBearing(
-        diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044, wear_depth=depth * 1e-6, wear_angle=np.deg2rad(angle)
+        diameter=31e-3,
+        length=18e-3,
+        clearance=90e-6,
+        viscosity=0.1044,
+        wear_depth=depth * 1e-6,
+        wear_angle=np.deg2rad(angle),
     )
 
 
@@ -30,8 +41,13 @@ def scaled(equilibrium: JournalEquilibrium) -> tuple[np.ndarray, np.ndarray]:
     [(FilmMesh(120, 30), 5e-3, 0.05, 0.035), (FilmMesh(240, 30), 5e-3, 0.05, 0.035)],
     ids=["120x30", "240x30"],
 )
-def test_equilibrium_and_coefficients(name: str, mesh: FilmMesh, eccentricity: float, attitude: float, coefficients: float) -> None:
-    """Tolerances: relative, deg, part of the largest coefficient. Met: .2 %, .01, .5 %; 480x60 is in the validation manual."""
+def test_equilibrium_and_coefficients(
+    name: str, mesh: FilmMesh, eccentricity: float, attitude: float, coefficients: float
+) -> None:
+    """Tolerances: relative, deg, part of the largest coefficient. Met: .2 %, .01, .5 %.
+
+    480x60 is in the validation manual.
+    """
     load, depth, angle, e, phi, k, c = WORN[name]
     equilibrium = journal_equilibrium(bearing(depth, angle), (0.0, -load), SPEED, mesh)
     np.testing.assert_allclose(equilibrium.eccentricity_ratio, e, rtol=eccentricity)
@@ -58,24 +74,31 @@ def test_linearised_against_centred_differences(name: str) -> None:
     for axis in range(2):
         move = step * np.eye(2)[axis]
         stiffness[:, axis] = -(force(move, at_rest) - force(-move, at_rest)) / (2 * step)
-        damping[:, axis] = -(force(at_rest, move * SPEED) - force(at_rest, -move * SPEED)) / (2 * step * SPEED)
+        damping[:, axis] = -(force(at_rest, move * SPEED) - force(at_rest, -move * SPEED)) / (
+            2 * step * SPEED
+        )
     np.testing.assert_allclose(equilibrium.stiffness, stiffness, atol=3e-3 * np.abs(stiffness).max())
     np.testing.assert_allclose(equilibrium.damping, damping, atol=3e-3 * np.abs(damping).max())
 
 
 @pytest.mark.parametrize("depth", [10.0, 22.27, 40.19, 48.26])
 def test_coefficients_are_smooth_over_the_angle_of_wear(depth: float) -> None:
-    """Largest departure from a polynomial of degree 9 over -20 ... 20 deg, at most .1 % of the largest coefficient, 120 x 30 cells.
+    """Largest departure from a polynomial of degree 9 over -20 ... 20 deg, at most .1 % of the largest
+    coefficient, 120 x 30 cells.
 
     A front that jumps from cell to cell gives 1 %.
     """
     angles = np.linspace(-20, 20, 81)
     equilibrium, rows = None, []
     for angle in angles:
-        equilibrium = journal_equilibrium(bearing(depth, angle), (0.0, -58.82), SPEED, FilmMesh(120, 30), equilibrium)
+        equilibrium = journal_equilibrium(
+            bearing(depth, angle), (0.0, -58.82), SPEED, FilmMesh(120, 30), equilibrium
+        )
         rows.append(np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * SPEED]))
     coefficients = np.array(rows)
-    smooth = np.stack([np.polynomial.Chebyshev.fit(angles, column, 9)(angles) for column in coefficients.T], axis=1)
+    smooth = np.stack(
+        [np.polynomial.Chebyshev.fit(angles, column, 9)(angles) for column in coefficients.T], axis=1
+    )
     rough = np.max(np.abs(coefficients - smooth), axis=0)
     for part in (slice(0, 4), slice(4, 8)):
         assert np.max(rough[part]) < 1e-3 * np.max(np.abs(coefficients[:, part]))

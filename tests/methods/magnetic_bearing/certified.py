@@ -1,4 +1,6 @@
-"""Recorded loops written down anew: both sides of the sum, motion and current under an injection, with noise that all share in part."""
+"""Recorded loops written down anew: both sides of the sum, motion and current under an injection, with noise
+that all share in part.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +17,27 @@ RATE = 20e3
 FREQUENCY = np.arange(10.0, 1000.0, 5.0)
 # Zone A, log decrement near 2: a loop as they are accepted.
 LOOP = ControlLoop(proportional=1.6, derivative=1.2e-3)
-FILE = MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=LOOP)
+FILE = MagneticFile(
+    kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=LOOP
+)
 UNKNOWNS = ("negative_stiffness", "force_per_current", "bandwidth", "delay")
 MIXED = np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0], [0.3, 0.1, 0.9, 0.0], [0.2, 0.0, 0.3, 0.8]])
 
 
 def clean(file: MagneticFile = FILE) -> np.ndarray:
-    """before, after, displacement, current over the injection (n_line, 4), by the matrices that run in time."""
+    """before, after, displacement, current over the injection (n_line, 4), by the matrices that run in
+    time.
+    """
     plant = file.levitated()
-    signals = sampled_loop(Suspended(plant.loop, plant.negative_stiffness, plant.mass), RATE).response(2 * np.pi * FREQUENCY)
+    signals = sampled_loop(Suspended(plant.loop, plant.negative_stiffness, plant.mass), RATE).response(
+        2 * np.pi * FREQUENCY
+    )
     return signals[:, [1, 2, 0, 4], 2]
 
 
-def response(rng: np.random.Generator | None, noise: float = 0.02, file: MagneticFile = FILE, periods: int = 0) -> FrequencyResponse:
+def response(
+    rng: np.random.Generator | None, noise: float = 0.02, file: MagneticFile = FILE, periods: int = 0
+) -> FrequencyResponse:
     """Noise as a share of the r.m.s. of every signal; of a known covariance, or that of so many periods."""
     true = clean(file)
     scale = noise * np.sqrt(np.mean(np.abs(true) ** 2, axis=0))[:, None] * MIXED
@@ -42,7 +52,13 @@ def response(rng: np.random.Generator | None, noise: float = 0.02, file: Magneti
     elif rng is not None:
         matrix = true + drawn(rng, true.shape) @ scale.T
     return FrequencyResponse(
-        FREQUENCY, matrix[:, :, None], ports, (Port("e", "e", "e"),), form="other", covariance=covariance, covariance_dof=dof
+        FREQUENCY,
+        matrix[:, :, None],
+        ports,
+        (Port("e", "e", "e"),),
+        form="other",
+        covariance=covariance,
+        covariance_dof=dof,
     )
 
 

@@ -1,4 +1,6 @@
-"""A levitated rotor written down anew in the frequency domain: what controller, injection and noise make of currents and displacements."""
+"""A levitated rotor written down anew in the frequency domain: what controller, injection and noise make of
+currents and displacements.
+"""
 
 from __future__ import annotations
 
@@ -56,13 +58,17 @@ class Rotor:
         scatter = np.einsum("plrc,plrd->lrcd", rest, rest.conj()) / (periods * (periods - 1))
         return self.record(draws.mean(axis=0), scatter, periods - 1.0)
 
-    def record(self, vectors: np.ndarray, covariance: np.ndarray, dof: float = float("inf"), **more: object) -> ChannelSpectra:
+    def record(
+        self, vectors: np.ndarray, covariance: np.ndarray, dof: float = float("inf"), **more: object
+    ) -> ChannelSpectra:
         labels = AXES[: self.n]
         angles = (0.0, np.pi / 2)
         channels = [Channel(f"i{a}", "current", "input", a, angles[k]) for k, a in enumerate(labels)]
         channels += [Channel(a, "displacement", "output", a, angles[k]) for k, a in enumerate(labels)]
         runs = tuple(f"run {a}" for a in labels)[: vectors.shape[1]]
-        return ChannelSpectra(self.frequency, vectors, covariance, tuple(channels), runs, covariance_dof=dof, **more)  # type: ignore[arg-type]
+        return ChannelSpectra(
+            self.frequency, vectors, covariance, tuple(channels), runs, covariance_dof=dof, **more
+        )  # type: ignore[arg-type]
 
 
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Responses of a rig whose bearings obey a magnetic-bearing file, with noise of a known or an estimated size."""
+"""Responses of a rig whose bearings obey a magnetic-bearing file, with noise of a known or an estimated
+size.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ FREQUENCY = np.arange(1.0, 251.0)
 SUPPORT = Support(Uncertain(134.5e3, 100.0), Uncertain(3.68, 0.05))
 PORTS = {"input": ("f",), "output": ("y",)}
 SETTINGS = FitSettings(
-    "sdof", mass=0.92, **PORTS, band=(1.0, 250.0), sliding=Sliding(15.0, 15.0), subtract=SUPPORT, share=2, name="sliding"
+    "sdof",
+    mass=0.92,
+    **PORTS,
+    band=(1.0, 250.0),
+    sliding=Sliding(15.0, 15.0),
+    subtract=SUPPORT,
+    share=2,
+    name="sliding",
 )
 # A fit that stands for its band alone, where what it found is of no interest.
 WHOLE = Fit(
@@ -51,10 +60,11 @@ def measured(
     fits: bool = False,
     support: tuple[float, float] | None = None,
 ) -> View:
-    """y under a force at 45 deg; relative *noise* of the response, its covariance known, or estimated from *averages* periods.
+    """y under a force at 45 deg; relative *noise* of the response, its covariance known, or estimated from
+    *averages* periods.
 
-    *fits*: in sliding bands, else one that stands for all lines. *support*: stiffness and damping; by default as stated, drawn anew
-    within its standard errors.
+    *fits*: in sliding bands, else one that stands for all lines. *support*: stiffness and damping; by default
+    as stated, drawn anew within its standard errors.
     """
     ports = ((Port("y", "y", "y", np.pi / 2),), (Port("f", "f", "45 deg", np.pi / 4),))
     empty = FrequencyResponse(FREQUENCY, np.ones((FREQUENCY.size, 1, 1), complex), *ports)
@@ -64,7 +74,11 @@ def measured(
     matrix = receptance(view, file, 2 * np.pi * FREQUENCY, true)
     spread = noise * np.abs(matrix)
     count = averages or 1
-    drawn = (rng.normal(size=(count, *matrix.shape)) + 1j * rng.normal(size=(count, *matrix.shape))) * spread * np.sqrt(count / 2)
+    drawn = (
+        (rng.normal(size=(count, *matrix.shape)) + 1j * rng.normal(size=(count, *matrix.shape)))
+        * spread
+        * np.sqrt(count / 2)
+    )
     variance = spread**2 if not averages else np.var(drawn, axis=0, ddof=1) / averages
     response = replace(
         empty,

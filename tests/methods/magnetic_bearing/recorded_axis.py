@@ -1,7 +1,8 @@
 """One levitated axis written down anew: raw files of a multisine in its loop, and pipelines that read them.
 
-m x'' = k_n x + k_i i + d, i = D(s) A(s) u, u = e - C(s) (x + n), of continuous time throughout; every recorded line and the noise
-between the lines follow from these equations exactly, d, n and what the loggers add being random.
+m x'' = k_n x + k_i i + d, i = D(s) A(s) u, u = e - C(s) (x + n), of continuous time throughout; every
+recorded line and the noise between the lines follow from these equations exactly, d, n and what the loggers
+add being random.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ SIGNALS = ("e", "before", "u", "i", "x")
 class Axis:
     """The rig in SI units; lines as multiples of 1 / period.
 
-    Noise, rms: disturbance [N] and probe [m] in the loop; loggers of currents and commands [A], and of the reading [m], behind it.
+    Noise, rms: disturbance [N] and probe [m] in the loop; loggers of currents and commands [A], and of the
+    reading [m], behind it.
     """
 
     mass: float = 6.5
@@ -85,14 +87,20 @@ class Axis:
         at = np.flatnonzero(size[:-1] * size[1:] < 0)
         return float(np.min(np.abs(np.angle(-loop[at]))))
 
-    def record(self, rng: np.random.Generator | None, other: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Columns of a recording; rng None: without noise. other (n_sample,) [N]: a further force on the rotor."""
+    def record(
+        self, rng: np.random.Generator | None, other: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        """Columns of a recording; rng None: without noise. other (n_sample,) [N]: a further force on the
+        rotor.
+        """
         count = round(self.period * self.rate)
         total = count * self.periods
         s = 2j * np.pi * np.fft.rfftfreq(total, 1 / self.rate)
         tones = np.zeros(total // 2 + 1, complex)
         phases = -np.pi * np.arange(len(self.lines)) ** 2 / len(self.lines)
-        tones[np.asarray(self.lines) * self.periods] = np.exp(1j * phases) * total * self.rms / np.sqrt(2 * len(self.lines))
+        tones[np.asarray(self.lines) * self.periods] = (
+            np.exp(1j * phases) * total * self.rms / np.sqrt(2 * len(self.lines))
+        )
         if self.random:
             band = np.abs(s) <= 2 * np.pi * np.max(self.lines) / self.period
             drawn = np.random.default_rng(1).standard_normal((2, len(s)))
@@ -171,11 +179,15 @@ ROLES = "{e: {role: input}, before: {role: output}, u: {role: output}, i: {role:
 ASKED = "{after: u, displacement: x, current: i, injection: output, log_decrement: 0.1}"
 
 
-def written(folder: Path, axis: Axis, columns: dict[str, np.ndarray], name: str = "axis.parquet", bearing: str = "") -> Path:
+def written(
+    folder: Path, axis: Axis, columns: dict[str, np.ndarray], name: str = "axis.parquet", bearing: str = ""
+) -> Path:
     """Recording, rig file and bearing file in the folder; bearing: further lines of the bearing file."""
     parquet.write_table(pa.table(columns), folder / name)
     (folder / "rig.yaml").write_text(RIG.format(rate=axis.rate, mass=axis.mass))
-    entries = {name: getattr(axis, name) for name in ("mass", "proportional", "derivative", "derivative_time")}
+    entries = {
+        name: getattr(axis, name) for name in ("mass", "proportional", "derivative", "derivative_time")
+    }
     (folder / "bearing.yaml").write_text(BEARING.format(**entries, more=bearing))
     return folder
 

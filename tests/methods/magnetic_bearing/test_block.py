@@ -1,4 +1,6 @@
-"""Blocks of gain, delay and low-pass: exact on clean responses, the right order of noisy ones, coverage, refusals."""
+"""Blocks of gain, delay and low-pass: exact on clean responses, the right order of noisy ones, coverage,
+refusals.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ FREQUENCY = np.arange(20.0, 3000.0, 20.0)
 S = 2j * np.pi * FREQUENCY
 TRUE = {
     0: ({"gain": -0.5, "delay": 150e-6}, -0.5 * np.exp(-S * 150e-6)),
-    1: ({"gain": 2.0, "delay": 75e-6, "corner_frequency": 1500.0}, 2 * np.exp(-S * 75e-6) / (1 + S / (3000 * np.pi))),
+    1: (
+        {"gain": 2.0, "delay": 75e-6, "corner_frequency": 1500.0},
+        2 * np.exp(-S * 75e-6) / (1 + S / (3000 * np.pi)),
+    ),
     2: (
         {"gain": 2.0, "delay": 50e-6, "f_n": 1800.0, "zeta": 0.6},
         2 * np.exp(-S * 50e-6) / (1 + 1.2 * S / (3600 * np.pi) + (S / (3600 * np.pi)) ** 2),
@@ -33,11 +38,15 @@ def response(order: int, noise: float = 0.0, seed: int = 1) -> FrequencyResponse
     drawn = (rng.standard_normal(true.size) + 1j * rng.standard_normal(true.size)) / np.sqrt(2)
     covariance = np.full((true.size, 1, 1), max(noise, 1e-4) ** 2, complex)
     port = (Port("i", "i", "i"),), (Port("u", "u", "u"),)
-    return FrequencyResponse(FREQUENCY, (true + noise * drawn)[:, None, None], *port, form="other", covariance=covariance)
+    return FrequencyResponse(
+        FREQUENCY, (true + noise * drawn)[:, None, None], *port, form="other", covariance=covariance
+    )
 
 
 def fitted(measured: FrequencyResponse, order: str = "auto", **keys: object) -> Fit:
-    (found,) = identify(measured, FitSettings("block", name="amplifier", model_settings=BlockSettings(order), **keys))  # type: ignore[arg-type]
+    (found,) = identify(
+        measured, FitSettings("block", name="amplifier", model_settings=BlockSettings(order), **keys)
+    )  # type: ignore[arg-type]
     return found
 
 
@@ -58,7 +67,9 @@ def test_the_order_of_a_noisy_response_is_found(order: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("order", [0, 1, 2])
 def test_the_order_and_the_intervals_are_right(order: int) -> None:
-    """12 draws at 2 %: the order by BIC, and the intervals of its parameters, 99.9 % regions of what chance leaves."""
+    """12 draws at 2 %: the order by BIC, and the intervals of its parameters, 99.9 % regions of what chance
+    leaves.
+    """
     chosen, held, n = 0, Counter(), 12
     for seed in range(n):
         fit = fitted(response(order, 0.02, seed))
@@ -84,6 +95,11 @@ def test_what_does_not_fit_is_refused() -> None:
         fitted(replace(plain, covariance=None))
     with pytest.raises(FitError, match="3 lines in the band"):
         fitted(plain, band=(15.0, 65.0))
-    double = replace(plain, matrix=np.repeat(plain.matrix, 2, axis=1), outputs=(*plain.outputs, Port("j", "j", "j")), covariance=None)
+    double = replace(
+        plain,
+        matrix=np.repeat(plain.matrix, 2, axis=1),
+        outputs=(*plain.outputs, Port("j", "j", "j")),
+        covariance=None,
+    )
     with pytest.raises(ConfigError, match="one input and one output, not 1 and 2"):
         fitted(double)

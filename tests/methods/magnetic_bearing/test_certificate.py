@@ -1,4 +1,6 @@
-"""Certificates: margins and decrements of the fitted loop against its truth, coupled loops, verdicts, refusals, report."""
+"""Certificates: margins and decrements of the fitted loop against its truth, coupled loops, verdicts,
+refusals, report.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,15 @@ from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
-from tests.methods.magnetic_bearing.certified import FILE, FREQUENCY, RATE, UNKNOWNS, drawn, response, with_gain
+from tests.methods.magnetic_bearing.certified import (
+    FILE,
+    FREQUENCY,
+    RATE,
+    UNKNOWNS,
+    drawn,
+    response,
+    with_gain,
+)
 
 OWN = {"displacement": "x", "current": "i", "rate": RATE, "zone": "A"}
 
@@ -35,7 +45,11 @@ OWN = {"displacement": "x", "current": "i", "rate": RATE, "zone": "A"}
 def asked(**own: object) -> CompareSettings:
     theory = TheorySettings(bearing="bearing.yaml")
     return CompareSettings(
-        kind="certificate", name="certificate", theory=theory, estimate=UNKNOWNS, kind_settings=CertificateSettings(**{**OWN, **own})
+        kind="certificate",
+        name="certificate",
+        theory=theory,
+        estimate=UNKNOWNS,
+        kind_settings=CertificateSettings(**{**OWN, **own}),
     )
 
 
@@ -44,7 +58,9 @@ def truth() -> dict[str, float]:
     of = margins(lambda w: open_loop(FILE.levitated(), w, RATE).loop, RATE / 2 * (1 - 1e-9))
     s = -350.0 + 900.0j
     for _ in range(50):
-        values = [1 + open_loop(FILE.levitated(), np.array([(s + d) / 1j]), RATE).loop[0] for d in (0.0, 1e-3)]
+        values = [
+            1 + open_loop(FILE.levitated(), np.array([(s + d) / 1j]), RATE).loop[0] for d in (0.0, 1e-3)
+        ]
         s -= values[0] * 1e-3 / (values[1] - values[0])
     return {
         "sensitivity_peak": of.peak,
@@ -95,18 +111,27 @@ def test_without_a_model_the_peak_is_measured(rng: np.random.Generator) -> None:
 
 
 def test_margins_without_a_model_hold_the_truth() -> None:
-    """50 draws at 0.5 % of noise; lines of 5 Hz make a straight piece of L short enough, that of the lower gain lies below the band."""
+    """50 draws at 0.5 % of noise.
+
+    Lines of 5 Hz make a straight piece of L short enough, that of the lower gain lies below the band.
+    """
     exact, held, n = truth(), Counter(), 50
     for seed in range(n):
-        settings = CompareSettings(kind="certificate", name="plain", kind_settings=CertificateSettings(zone="A"))
+        settings = CompareSettings(
+            kind="certificate", name="plain", kind_settings=CertificateSettings(zone="A")
+        )
         found = certificate(settings, response(np.random.default_rng(seed), 0.005), None)
         for name in ("gain_margin_upper", "phase_margin"):
             low, high = found.amount(f"measured_{name}").ci95
             held[name] += low <= exact[name] <= high
-    assert all(held[name] >= stats.binom.ppf(0.001, n, 0.95) for name in ("gain_margin_upper", "phase_margin")), held
+    assert all(
+        held[name] >= stats.binom.ppf(0.001, n, 0.95) for name in ("gain_margin_upper", "phase_margin")
+    ), held
 
 
-@pytest.mark.parametrize(("limit", "verdict"), [(2.0, "accepted"), (2.72, "undecided"), (3.5, "not accepted")])
+@pytest.mark.parametrize(
+    ("limit", "verdict"), [(2.0, "accepted"), (2.72, "undecided"), (3.5, "not accepted")]
+)
 def test_the_verdict_follows_the_probability(limit: float, verdict: str) -> None:
     """The true decrement is 2.721, its standard error 0.7 %: probabilities of a normal estimate."""
     found = certificate(asked(log_decrement=limit), response(np.random.default_rng(2), 0.05), FILE)
@@ -127,9 +152,18 @@ def test_the_zone_s_probability_is_by_the_logarithm() -> None:
 def test_decrements_of_a_fit(name: str, zeta: float) -> None:
     """2 pi z / sqrt(1 - z^2), its slope 2 pi / (1 - z^2)^1.5; probability of a normal estimate."""
     ratio = Parameter(name, zeta, "1", std_error=0.01, ci95=(zeta - 0.02, zeta + 0.02))
-    sizes = {"band_hz": (1.0, 2.0), "lines": 1, "equations": 2, "dof": 1, "condition_number": 1.0, "correlation": np.eye(1)}
+    sizes = {
+        "band_hz": (1.0, 2.0),
+        "lines": 1,
+        "equations": 2,
+        "dof": 1,
+        "condition_number": 1.0,
+        "correlation": np.eye(1),
+    }
     fit = Fit("modes", "modal", "ml", gof=Goodness(1, 1), parameters=(ratio,), **sizes)
-    settings = CompareSettings(kind="certificate", name="c", fit="modes", kind_settings=CertificateSettings(log_decrement=0.1))
+    settings = CompareSettings(
+        kind="certificate", name="c", fit="modes", kind_settings=CertificateSettings(log_decrement=0.1)
+    )
     found = compare(settings, Evidence((fit,), (), ()))
     amount = found.amount(f"log_decrement{name.removeprefix('zeta')}")
     assert amount.value == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2))
@@ -142,10 +176,15 @@ def test_decrements_of_a_fit(name: str, zeta: float) -> None:
 
 
 def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Generator) -> None:
-    """Injection, command, current and reading side by side, of several quantities; the injection without noise."""
+    """Injection, command, current and reading side by side, of several quantities.
+
+    The injection without noise.
+    """
     plain = response(rng, 0.02)
     quantities = {"before": "voltage", "after": "voltage", "x": "displacement", "i": "current"}
-    channels = [Channel("e", "voltage", "input", "e")] + [Channel(name, what, "output", name) for name, what in quantities.items()]
+    channels = [Channel("e", "voltage", "input", "e")] + [
+        Channel(name, what, "output", name) for name, what in quantities.items()
+    ]
     covariance = np.zeros((FREQUENCY.size, 1, 5, 5), complex)
     covariance[:, 0, 1:, 1:] = 4 * plain.covariance
     vectors = np.concatenate([np.full((FREQUENCY.size, 1), 2.0), 2 * plain.matrix[:, :, 0]], axis=1)[:, None]
@@ -158,16 +197,25 @@ def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Genera
     with_noise = per_injection(replace(spectra, covariance=noisy))
     # E|H dR|^2 / |R|^2 more.
     np.testing.assert_allclose(
-        with_noise.covariance - plain.covariance, 0.0025 * plain.matrix @ plain.matrix.conj().swapaxes(1, 2), atol=1e-12
+        with_noise.covariance - plain.covariance,
+        0.0025 * plain.matrix @ plain.matrix.conj().swapaxes(1, 2),
+        atol=1e-12,
     )
     with pytest.raises(ConfigError, match=r"1 run\(s\) for 2 injection"):
-        per_injection(replace(spectra, channels=(channels[0], replace(channels[1], role="input"), *channels[2:])))
+        per_injection(
+            replace(spectra, channels=(channels[0], replace(channels[1], role="input"), *channels[2:]))
+        )
 
 
-def coupled(rng: np.random.Generator | None, noise: float = 0.01, sums: bool = True) -> tuple[FrequencyResponse, np.ndarray]:
+def coupled(
+    rng: np.random.Generator | None, noise: float = 0.01, sums: bool = True
+) -> tuple[FrequencyResponse, np.ndarray]:
     """Two coupled loops L, S = (I + L)^-1; both sides of both sums per excitation."""
     s = 2j * np.pi * FREQUENCY / 600
-    loop = np.array([[1.8, 0.5], [-0.4, 1.5]])[None] * ((1 + 0.9 * s) / (s**2 * (1 + 0.1 * s) - 0.3))[:, None, None]
+    loop = (
+        np.array([[1.8, 0.5], [-0.4, 1.5]])[None]
+        * ((1 + 0.9 * s) / (s**2 * (1 + 0.1 * s) - 0.3))[:, None, None]
+    )
     true = np.linalg.inv(np.eye(2) + loop)
     matrix = np.concatenate([true - np.eye(2), true], axis=1) if sums else true
     size = matrix.shape[1] * 2
@@ -190,7 +238,9 @@ def test_coupled_loops_have_a_sensitivity_matrix(rng: np.random.Generator, sums:
         size, error = found.size(number)
         assert low <= np.sum(np.abs(size - np.abs(true[:, number, number])) <= found.quantile * error) <= high
     size, error = found.largest()
-    assert low <= np.sum(np.abs(size - np.linalg.norm(true, 2, axis=(1, 2))) <= found.quantile * error) <= high
+    assert (
+        low <= np.sum(np.abs(size - np.linalg.norm(true, 2, axis=(1, 2))) <= found.quantile * error) <= high
+    )
     # A loop cut alone while the other is closed: L_xx - L_xy (1 + L_yy)^-1 L_yx.
     loop = np.linalg.inv(found.values) - np.eye(2)
     alone = loop[:, 0, 0] - loop[:, 0, 1] * loop[:, 1, 0] / (1 + loop[:, 1, 1])
@@ -199,17 +249,30 @@ def test_coupled_loops_have_a_sensitivity_matrix(rng: np.random.Generator, sums:
 
 def test_a_certificate_of_coupled_loops(rng: np.random.Generator) -> None:
     noisy, _ = coupled(rng)
-    settings = CompareSettings(kind="certificate", name="both", kind_settings=CertificateSettings(before=["bx", "by"], after=["ax", "ay"]))
+    settings = CompareSettings(
+        kind="certificate",
+        name="both",
+        kind_settings=CertificateSettings(before=["bx", "by"], after=["ax", "ay"]),
+    )
     found = certificate(settings, noisy, None)
-    assert found.amount("largest_singular_value").value >= max(found.amount("peak_ex").value, found.amount("peak_ey").value) - 0.05
-    assert [part.quantity for part in found.curves][:3] == ["sensitivity ex", "sensitivity ey", "largest singular value"]
+    assert (
+        found.amount("largest_singular_value").value
+        >= max(found.amount("peak_ex").value, found.amount("peak_ey").value) - 0.05
+    )
+    assert [part.quantity for part in found.curves][:3] == [
+        "sensitivity ex",
+        "sensitivity ey",
+        "largest singular value",
+    ]
     with pytest.raises(ConfigError, match="describes one loop"):
         certificate(replace(asked(), kind_settings=settings.kind_settings), noisy, FILE)
 
 
 def test_a_loop_that_cannot_be_the_recorded_one_is_said() -> None:
     """A file whose gain is half leaves the rotor unstable, and nothing is fitted."""
-    found = certificate(replace(asked(), estimate=()), response(np.random.default_rng(1), 0.05), with_gain(FILE, 0.4))
+    found = certificate(
+        replace(asked(), estimate=()), response(np.random.default_rng(1), 0.05), with_gain(FILE, 0.4)
+    )
     assert {"unstable-loop", "model-mismatch"} <= {finding.code for finding in found.findings}
     assert "sensitivity_peak" not in [amount.name for amount in found.amounts]
 
@@ -251,7 +314,9 @@ def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None
 
 @pytest.mark.long
 def test_intervals_hold_the_truth() -> None:
-    """40 draws at 10 % of noise: at least 33 of 40 for each, the least in 999 of 1000 such tests where 95 of 100 hold."""
+    """40 draws at 10 % of noise: at least 33 of 40 for each, the least in 999 of 1000 such tests where 95 of
+    100 hold.
+    """
     names, exact = list(truth()), truth()
     held = dict.fromkeys(names, 0)
     for seed in range(40):

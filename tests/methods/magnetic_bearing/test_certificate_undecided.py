@@ -1,4 +1,6 @@
-"""What a certificate cannot judge it does not accept: from raw files of a rig of its own, whose truth is a closed form."""
+"""What a certificate cannot judge it does not accept: from raw files of a rig of its own, whose truth is a
+closed form.
+"""
 
 from __future__ import annotations
 
@@ -43,15 +45,25 @@ def test_a_sound_loop_is_accepted(certified, columns) -> None:
     code, found, _ = certified(columns)
     assert code == 0 and found["verdict"] == "accepted"
     amounts = {amount["name"]: amount for amount in found["amounts"]}
-    assert abs(amounts["log_decrement_1"]["value"] - AXIS.log_decrement()) < 4 * amounts["log_decrement_1"]["std_error"]
+    assert (
+        abs(amounts["log_decrement_1"]["value"] - AXIS.log_decrement())
+        < 4 * amounts["log_decrement_1"]["std_error"]
+    )
     assert 0.7 < amounts["chi2_reduced"]["value"] < 1.4
 
 
 @pytest.mark.parametrize(
     ("channel", "factor", "words"),
-    [("x", -1.0, "sign of 'x'"), ("u", -1.0, "sign of 'u'"), ("i", 1000.0, "'i' times 0.001"), ("x", -1e-6, "'x' times 1e+06")],
+    [
+        ("x", -1.0, "sign of 'x'"),
+        ("u", -1.0, "sign of 'u'"),
+        ("i", 1000.0, "'i' times 0.001"),
+        ("x", -1e-6, "'x' times 1e+06"),
+    ],
 )
-def test_a_wrong_sign_or_unit_is_named_and_nothing_is_accepted(certified, columns, channel: str, factor: float, words: str) -> None:
+def test_a_wrong_sign_or_unit_is_named_and_nothing_is_accepted(
+    certified, columns, channel: str, factor: float, words: str
+) -> None:
     code, found, rules = certified({**columns, channel: factor * columns[channel]})
     assert code == 1 and found["verdict"] == "undecided"
     assert not any(rule["passed"] for rule in rules)
@@ -60,7 +72,9 @@ def test_a_wrong_sign_or_unit_is_named_and_nothing_is_accepted(certified, column
 
 
 def test_a_loop_of_another_controller_decides_nothing(certified, columns) -> None:
-    """The bearing file has 0.6 of the derivative gain: no sign and no unit explains that, and the unknowns follow it anywhere."""
+    """The bearing file has 0.6 of the derivative gain: no sign and no unit explains that, and the unknowns
+    follow it anywhere.
+    """
     code, found, rules = certified(columns, AXIS.other(derivative=0.6 * AXIS.derivative))
     assert code == 1 and found["verdict"] == "undecided" and "check signs, units" in found["statement"]
     assert not any(rule["passed"] for rule in rules)
@@ -71,40 +85,70 @@ def unmodelled(folder: Path, columns: dict[str, np.ndarray], axis: Axis, certifi
     """The pipeline without a bearing file."""
     file = certificate_pipeline(written(folder, axis, columns), axis, certificate=certificate)
     left_out = ("theory:", "estimate:", "log_decrement_1", "probability_log")
-    file.write_text("\n".join(line for line in file.read_text().splitlines() if not any(word in line for word in left_out)))
+    file.write_text(
+        "\n".join(
+            line for line in file.read_text().splitlines() if not any(word in line for word in left_out)
+        )
+    )
     return file
 
 
 def test_a_decrement_that_is_asked_for_needs_a_model(columns, tmp_path: Path, labpipe_without_report) -> None:
     ended = labpipe_without_report("run", unmodelled(tmp_path, columns, AXIS, ASKED), "-o", tmp_path / "out")
     assert ended.code == 1 and "undecided: a decrement needs a model" in ended.out
-    ended = labpipe_without_report("run", unmodelled(tmp_path, columns, AXIS, "{after: u}"), "-o", tmp_path / "out")
+    ended = labpipe_without_report(
+        "run", unmodelled(tmp_path, columns, AXIS, "{after: u}"), "-o", tmp_path / "out"
+    )
     assert ended.code == 0 and "Accepted" in ended.out
 
 
-def test_a_peak_at_the_edge_of_the_band_is_not_judged(columns, tmp_path: Path, labpipe_without_report) -> None:
+def test_a_peak_at_the_edge_of_the_band_is_not_judged(
+    columns, tmp_path: Path, labpipe_without_report
+) -> None:
     """Lines up to 38 Hz: |S| peaks at 49 Hz."""
     below = AXIS.other(lines=AXIS.lines[AXIS.lines < 20])
-    ended = labpipe_without_report("run", unmodelled(tmp_path, columns, below, "{after: u}"), "-o", tmp_path / "out")
+    ended = labpipe_without_report(
+        "run", unmodelled(tmp_path, columns, below, "{after: u}"), "-o", tmp_path / "out"
+    )
     assert ended.code == 1 and "undecided: the largest |S| lies at the edge of the band" in ended.out
 
 
 # What a fit cannot tell, its rules and its certificate cannot accept.
 
 
-def fitted(test: str, *parameters: Parameter, converged: bool = True, findings: tuple[Finding, ...] = ()) -> Fit:
-    sizes = {"band_hz": (1.0, 2.0), "lines": 1, "equations": 2, "dof": 1, "condition_number": 1.0, "correlation": np.eye(1)}
+def fitted(
+    test: str, *parameters: Parameter, converged: bool = True, findings: tuple[Finding, ...] = ()
+) -> Fit:
+    sizes = {
+        "band_hz": (1.0, 2.0),
+        "lines": 1,
+        "equations": 2,
+        "dof": 1,
+        "condition_number": 1.0,
+        "correlation": np.eye(1),
+    }
     goodness = {"gof": Goodness(1, 1), "parameters": parameters, "converged": converged, "findings": findings}
     return Fit("modes", "modal", "ml", test=test, **sizes, **goodness)
 
 
 ZETA = Parameter("zeta_1", 0.2, "1", std_error=0.01, ci95=(0.18, 0.22))
-RULE = Rule(section="accept", address="modes.zeta_1", fit="modes", which="", item="zeta_1", kind=">=", bound="0.1", place="p.yaml:1")
+RULE = Rule(
+    section="accept",
+    address="modes.zeta_1",
+    fit="modes",
+    which="",
+    item="zeta_1",
+    kind=">=",
+    bound="0.1",
+    place="p.yaml:1",
+)
 
 
 def test_a_rule_fails_where_a_test_lacks_its_parameter_or_the_fit_did_not_converge() -> None:
     assert whole_outcome(RULE, judged_part(RULE, [fitted("a", ZETA)])).passed
-    lacking = whole_outcome(RULE, judged_part(RULE, [fitted("a", ZETA), fitted("b", replace(ZETA, name="zeta_2"))]))
+    lacking = whole_outcome(
+        RULE, judged_part(RULE, [fitted("a", ZETA), fitted("b", replace(ZETA, name="zeta_2"))])
+    )
     assert not lacking.passed and "in a test the fit has no 'zeta_1'" in lacking.found
     lost = whole_outcome(RULE, judged_part(RULE, [fitted("a", ZETA, converged=False)]))
     assert not lost.passed and "did not converge" in lost.found
@@ -122,4 +166,8 @@ def test_decrements_of_a_rejected_fit_are_undecided(fit: Fit, why: str) -> None:
     settings = CompareSettings(kind="certificate", name="c", fit="modes", kind_settings=CertificateSettings())
     assert decrement_certificate(settings, [fitted("a", ZETA)]).verdict == "accepted"
     found = decrement_certificate(settings, [fit])
-    assert found.verdict == "undecided" and why in found.statement and why in found.why_undecided("probability_log_decrement")
+    assert (
+        found.verdict == "undecided"
+        and why in found.statement
+        and why in found.why_undecided("probability_log_decrement")
+    )

@@ -22,7 +22,10 @@ CONFIG = Path(__file__).parents[3] / "configs" / "virtual-hmb-loop.yaml"
 
 
 def block_diagram(frequency: float) -> complex:
-    """Probe 8 V/mm, PID of Lim et al. (2009) table 1 with the lag subtracted, 75 us, 1 A/V to 1 kHz, 5.8 N/A, 33106 N/m."""
+    """Probe 8 V/mm, PID of Lim et al.
+
+    (2009) table 1 with the lag subtracted, 75 us, 1 A/V to 1 kHz, 5.8 N/A, 33106 N/m.
+    """
     s = 2j * math.pi * frequency
     pid = 1.0 + 6.5e-4 * s / (1 + 1e-4 * s) - 0.25 / (1 + 0.0318 * s)
     current = 8000.0 * pid * cmath.exp(-75e-6 * s) / (1 + s / (2 * math.pi * 1000))
@@ -32,7 +35,8 @@ def block_diagram(frequency: float) -> complex:
 def half_turns(dynamic_stiffness: np.ndarray) -> float:
     """Turn of D(jw) from rest to high frequency, over pi.
 
-    Argument principle: a mass on a support that has no unstable poles itself is stable if and only if D turns by +1.
+    Argument principle: a mass on a support that has no unstable poles itself is stable if and only if D turns
+    by +1.
     """
     angle = np.unwrap(np.angle(dynamic_stiffness))
     return float(angle[-1] - angle[0]) / np.pi
@@ -58,7 +62,13 @@ def test_stiffness_and_damping_are_those_of_the_block_diagram(frequency: float) 
 # From block_diagram, rounded to the digits that configs/virtual-hmb-loop.yaml states.
 @pytest.mark.parametrize(
     ("frequency", "k", "c"),
-    [(2.0, 3.30e3, 340.0), (50.0, 14.07e3, 22.8), (72.5, 15.01e3, 20.7), (150.0, 20.38e3, 18.0), (250.0, 31.56e3, 15.1)],
+    [
+        (2.0, 3.30e3, 340.0),
+        (50.0, 14.07e3, 22.8),
+        (72.5, 15.01e3, 20.7),
+        (150.0, 20.38e3, 18.0),
+        (250.0, 31.56e3, 15.1),
+    ],
 )
 def test_the_shipped_rig_has_the_stated_coefficients(frequency: float, k: float, c: float) -> None:
     omega = 2 * np.pi * frequency
@@ -89,7 +99,9 @@ def test_the_rotor_alone_is_stable_with_the_lag_subtracted_only(levitation: Levi
 @pytest.mark.parametrize("lag", [-0.25, 0.25])
 def test_pedestal_and_rotor_are_stable_either_way(lag: float) -> None:
     rig = replace(LOOP_RIG, levitation=Levitation(law="control-loop", loop=ControlLoop(lag=lag)))
-    assert half_turns(mechanics.levitated(rig, 2 * np.pi * np.geomspace(1e-4, 1e6, 200_001))) == pytest.approx(1.0, abs=0.01)
+    assert half_turns(
+        mechanics.levitated(rig, 2 * np.pi * np.geomspace(1e-4, 1e6, 200_001))
+    ) == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_recording_shows_the_stated_truth() -> None:

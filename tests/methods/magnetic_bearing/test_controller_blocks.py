@@ -1,4 +1,6 @@
-"""Controllers of blocks: closed forms of filters, the PID written as blocks, objects of other packages, stability by Routh and by hand."""
+"""Controllers of blocks: closed forms of filters, the PID written as blocks, objects of other packages,
+stability by Routh and by hand.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ T_D, T_I = 1e-4, 0.0318
 PID = ControllerBlock(
     form="polynomial",
     numerator=np.polyadd(
-        np.polyadd(np.polymul([T_D, 1.0], [T_I, 1.0]), np.polymul([6.5e-4, 0.0], [T_I, 1.0])), -0.25 * np.array([T_D, 1.0])
+        np.polyadd(np.polymul([T_D, 1.0], [T_I, 1.0]), np.polymul([6.5e-4, 0.0], [T_I, 1.0])),
+        -0.25 * np.array([T_D, 1.0]),
     ),
     denominator=np.polymul([T_D, 1.0], [T_I, 1.0]),
 )
@@ -53,7 +56,10 @@ BLOCKS = ControlLoop(controller=(PID,))
     ("block", "expected"),
     [
         ({"form": "gain", "gain": 2.5}, lambda s: 2.5 + 0 * s),
-        ({"form": "lead-lag", "zero": "40 Hz", "pole": "400 Hz"}, lambda s: (1 + s / (80 * np.pi)) / (1 + s / (800 * np.pi))),
+        (
+            {"form": "lead-lag", "zero": "40 Hz", "pole": "400 Hz"},
+            lambda s: (1 + s / (80 * np.pi)) / (1 + s / (800 * np.pi)),
+        ),
         ({"form": "low-pass", "frequency": "1 kHz"}, lambda s: 1 / (1 + s / (2000 * np.pi))),
         (
             {"form": "low-pass", "frequency": "1 kHz", "order": 2, "damping": 0.5},
@@ -61,21 +67,35 @@ BLOCKS = ControlLoop(controller=(PID,))
         ),
         (
             {"form": "notch", "frequency": "200 Hz", "depth": 0.1, "width": 0.3},
-            lambda s: (s**2 + 0.03 * 400 * np.pi * s + (400 * np.pi) ** 2) / (s**2 + 0.3 * 400 * np.pi * s + (400 * np.pi) ** 2),
+            lambda s: (
+                (s**2 + 0.03 * 400 * np.pi * s + (400 * np.pi) ** 2)
+                / (s**2 + 0.3 * 400 * np.pi * s + (400 * np.pi) ** 2)
+            ),
         ),
         (
-            {"form": "pid", "proportional": 2, "integral": "30 1/s", "derivative": "1 ms", "derivative_time": "0.1 ms"},
+            {
+                "form": "pid",
+                "proportional": 2,
+                "integral": "30 1/s",
+                "derivative": "1 ms",
+                "derivative_time": "0.1 ms",
+            },
             lambda s: 2 + 30 / s + 1e-3 * s / (1 + 1e-4 * s),
         ),
         (
             {"form": "roots", "zeros": ["-100 +- 300j"], "poles": ["-50", "-2000", "-900"], "gain": 7e3},
             lambda s: 7e3 * ((s + 100) ** 2 + 9e4) / ((s + 50) * (s + 2000) * (s + 900)),
         ),
-        ({"form": "polynomial", "numerator": [0, 3.0, 60], "denominator": [1, 20, 400]}, lambda s: (3 * s + 60) / (s**2 + 20 * s + 400)),
+        (
+            {"form": "polynomial", "numerator": [0, 3.0, 60], "denominator": [1, 20, 400]},
+            lambda s: (3 * s + 60) / (s**2 + 20 * s + 400),
+        ),
     ],
 )
 def test_forms_are_their_closed_forms(block: dict[str, object], expected: object) -> None:
-    np.testing.assert_allclose(ControllerBlock(**block).transfer.response(OMEGA), expected(1j * OMEGA), rtol=1e-12)  # type: ignore[arg-type, operator]
+    np.testing.assert_allclose(
+        ControllerBlock(**block).transfer.response(OMEGA), expected(1j * OMEGA), rtol=1e-12
+    )  # type: ignore[arg-type, operator]
 
 
 def test_a_notch_has_its_depth_and_width() -> None:
@@ -90,7 +110,9 @@ def test_a_notch_has_its_depth_and_width() -> None:
 def test_the_pid_as_a_polynomial_is_the_pid() -> None:
     """Stiffness, poles and sensitivity, with the numbers of the PID as the reference."""
     ours, theirs = Levitated(BLOCKS, 33106.0, 0.065), Levitated(LOOP, 33106.0, 0.065)
-    np.testing.assert_allclose(dynamic_stiffness(BLOCKS, 33106.0, OMEGA), dynamic_stiffness(LOOP, 33106.0, OMEGA), rtol=1e-9)
+    np.testing.assert_allclose(
+        dynamic_stiffness(BLOCKS, 33106.0, OMEGA), dynamic_stiffness(LOOP, 33106.0, OMEGA), rtol=1e-9
+    )
     np.testing.assert_allclose(closed_loop_poles(ours), closed_loop_poles(theirs), rtol=1e-6)
     assert sensitivity_peak(ours).value == pytest.approx(sensitivity_peak(theirs).value, rel=1e-9)
     assert BLOCKS.at_rest == pytest.approx(LOOP.at_rest, rel=1e-12)
@@ -114,7 +136,9 @@ def test_discrete_blocks_have_the_poles_of_the_sampled_loop() -> None:
     expected = 20e3 * np.log(sorted(z.astype(complex), key=abs)[::-1][:3])
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-5)
     assert unstable_poles(Levitated(ControlLoop(controller=(block,)), 33106.0, 0.065)) == 0
-    np.testing.assert_allclose(controller(ControlLoop(controller=(block,)), OMEGA[:3]), controller(LOOP, OMEGA[:3]), rtol=3e-3)
+    np.testing.assert_allclose(
+        controller(ControlLoop(controller=(block,)), OMEGA[:3]), controller(LOOP, OMEGA[:3]), rtol=3e-3
+    )
 
 
 @pytest.mark.parametrize(("share", "unstable"), [(0.95, 0), (1.05, 2)])
@@ -131,7 +155,9 @@ def test_an_integrator_is_stable_up_to_routh_s_limit(share: float, unstable: int
 
 
 def test_an_unstable_controller_is_counted() -> None:
-    """(m s^2 - k_n)(s - 40)(s + 1e5) + K g (s + 300)(s + 1538): roots of the polynomial of the fourth degree."""
+    """(m s^2 - k_n)(s - 40)(s + 1e5) + K g (s + 300)(s + 1538): roots of the polynomial of the fourth
+    degree.
+    """
     counts = []
     for gain in (3.0, 0.1):
         block = ControllerBlock(form="roots", zeros=[-300.0, -1538.0], poles=["40", "-1e5"], gain=gain * 65.0)
@@ -147,12 +173,18 @@ def test_an_unstable_controller_is_counted() -> None:
 
 @pytest.mark.parametrize(("share", "unstable"), [(0.0, 0), (0.9, 0), (1.1, 2)])
 def test_cross_coupling_destabilises_beyond_damping_times_frequency(share: float, unstable: int) -> None:
-    """m z'' + c z' + (k - j q) z = 0 of z = x + j y is stable while q < c sqrt(k / m) (whirl under a cross-coupled stiffness)."""
+    """m z'' + c z' + (k - j q) z = 0 of z = x + j y is stable while q < c sqrt(k / m) (whirl under a
+    cross-coupled stiffness).
+    """
     m, pull, gain = 0.065, 33106.0, loop_stiffness(LOOP)
     c, k = gain * 6.5e-4, gain - pull
     q = share * c * np.sqrt(k / m) / gain
     pd = (ControllerBlock(form="pid", proportional=1.0, derivative=6.5e-4),)
-    cross = CrossControl(xy=[{"form": "gain", "gain": q}], yx=[{"form": "gain", "gain": -q}]) if share else CrossControl()
+    cross = (
+        CrossControl(xy=[{"form": "gain", "gain": q}], yx=[{"form": "gain", "gain": -q}])
+        if share
+        else CrossControl()
+    )
     plant = Levitated(ControlLoop(controller=pd, cross=cross, delay=0.0, bandwidth=1e12), pull, m)
     assert unstable_poles(plant) == unstable
     assert np.sum(closed_loop_poles(plant).real > 0) == unstable
@@ -164,7 +196,13 @@ def test_cross_coupling_destabilises_beyond_damping_times_frequency(share: float
 def test_coupled_coefficients_stand_in_the_matrices() -> None:
     """k_xy = K q e^{-j w tau} / (1 + j w / w_a), which the skew coupling turns into -k_yx."""
     cross = CrossControl(xy=[{"form": "gain", "gain": 0.1}], yx=[{"form": "gain", "gain": -0.1}])
-    file = MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=replace(BLOCKS, cross=cross))
+    file = MagneticFile(
+        kind="magnetic-bearing",
+        mass=0.065,
+        frequency=50.0,
+        negative_stiffness=33106.0,
+        loop=replace(BLOCKS, cross=cross),
+    )
     (found,) = MAGNETIC_KIND.coefficients([file])
     s = 2j * np.pi * 50
     coupling = 46400 * 0.1 * np.exp(-s * 75e-6) / (1 + s / (2000 * np.pi))
@@ -177,8 +215,12 @@ def test_an_integrating_controller_has_no_static_stiffness() -> None:
     pid = ({"form": "pid", "proportional": 1, "integral": 3, "derivative": 6.5e-4, "derivative_time": 1e-4},)
     loop = ControlLoop(controller=pid)
     with pytest.raises(ConfigError, match="integrates"):
-        MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, static_stiffness=1e3, loop=loop).levitated()
-    file = MagneticFile(kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=loop)
+        MagneticFile(
+            kind="magnetic-bearing", mass=0.065, frequency=50.0, static_stiffness=1e3, loop=loop
+        ).levitated()
+    file = MagneticFile(
+        kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=loop
+    )
     (found,) = MAGNETIC_KIND.coefficients([file])
     assert "static_stiffness" not in [note.name for note in found.notes]
 
@@ -227,15 +269,27 @@ def test_coefficients_of_fast_filters_are_no_rounding() -> None:
 @pytest.mark.parametrize("form", ["companion", "cascade"])
 def test_state_spaces_of_fast_filters(form: str) -> None:
     """Four poles and three zeros at some kHz: the companion form has entries from 1 to 1e17."""
-    zeros, poles = np.array([-300.0, -9e3 + 2e4j, -9e3 - 2e4j]), np.array([-1e4, -2.5e4, -4e3 + 6e3j, -4e3 - 6e3j])
+    zeros, poles = (
+        np.array([-300.0, -9e3 + 2e4j, -9e3 - 2e4j]),
+        np.array([-1e4, -2.5e4, -4e3 + 6e3j, -4e3 - 6e3j]),
+    )
     system = signal.zpk2ss(zeros, poles, 5e3)
     if form == "cascade":
         turn = np.diag(np.logspace(0, -12, 4))
-        system = (np.linalg.solve(turn, system[0] @ turn), np.linalg.solve(turn, system[1]), system[2] @ turn, system[3])
+        system = (
+            np.linalg.solve(turn, system[0] @ turn),
+            np.linalg.solve(turn, system[1]),
+            system[2] @ turn,
+            system[3],
+        )
     a, b, c, d = system
     ((found,),) = matrix_of(SimpleNamespace(A=a, B=b, C=c, D=d, dt=0))
-    np.testing.assert_allclose(sorted(found.zeros, key=lambda root: root.imag), sorted(zeros, key=lambda root: root.imag), rtol=1e-6)
-    np.testing.assert_allclose(found.response(OMEGA), Transfer(tuple(zeros), tuple(poles), 5e3).response(OMEGA), rtol=1e-6)
+    np.testing.assert_allclose(
+        sorted(found.zeros, key=lambda root: root.imag), sorted(zeros, key=lambda root: root.imag), rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        found.response(OMEGA), Transfer(tuple(zeros), tuple(poles), 5e3).response(OMEGA), rtol=1e-6
+    )
 
 
 def test_coefficients_that_are_rounding_are_no_zeros() -> None:
@@ -253,14 +307,18 @@ HEAD = "kind: magnetic-bearing\nmass: 65 g\nfrequency: 50 Hz\nnegative_stiffness
         ("  controller: {form: gain}\n", r"6:3: loop.controller: a list is needed"),
         ("  controller: [{form: noch}]\n", r"6:17: .*unknown choice 'noch'; did you mean 'notch'"),
         ("  controller: [{form: notch}]\n", r"6:16: .*frequency: is missing for the form notch"),
-        ("  controller:\n    - {form: notch, frequency: 80 Hz, order: 2}\n", r"7:39: .*order: is not for the form notch"),
+        (
+            "  controller:\n    - {form: notch, frequency: 80 Hz, order: 2}\n",
+            r"7:39: .*order: is not for the form notch",
+        ),
         ("  controller: [{form: roots, zeros: [-10+3j], poles: [-5]}]\n", r"6:30: .*without its conjugate"),
         ("  controller: [{form: roots, zeros: [ten]}]\n", r"6:30: .*'ten' is no root"),
         ("  controller: [{form: polynomial, numerator: [1], denominator: [0]}]\n", r"6:51: .*is zero"),
         ("  proportional: 2\n  controller: [{form: gain}]\n", r"6:3: loop.proportional: belongs to the PID"),
         ("  cross: {xy: [{form: gain}]}\n", r"6:3: loop.cross: needs the element x by x"),
         (
-            "  controller: [{form: roots, poles: [0.5], rate: 1 kHz}, {form: roots, poles: [0.5], rate: 2 kHz}]\n",
+            "  controller: [{form: roots, poles: [0.5], rate: 1 kHz}, {form: roots, poles: [0.5], rate: 2 "
+            "kHz}]\n",
             r"6:3: loop.controller: blocks at 1000 Hz and 2000 Hz",
         ),
     ],
@@ -287,10 +345,17 @@ def test_what_cannot_be_sampled_is_refused(blocks: list[dict[str, object]], mess
 def test_entries_of_blocks_can_be_unknowns() -> None:
     notch = {"form": "notch", "frequency": 300.0}
     file = MagneticFile(
-        kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=ControlLoop(controller=[PID, notch])
+        kind="magnetic-bearing",
+        mass=0.065,
+        frequency=50.0,
+        negative_stiffness=33106.0,
+        loop=ControlLoop(controller=[PID, notch]),
     )
     assert unknown(file, "controller.2.frequency").value == 300.0
     assert with_unknowns(file, {"controller.2.frequency": 310.0}).loop.controller[1].frequency == 310.0
-    for name, message in (("controller.3.frequency", "no block"), ("controller.2.form", "no number of a block")):
+    for name, message in (
+        ("controller.3.frequency", "no block"),
+        ("controller.2.form", "no number of a block"),
+    ):
         with pytest.raises(ConfigError, match=message):
             unknown(file, name)

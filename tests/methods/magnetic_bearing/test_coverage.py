@@ -1,4 +1,6 @@
-"""How good k_i, k_s and their intervals are: hundreds of draws, against a Cramer-Rao bound by whole matrices line by line."""
+"""How good k_i, k_s and their intervals are: hundreds of draws, against a Cramer-Rao bound by whole matrices
+line by line.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ def bound(rotor: Rotor) -> np.ndarray:
 
 @pytest.mark.parametrize(("rotor", "periods"), [(Rotor(), 0), (Rotor(), 20), (COUPLED, 0), (COUPLED, 20)])
 def test_estimates_are_efficient_and_intervals_hold(rotor: Rotor, periods: int) -> None:
-    """RMSE / bound at most 1.1; from 20 periods a line without neighbours the bound grows by the known factor."""
+    """RMSE / bound at most 1.1.
+
+    From 20 periods a line without neighbours the bound grows by the known factor.
+    """
     truth, rng = np.concatenate([rotor.k_i.ravel(), rotor.k_s.ravel()]), np.random.default_rng(20)
     errors, held = [], []
     for _ in range(DRAWS):

@@ -1,4 +1,6 @@
-"""Model magnet: exact on clean spectra, held currents, sensors beside the magnets, uncertainties, false minima, refusals, report."""
+"""Model magnet: exact on clean spectra, held currents, sensors beside the magnets, uncertainties, false
+minima, refusals, report.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,25 @@ from labpipe.report.build import build
 from labpipe.report.document import Figure
 from tests.methods.magnetic_bearing.levitated import COUPLED, Rotor
 
-FIT = ("mass", "estimator", "input", "output", "band", "bands", "sliding", "eliminate", "compare", "uncertainties")
+FIT = (
+    "mass",
+    "estimator",
+    "input",
+    "output",
+    "band",
+    "bands",
+    "sliding",
+    "eliminate",
+    "compare",
+    "uncertainties",
+)
 
 
 def fitted(spectra: ChannelSpectra, **keys: object) -> Fit:
     fit = {"mass": 4.0, **{key: keys.pop(key) for key in FIT if key in keys}}
-    (found,) = identify(spectra, FitSettings("magnet", name="magnet", model_settings=MagnetSettings(**keys), **fit))  # type: ignore[arg-type]
+    (found,) = identify(
+        spectra, FitSettings("magnet", name="magnet", model_settings=MagnetSettings(**keys), **fit)
+    )  # type: ignore[arg-type]
     return found
 
 
@@ -42,19 +57,25 @@ def test_clean_spectra_give_the_truth() -> None:
     assert [p.name for p in fit.parameters] == ["k_i", "k_s"]
     assert values(fit) == pytest.approx([80.0, -2e5], rel=1e-8)
     fit = fitted(COUPLED.spectra())
-    assert [p.name for p in fit.parameters] == [f"k_{kind}_{a}{b}" for kind in "is" for a in "xy" for b in "xy"]
+    assert [p.name for p in fit.parameters] == [
+        f"k_{kind}_{a}{b}" for kind in "is" for a in "xy" for b in "xy"
+    ]
     assert values(fit) == pytest.approx([*COUPLED.k_i.ravel(), *COUPLED.k_s.ravel()], rel=1e-7)
 
 
 def test_direct_coupling_estimates_direct_terms_only() -> None:
-    fit = fitted(replace(COUPLED, k_i=np.diag([80.0, 76.0]), k_s=np.diag([-2e5, -1.8e5])).spectra(), coupling="direct")
+    fit = fitted(
+        replace(COUPLED, k_i=np.diag([80.0, 76.0]), k_s=np.diag([-2e5, -1.8e5])).spectra(), coupling="direct"
+    )
     expected = {"k_i_xx": 80, "k_i_yy": 76, "k_s_xx": -2e5, "k_s_yy": -1.8e5}
     assert {p.name: p.value for p in fit.parameters} == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("bandwidth", [None, 1500.0, 200.0])
 def test_a_held_output_is_part_of_the_model(bandwidth: float | None) -> None:
-    """X / I at the samples by the matrix exponential of mass, magnet and amplifier under a held voltage, at 4 kHz up to 1.5 kHz."""
+    """X / I at the samples by the matrix exponential of mass, magnet and amplifier under a held voltage, at 4
+    kHz up to 1.5 kHz.
+    """
     rate, mass, k_i, k_s, c = 4000.0, 4.0, 80.0, -2e5, 100.0
     slope = np.zeros((4, 4))
     slope[0, 1], slope[1, :3] = 1.0, [-k_s / mass, -c / mass, k_i / mass]
@@ -63,13 +84,17 @@ def test_a_held_output_is_part_of_the_model(bandwidth: float | None) -> None:
     step = linalg.expm(slope / rate)
     frequency = np.arange(10.0, 1500.0, 20.0)
     z = np.exp(2j * np.pi * frequency / rate)[:, None]
-    state = np.linalg.solve(z[..., None] * np.eye(3) - step[:3, :3], np.broadcast_to(step[:3, 3:], (frequency.size, 3, 1)))[..., 0]
+    state = np.linalg.solve(
+        z[..., None] * np.eye(3) - step[:3, :3], np.broadcast_to(step[:3, 3:], (frequency.size, 3, 1))
+    )[..., 0]
     # Without an amplifier the current is the held voltage itself.
     current = state[:, 2] if bandwidth else np.ones_like(state[:, 2])
     vectors = np.stack([current, state[:, 0]], axis=1)[:, None]
     rotor = Rotor(frequency=frequency)
     noise = np.broadcast_to(np.diag([1e-8, 1e-16]).astype(complex), (frequency.size, 1, 2, 2))
-    held = fitted(rotor.record(vectors, noise), hold="4 kHz", amplifier_bandwidth=bandwidth, passive_damping=True)
+    held = fitted(
+        rotor.record(vectors, noise), hold="4 kHz", amplifier_bandwidth=bandwidth, passive_damping=True
+    )
     assert values(held)[:2] == pytest.approx([k_i, k_s], rel=2e-4)
     # The difference quotient of the damping departs by (w T)^2 / 6 at the lines that tell it.
     assert values(held)[2] == pytest.approx(c, rel=2e-3)
@@ -91,17 +116,29 @@ LONG = {"mass": 4.0, "inertia": 0.05, "magnets": (-0.1, 0.14), "sensors": (-0.13
 
 
 def long_rotor(position: bool = True) -> ChannelSpectra:
-    """Two magnets and two sensors in one plane of a rigid rotor: centre and slope by their own equations of motion."""
+    """Two magnets and two sensors in one plane of a rigid rotor: centre and slope by their own equations of
+    motion.
+    """
     rotor = Rotor()
     magnets, sensors = (np.column_stack([np.ones(2), LONG[name]]) for name in ("magnets", "sensors"))
     k_i, k_s = np.diag([80.0, 60.0]), np.diag([-2e5, -1.5e5])
     w = rotor.omega[:, None, None]
     inertia = np.diag([LONG["mass"], LONG["inertia"]])
-    motion = np.linalg.solve(magnets.T @ k_s @ magnets - w**2 * inertia, (magnets.T @ k_i).astype(complex)[None])
-    vectors = np.concatenate([np.broadcast_to(0.1 * np.eye(2), motion.shape), sensors @ motion * 0.1], axis=1).swapaxes(1, 2)
+    motion = np.linalg.solve(
+        magnets.T @ k_s @ magnets - w**2 * inertia, (magnets.T @ k_i).astype(complex)[None]
+    )
+    vectors = np.concatenate(
+        [np.broadcast_to(0.1 * np.eye(2), motion.shape), sensors @ motion * 0.1], axis=1
+    ).swapaxes(1, 2)
     places = {name: LONG[name] if position else (None, None) for name in ("magnets", "sensors")}
-    channels = [Channel(f"i{e}", "current", "input", f"{e}x", position=places["magnets"][k]) for k, e in enumerate("ab")]
-    channels += [Channel(e, "displacement", "output", f"{e}x", position=places["sensors"][k]) for k, e in enumerate("ab")]
+    channels = [
+        Channel(f"i{e}", "current", "input", f"{e}x", position=places["magnets"][k])
+        for k, e in enumerate("ab")
+    ]
+    channels += [
+        Channel(e, "displacement", "output", f"{e}x", position=places["sensors"][k])
+        for k, e in enumerate("ab")
+    ]
     noise = np.broadcast_to(np.diag([1e-10, 1e-10, 1e-16, 1e-16]).astype(complex), (w.size, 2, 4, 4))
     return ChannelSpectra(rotor.frequency, vectors, noise, tuple(channels), ("a", "b"))
 
@@ -115,7 +152,9 @@ def test_sensors_beside_the_magnets_of_a_rigid_rotor() -> None:
 
 def test_positions_stand_in_the_rig_file(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
-    path.write_text("sample_rate: 2 kHz\nchannels:\n  i: {quantity: current, role: input, dof: ax, position: 120 mm}\n")
+    path.write_text(
+        "sample_rate: 2 kHz\nchannels:\n  i: {quantity: current, role: input, dof: ax, position: 120 mm}\n"
+    )
     assert load_rig(path).channels[0].channel.position == pytest.approx(0.12)
 
 
@@ -124,7 +163,9 @@ def test_all_is_in_proportion_to_the_mass() -> None:
     fit = fitted(Rotor().spectra(np.random.default_rng(1)), uncertainties=(("mass", Uncertain(4.0, 0.02)),))
     for parameter in fit.parameters:
         assert parameter.systematic == pytest.approx(abs(parameter.value) * 0.02 / 4.0, rel=1e-4)
-        assert parameter.combined == pytest.approx(np.hypot(parameter.std_error, parameter.systematic), rel=1e-6)
+        assert parameter.combined == pytest.approx(
+            np.hypot(parameter.std_error, parameter.systematic), rel=1e-6
+        )
 
 
 def test_a_gain_of_the_probe_is_one_of_k_i_alone() -> None:
@@ -144,7 +185,9 @@ def test_the_inertia_s_uncertainty_counts() -> None:
 
 
 def test_noise_that_grows_with_frequency_does_not_win() -> None:
-    """w^2 x of noise is 50 times the force at the top of the band: equal weights give k_i near 0, ml and its chi-square do not."""
+    """w^2 x of noise is 50 times the force at the top of the band: equal weights give k_i near 0, ml and its
+    chi-square do not.
+    """
     rotor = Rotor(frequency=np.arange(5.0, 1500.0, 5.0), noise_x=4e-8)
     fit = fitted(rotor.spectra(np.random.default_rng(3)))
     assert abs(fit.parameter("k_i").value - 80.0) < 4 * fit.parameter("k_i").std_error < 2.0
@@ -171,7 +214,9 @@ def test_the_fit_is_recorded_and_reported() -> None:
     again = read_fit(fit_entry(fit))
     assert values(again) == pytest.approx(values(fit))
     document = build(Identification((fit,), title="Magnets"))
-    figures = [block for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [
+        block for section in document.sections for block in section.blocks if isinstance(block, Figure)
+    ]
     assert any("displacement per current" in figure.caption for figure in figures)
     plain = fitted(Rotor().spectra(np.random.default_rng(1)))
     assert any("{sum: {ix: " in note for note in plain.notes)

@@ -1,4 +1,6 @@
-"""The virtual levitated rig against closed forms, scipy's discretisation, and a plain loop from step to step."""
+"""The virtual levitated rig against closed forms, scipy's discretisation, and a plain loop from step to
+step.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def shipped(**changes: object) -> LevitatedRig:
     """The shipped rig without noise, in a second of steady multisine."""
     rig = load_virtual_rig(CONFIGS / "virtual-levitated.yaml")
     assert isinstance(rig, LevitatedRig)
-    return replace(rig, noise=SILENT, injection=replace(rig.injection, periods=1, band=(5.0, 300.0)), **changes)  # type: ignore[arg-type]
+    return replace(
+        rig, noise=SILENT, injection=replace(rig.injection, periods=1, band=(5.0, 300.0)), **changes
+    )  # type: ignore[arg-type]
 
 
 def one_axis(**changes: object) -> LevitatedRig:
@@ -50,7 +54,10 @@ def lines(rig: LevitatedRig, run: str) -> dict[str, np.ndarray]:
 
 
 def test_a_mass_moves_by_its_current_as_its_equation_of_motion_says() -> None:
-    """X / I = k_i / (-w^2 m + j w c - k_s), by hand; what the sampled record of a held current leaves is below 5e-4."""
+    """X / I = k_i / (-w^2 m + j w c - k_s), by hand.
+
+    What the sampled record of a held current leaves is below 5e-4.
+    """
     of = lines(one_axis(), "multisine-x")
     jw = 2j * np.pi * np.arange(5, 301)
     np.testing.assert_allclose(of["x"] / of["i_x"], 80 / (jw**2 * 4 + jw * 100 - 2e5), rtol=5e-4)
@@ -58,11 +65,17 @@ def test_a_mass_moves_by_its_current_as_its_equation_of_motion_says() -> None:
 
 @pytest.mark.parametrize("rotor", [None, LONG, BENT])
 def test_two_axes_move_by_all_their_currents(rotor: LongRotor | None) -> None:
-    """Y = H k_i I with H from the matrices, over as many experiments as there are axes; the bending mode turns the sensors' phase."""
+    """Y = H k_i I with H from the matrices, over as many experiments as there are axes.
+
+    The bending mode turns the sensors' phase.
+    """
     control = SampledPid(proportional=6e3, derivative=15.0, integral=2e4) if rotor else shipped().control
     rig = shipped(rotor=rotor, control=control, cross_stiffness=0.0 if rotor else 2e4, speed=0.0)
     runs = [lines(rig, f"multisine-{label}") for label in rig.labels]
-    current, motion = (np.stack([np.stack([run[p + label] for label in rig.labels], 1) for run in runs], 2) for p in ("i_", ""))
+    current, motion = (
+        np.stack([np.stack([run[p + label] for label in rig.labels], 1) for run in runs], 2)
+        for p in ("i_", "")
+    )
     expected = rotor_receptance(rig, np.arange(5.0, 301.0)) * rig.force_per_current @ current
     assert np.max(np.abs(motion - expected)) < 1e-3 * np.max(np.abs(motion))
     small = np.linalg.norm(motion - expected, axis=(1, 2)) / np.linalg.norm(motion, axis=(1, 2))
@@ -70,17 +83,23 @@ def test_two_axes_move_by_all_their_currents(rotor: LongRotor | None) -> None:
 
 
 def test_poles_are_zeros_of_the_return_difference() -> None:
-    """det(I + z^-2 C(z) P(z)) = 0 at every pole, with scipy's zero-order hold of the plant; the poles lie in the left half plane."""
+    """det(I + z^-2 C(z) P(z)) = 0 at every pole, with scipy's zero-order hold of the plant.
+
+    The poles lie in the left half plane.
+    """
     rig = one_axis()
     slope = np.array([[0, 1, 0], [2e5 / 4, -100 / 4, 80 / 4], [0, 0, -2 * np.pi * 2000]])
-    a, b, c, _, _ = signal.cont2discrete((slope, np.array([[0], [0], [2 * np.pi * 2000]]), np.array([[1, 0, 0]]), 0), 1e-4)
+    a, b, c, _, _ = signal.cont2discrete(
+        (slope, np.array([[0], [0], [2 * np.pi * 2000]]), np.array([[1, 0, 0]]), 0), 1e-4
+    )
     loop = levitated_loop(rig)
     assert np.all(loop.poles.real < 0)
     z = np.exp(loop.poles / 1e4)
     for one in z[np.abs(z) > 0.2]:
         fast = 2e4 * (one - 1) / (one + 1)
         pid = 5e3 + 12 * fast / (1 + 2e-4 * fast) + 2e4 / fast
-        # The plant of scipy takes the output of the same instant, one interval of delay more is the controller's.
+        # The plant of scipy takes the output of the same instant, one interval of delay more is the
+        # controller's.
         plant = (c @ np.linalg.inv(one * np.eye(3) - a) @ b)[0, 0] / one
         assert abs(1 + pid * plant) < 1e-6 * abs(pid * plant)
 
@@ -97,7 +116,9 @@ def test_pieces_of_a_loop_are_the_loop(rng: np.random.Generator) -> None:
 
 
 def test_a_free_rotor_nutates_forward_at_its_inertia_ratio() -> None:
-    """Free in space it nutates at W J_p / J_t in the sense of rotation: b = cos, a = sin of slopes in x and y."""
+    """Free in space it nutates at W J_p / J_t in the sense of rotation: b = cos, a = sin of slopes in x and
+    y.
+    """
     of = mechanics(shipped(rotor=LONG, damping=0.0, cross_stiffness=0.0, speed=100.0))
     forward = np.array([0, 0, 1, -1j])
     rate = 2j * np.pi * 100.0 * 0.008 / 0.03
@@ -105,9 +126,13 @@ def test_a_free_rotor_nutates_forward_at_its_inertia_ratio() -> None:
 
 
 def test_a_shaker_meets_the_levitated_rotor() -> None:
-    """Its force is measured outside of the loop: a soft spring at rest is what the controller makes of it, k_i P - k_s."""
+    """Its force is measured outside of the loop: a soft spring at rest is what the controller makes of it,
+    k_i P - k_s.
+    """
     rig = one_axis(shaker=1.0)
-    rig = replace(rig, injection=replace(rig.injection, duration=20.0), control=replace(rig.control, integral=0.0))
+    rig = replace(
+        rig, injection=replace(rig.injection, duration=20.0), control=replace(rig.control, integral=0.0)
+    )
     (recording,) = recordings(rig, 1, ["shaker"])
     assert [channel.role for channel in recording.channels] == ["reference", "output", "input"]
     blocks = recording.samples.reshape(20, 2000, 3) * np.hanning(2000)[:, None]
@@ -117,7 +142,8 @@ def test_a_shaker_meets_the_levitated_rotor() -> None:
 
 
 def test_what_turns_is_seen_once_a_turn() -> None:
-    """Reading less P I, P = k_i / (-w^2 m + j w c - k_s), is the runout, or the motion under the unbalance u w^2.
+    """Reading less P I, P = k_i / (-w^2 m + j w c - k_s), is the runout, or the motion under the unbalance u
+    w^2.
 
     By hand, to the 1.3e-3 of the logger's filter.
     """
@@ -139,7 +165,16 @@ def test_runs_are_named_and_depend_on_nothing_else() -> None:
     (alone,) = recordings(rig, 3, ["random-y"])
     again = recordings(rig, 3, ["rest", "random-y"])[1]
     np.testing.assert_array_equal(alone.samples, again.samples)
-    assert [channel.name for channel in alone.channels] == ["f_x", "f_y", "x", "y", "u_x", "u_y", "r_x", "r_y"]
+    assert [channel.name for channel in alone.channels] == [
+        "f_x",
+        "f_y",
+        "x",
+        "y",
+        "u_x",
+        "u_y",
+        "r_x",
+        "r_y",
+    ]
     assert np.std(alone.samples[:, 6]) == 0 < np.std(alone.samples[:, 7])
 
 

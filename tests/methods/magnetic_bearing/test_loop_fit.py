@@ -1,4 +1,6 @@
-"""Unknowns of a control loop: their names, their estimates within their uncertainty, and what cannot be told apart."""
+"""Unknowns of a control loop: their names, their estimates within their uncertainty, and what cannot be told
+apart.
+"""
 
 from __future__ import annotations
 
@@ -46,9 +48,13 @@ def test_an_unknown_has_its_value_from_the_file(name: str, value: float | None, 
 
 
 def test_the_gap_acts_on_both_factors() -> None:
-    """k_i goes as 1 / g^2 and k_n as 1 / g^3 of a magnet whose iron has no reluctance and whose bias is a magnetomotive force."""
+    """k_i goes as 1 / g^2 and k_n as 1 / g^3 of a magnet whose iron has no reluctance and whose bias is a
+    magnetomotive force.
+    """
     plants = [with_unknowns(bearing("hmb-geometry"), {"gap": gap}).levitated() for gap in (0.45e-3, 0.50e-3)]
-    assert plants[0].loop.force_per_current / plants[1].loop.force_per_current == pytest.approx((50 / 45) ** 2)
+    assert plants[0].loop.force_per_current / plants[1].loop.force_per_current == pytest.approx(
+        (50 / 45) ** 2
+    )
     assert plants[0].negative_stiffness / plants[1].negative_stiffness == pytest.approx((50 / 45) ** 3)
 
 
@@ -64,7 +70,8 @@ def test_a_stated_pull_takes_the_place_of_the_inferred_one() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("averages", [0, pytest.param(5, marks=pytest.mark.long)])
 def test_intervals_hold_the_true_values_in_95_of_100_cases(averages: int, rng: np.random.Generator) -> None:
-    """Gap and delay over 200 noises, the support drawn within its uncertainty; from 5 periods the noise itself is estimated.
+    """Gap and delay over 200 noises, the support drawn within its uncertainty; from 5 periods the noise
+    itself is estimated.
 
     The count of each unknown is held against the binomial distribution of 95 %, at 1 in 1000 to either side.
     """
@@ -87,18 +94,23 @@ def test_errors_are_those_of_the_scatter(rng: np.random.Generator) -> None:
     file = bearing("hmb-geometry")
     fits = [loop_fit([measured(file, rng)], ("delay",)).parameters[0] for _ in range(50)]
     scatter = np.std([fit.value for fit in fits], ddof=1)
-    # The scatter of 50 values is known to 10 %; the support is drawn as well, so that it is the combined error that counts.
+    # The scatter of 50 values is known to 10 %; the support is drawn as well, so that it is the combined
+    # error that counts.
     assert fits[0].full_error == pytest.approx(scatter, rel=0.3)
 
 
 def test_several_tests_give_one_value(rng: np.random.Generator) -> None:
-    """Two tests under different gains halve the variance at least: the errors shrink by more than 1 / sqrt 2 less 5 %."""
+    """Two tests under different gains halve the variance at least: the errors shrink by more than 1 / sqrt 2
+    less 5 %.
+    """
     file = bearing("hmb-geometry")
     other = with_unknowns(file, {"proportional": 1.2})
     alone = loop_fit([measured(file, rng)], ("delay", "gap"))
     both = loop_fit([measured(file, rng), measured(other, rng)], ("delay", "gap"))
     for one, two in zip(alone.parameters, both.parameters, strict=True):
-        assert two.std_error is not None and one.std_error is not None and two.std_error < 0.75 * one.std_error
+        assert (
+            two.std_error is not None and one.std_error is not None and two.std_error < 0.75 * one.std_error
+        )
     assert both.correlations[0][:2] == ("gap", "delay")
 
 
@@ -111,7 +123,10 @@ def test_what_acts_only_as_a_product_cannot_be_told_apart(rng: np.random.Generat
 
 
 def test_what_acts_on_nothing_is_said(rng: np.random.Generator) -> None:
-    """With the static stiffness stated, the inferred pull makes up for a stated mass; recoil of a magnet without area acts on nothing."""
+    """With the static stiffness stated, the inferred pull makes up for a stated mass.
+
+    Recoil of a magnet without area acts on nothing.
+    """
     fitted = loop_fit([measured(bearing("hmb-geometry"), rng)], ("delay", "recoil"))
     assert not fitted.determined and fitted.alike == ("recoil",)
 
@@ -132,17 +147,30 @@ def test_without_noise_nothing_can_be_judged(rng: np.random.Generator) -> None:
 
 
 def test_a_delay_that_would_be_negative_is_held_at_zero(rng: np.random.Generator) -> None:
-    """A sensor that leads by 30 us on a loop without delay: the gap is that of a fit whose file has no delay."""
+    """A sensor that leads by 30 us on a loop without delay: the gap is that of a fit whose file has no
+    delay.
+    """
     file = with_unknowns(bearing("hmb-geometry"), {"delay": 0.0})
     view = measured(file, rng)
     lead = np.exp(2j * np.pi * 30e-6 * view.response.frequency)[:, None, None]
     ahead = replace(view, response=replace(view.response, matrix=view.response.matrix * lead))
-    found = loop_fit([replace(ahead, file=with_unknowns(file, {"gap": 0.47e-3, "delay": 60e-6}))], ("gap", "delay"))
+    found = loop_fit(
+        [replace(ahead, file=with_unknowns(file, {"gap": 0.47e-3, "delay": 60e-6}))], ("gap", "delay")
+    )
     alone = loop_fit([replace(ahead, file=with_unknowns(file, {"gap": 0.47e-3}))], ("gap",))
     gap, delay = found.parameters
     assert found.converged and found.at_zero == ("delay",) and alone.converged
-    assert delay.value == 0.0 and delay.at_bound and delay.ci95 is not None and delay.ci95[0] == 0.0 < delay.ci95[1]
+    assert (
+        delay.value == 0.0
+        and delay.at_bound
+        and delay.ci95 is not None
+        and delay.ci95[0] == 0.0 < delay.ci95[1]
+    )
     assert gap.value == pytest.approx(alone.parameters[0].value, rel=1e-6)
     # A delay that may lie above zero leaves the gap in more uncertainty than one that is known.
-    assert gap.std_error is not None and alone.parameters[0].std_error is not None and gap.std_error > alone.parameters[0].std_error
+    assert (
+        gap.std_error is not None
+        and alone.parameters[0].std_error is not None
+        and gap.std_error > alone.parameters[0].std_error
+    )
     assert [finding.code for finding in identifiability_findings(found)] == ["at-bound", "first-order"]

@@ -1,4 +1,6 @@
-"""Recordings of the rig closed in time: they hold the loop's signals, and what they show is the loop's prediction."""
+"""Recordings of the rig closed in time: they hold the loop's signals, and what they show is the loop's
+prediction.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def quiet() -> np.ndarray:
 
 
 def test_motion_is_that_of_the_frequency_domain_twin(quiet: np.ndarray) -> None:
-    """The logger's filter acts on the motion alone, so ratios of recorded loop signals are compared, and motion below 200 Hz."""
+    """The logger's filter acts on the motion alone, so ratios of recorded loop signals are compared, and
+    motion below 200 Hz.
+    """
     force, x, y, *_ = lines(quiet)
     (twin,) = simulate(QUIET, 1, ["radial-0rpm"])
     twin_force, twin_x, _ = lines(twin.recording.samples)
@@ -51,7 +55,9 @@ def test_current_is_what_the_controller_makes_of_the_motion(quiet: np.ndarray) -
 
 
 def test_the_force_of_the_bearing_follows_from_current_and_motion(quiet: np.ndarray) -> None:
-    """k_i i - k_n x = (K_eq + j w C_eq) x of each bearing: what a rig with current probes measures directly."""
+    """k_i i - k_n x = (K_eq + j w C_eq) x of each bearing: what a rig with current probes measures
+    directly.
+    """
     _, x, _, current, *_ = lines(quiet)
     run = simulate(QUIET, 1, ["loop-0rpm"])[0].truth
     omega = 2 * np.pi * np.arange(1.0, 251.0)
@@ -65,12 +71,16 @@ def test_gains_change_the_controller_and_not_the_bias_field() -> None:
         (run,) = simulate(QUIET, 1, [name])
         assert run.truth["negative_stiffness_per_bearing"] == pytest.approx(5.8 * 8000 * 0.75 - 1694)
         loop = replace(RIG.levitation.loop, proportional=gain)
-        expected = dynamic_stiffness(loop, run.truth["negative_stiffness_per_bearing"], 2 * np.pi * np.arange(1.0, 251.0))
+        expected = dynamic_stiffness(
+            loop, run.truth["negative_stiffness_per_bearing"], 2 * np.pi * np.arange(1.0, 251.0)
+        )
         np.testing.assert_allclose(run.truth["k_per_bearing"], expected.real)
         force, x, _ = lines(run.recording.samples)
         total = np.cos(np.pi / 4) * (force / x)[:100]
         omega = 2 * np.pi * np.arange(1.0, 101.0)
-        np.testing.assert_allclose(total, 134.5e3 + 3.682j * omega - 0.92 * omega**2 + 2 * expected[:100], rtol=2e-3, atol=100)
+        np.testing.assert_allclose(
+            total, 134.5e3 + 3.682j * omega - 0.92 * omega**2 + 2 * expected[:100], rtol=2e-3, atol=100
+        )
 
 
 def test_injection_is_the_difference_of_both_sides_of_the_sum() -> None:
@@ -86,7 +96,12 @@ def test_a_run_up_shows_the_unbalance_of_both_ends() -> None:
     assert names == ["front.x", "front.y", "rear.x", "rear.y", "z", "n"]
     # At 8000 rpm: m e w^2 / (K_eq + j w C_eq - m w^2), the rotor alone.
     omega = np.array([2 * np.pi * 8000 / 60])
-    motion = 15e-6 * 0.065 * omega**2 / np.abs(dynamic_stiffness(RIG.levitation.loop, 33106.0, omega) - 0.065 * omega**2)
+    motion = (
+        15e-6
+        * 0.065
+        * omega**2
+        / np.abs(dynamic_stiffness(RIG.levitation.loop, 33106.0, omega) - 0.065 * omega**2)
+    )
     last = run.recording.samples[-200:]
     assert np.ptp(last[:, 0]) / 2 == pytest.approx(motion[0], rel=0.05)
     assert np.ptp(last[:, 2]) / np.ptp(last[:, 0]) == pytest.approx(0.6, rel=0.05)
@@ -108,7 +123,9 @@ def test_a_rig_without_a_loop_has_no_such_runs() -> None:
 def test_shipped_recordings_are_what_the_command_makes(root: Path, tmp_path: Path, labpipe) -> None:
     rig = root / "configs/virtual-hmb-loop.yaml"
     assert labpipe("simulate", rig, "--seed", "1", "--run", "gain-1.1", "-o", tmp_path).code == 0
-    assert (tmp_path / "gain-1.1.parquet").read_bytes() == (root / "sample_data/hmb-loop/gain-1.1.parquet").read_bytes()
+    assert (tmp_path / "gain-1.1.parquet").read_bytes() == (
+        root / "sample_data/hmb-loop/gain-1.1.parquet"
+    ).read_bytes()
     assert sum(path.stat().st_size for path in (root / "sample_data/hmb-loop").iterdir()) < 800_000
 
 

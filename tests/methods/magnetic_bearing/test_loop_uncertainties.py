@@ -1,8 +1,10 @@
-"""Uncertainties of channels, of the mass and of the support in comparisons of control loops, held against comparisons that are repeated.
+"""Uncertainties of channels, of the mass and of the support in comparisons of control loops, held against
+comparisons that are repeated.
 
-Every change by a source is held against the same comparison on data that are off by a thousandth of its standard uncertainty to either
-side, by the factors X (1 - d), X e^{jwd}, X e^{jd} themselves, nothing of the propagation used. The data themselves have no noise, though
-they state some, so that Gauss-Newton neglects nothing.
+Every change by a source is held against the same comparison on data that are off by a thousandth of its
+standard uncertainty to either side, by the factors X (1 - d), X e^{jwd}, X e^{jd} themselves, nothing of the
+propagation used. The data themselves have no noise, though they state some, so that Gauss-Newton neglects
+nothing.
 """
 
 from __future__ import annotations
@@ -23,7 +25,12 @@ from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, identifiability_f
 from labpipe.methods.magnetic_bearing.loop_matrix import per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, View, receptance, with_unknowns
 from labpipe.methods.magnetic_bearing.prediction import prediction
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, measured_margins, measured_sensitivity, peak_of
+from labpipe.methods.magnetic_bearing.sensitivity import (
+    loop_sensitivity,
+    measured_margins,
+    measured_sensitivity,
+    peak_of,
+)
 from labpipe.methods.magnetic_bearing.stability import sensitivity
 from labpipe.project.judging import compare_number, comparison_outcome
 from labpipe.project.rules import Rule
@@ -49,24 +56,39 @@ LATER = with_unknowns(FILE, {"delay": 85e-6})
 
 
 def uncertain(port: Port, *effects: str, source: str = "") -> Port:
-    found = tuple(ChannelUncertainty(effect, Uncertainty(source or f"{port.label}.{effect}", SIZES[effect], "1")) for effect in effects)
+    found = tuple(
+        ChannelUncertainty(effect, Uncertainty(source or f"{port.label}.{effect}", SIZES[effect], "1"))
+        for effect in effects
+    )
     return replace(port, uncertainties=found)
 
 
 def with_uncertainties(response: FrequencyResponse, *effects: str, source: str = "") -> FrequencyResponse:
-    ports = {name: tuple(uncertain(port, *effects, source=source) for port in getattr(response, name)) for name in ("outputs", "inputs")}
+    ports = {
+        name: tuple(uncertain(port, *effects, source=source) for port in getattr(response, name))
+        for name in ("outputs", "inputs")
+    }
     return replace(response, **ports)
 
 
 def thinned(response: FrequencyResponse, every: int) -> FrequencyResponse:
     lines = slice(None, None, every)
-    return replace(response, frequency=response.frequency[lines], matrix=response.matrix[lines], covariance=response.covariance[lines])
+    return replace(
+        response,
+        frequency=response.frequency[lines],
+        matrix=response.matrix[lines],
+        covariance=response.covariance[lines],
+    )
 
 
 def off(response: FrequencyResponse, label: str, effect: str, error: float) -> FrequencyResponse:
     """The response whose channel *label* was corrected with a number that is too large by *error*."""
     omega = 2 * np.pi * response.frequency
-    factor = {"gain": (1 - error) + 0 * omega, "delay": np.exp(1j * omega * error), "phase": np.exp(1j * error) + 0 * omega}[effect]
+    factor = {
+        "gain": (1 - error) + 0 * omega,
+        "delay": np.exp(1j * omega * error),
+        "phase": np.exp(1j * error) + 0 * omega,
+    }[effect]
     matrix = response.matrix.copy()
     for row, port in enumerate(response.outputs):
         if port.label == label:
@@ -92,11 +114,15 @@ def both_sides(noise: float = 1e-3) -> FrequencyResponse:
     ports = tuple(Port(name, name, name) for name in ("before", "after"))
     covariance = np.broadcast_to(noise**2 * np.eye(2), (FREQUENCY.size, 2, 2)).astype(complex)
     matrix = np.stack([true - 1, true], axis=1)[:, :, None]
-    return FrequencyResponse(FREQUENCY, matrix, ports, (Port("e", "e", "e"),), form="other", covariance=covariance)
+    return FrequencyResponse(
+        FREQUENCY, matrix, ports, (Port("e", "e", "e"),), form="other", covariance=covariance
+    )
 
 
 def peak_by_polyfit(response: FrequencyResponse, near: np.ndarray) -> np.ndarray:
-    """Height and place [Hz] of a parabola through the lines *near* the peak of S = after / (after - before)."""
+    """Height and place [Hz] of a parabola through the lines *near* the peak of S = after / (after -
+    before).
+    """
     ahead, behind = response.matrix[:, :, 0].T
     middle = response.frequency[near].mean()
     c, b, a = np.polyfit(response.frequency[near] - middle, np.abs(behind / (behind - ahead))[near], 2)
@@ -116,21 +142,27 @@ def test_the_peak_and_its_frequency_follow_the_channels(label: str, effect: str)
 
 
 def test_what_both_sides_have_in_common_cancels() -> None:
-    """One gain, delay or phase of both sides, and those of the recorded excitation, are not in the quotient: changes below 1e-12 of |S|."""
+    """One gain, delay or phase of both sides, and those of the recorded excitation, are not in the quotient:
+    changes below 1e-12 of |S|.
+    """
     plain = both_sides()
     common = with_uncertainties(plain, *SIZES, source="card")
     one = measured_sensitivity(common, "before", "after")
     assert [error.uncertainty.source for error in one.errors] == ["card"]
     assert np.max(np.abs(one.errors[0].change)) < 1e-12
     of_excitation = replace(plain, inputs=(uncertain(plain.inputs[0], *SIZES),))
-    said, silent = (loop_sensitivity(CompareSettings(kind="sensitivity"), each, None) for each in (of_excitation, plain))
+    said, silent = (
+        loop_sensitivity(CompareSettings(kind="sensitivity"), each, None) for each in (of_excitation, plain)
+    )
     again = loop_sensitivity(CompareSettings(kind="sensitivity"), common, None)
     assert said.amounts == silent.amounts == again.amounts
     assert not said.budgets and not again.budgets
 
 
 def test_the_interval_of_the_peak_is_the_square_sum_of_noise_and_sources() -> None:
-    """Random part that of the same response without uncertainties, systematic that of every source by itself; lines are as wide."""
+    """Random part that of the same response without uncertainties, systematic that of every source by itself;
+    lines are as wide.
+    """
     plain = both_sides()
     asked = CompareSettings(kind="sensitivity")
     whole = loop_sensitivity(asked, with_uncertainties(plain, *SIZES), bearing("hmb-magnetic"))
@@ -138,7 +170,9 @@ def test_the_interval_of_the_peak_is_the_square_sum_of_noise_and_sources() -> No
     singles = []
     for label in ("before", "after"):
         for effect in SIZES:
-            outputs = tuple(uncertain(port, effect) if port.label == label else port for port in plain.outputs)
+            outputs = tuple(
+                uncertain(port, effect) if port.label == label else port for port in plain.outputs
+            )
             singles.append(loop_sensitivity(asked, replace(plain, outputs=outputs), None))
     for name in ("peak", "peak_frequency"):
         found, noise = whole.amount(name), bare.amount(name)
@@ -159,7 +193,10 @@ def test_the_interval_of_the_peak_is_the_square_sum_of_noise_and_sources() -> No
 def test_margins_and_singular_values_follow_the_channels() -> None:
     """Of two coupled loops; both against the same computed on changed responses."""
     s = 2j * np.pi * FREQUENCY / 600
-    loop = np.array([[1.8, 0.5], [-0.4, 1.5]])[None] * ((1 + 0.9 * s) / (s**2 * (1 + 0.1 * s) - 0.3))[:, None, None]
+    loop = (
+        np.array([[1.8, 0.5], [-0.4, 1.5]])[None]
+        * ((1 + 0.9 * s) / (s**2 * (1 + 0.1 * s) - 0.3))[:, None, None]
+    )
     true = np.linalg.inv(np.eye(2) + loop)
     covariance = np.broadcast_to(1e-6 * np.eye(8), (FREQUENCY.size, 8, 8)).astype(complex)
     outputs = tuple(Port(name, name, name) for name in ("bx", "by", "ax", "ay"))
@@ -178,7 +215,9 @@ def test_margins_and_singular_values_follow_the_channels() -> None:
     for number, error in enumerate(found.errors):
         label, _, effect = error.uncertainty.source.partition(".")
         told = [found.largest_changes()[number, 90], *(change[number] for _, change in margins)]
-        expected = slopes(lambda d, label=label, effect=effect: computed(off(plain, label, effect, d)), SIZES[effect])
+        expected = slopes(
+            lambda d, label=label, effect=effect: computed(off(plain, label, effect, d)), SIZES[effect]
+        )
         if label in ("ex", "ey"):
             assert np.max(np.abs(told)) < 1e-12
         else:
@@ -190,7 +229,12 @@ def test_margins_and_singular_values_follow_the_channels() -> None:
 
 def viewed(noise: float = 1e-3) -> View:
     view = measured(GEOMETRY, np.random.default_rng(3), noise=noise, support=(134.5e3, 3.68))
-    return replace(view, response=replace(view.response, matrix=receptance(view, GEOMETRY, 2 * np.pi * view.response.frequency)))
+    return replace(
+        view,
+        response=replace(
+            view.response, matrix=receptance(view, GEOMETRY, 2 * np.pi * view.response.frequency)
+        ),
+    )
 
 
 NAMES = ("gap", "bandwidth")
@@ -214,10 +258,15 @@ def test_unknowns_of_a_prediction_follow_the_channels() -> None:
     fit = fitted([replace(view, response=with_uncertainties(view.response, *SIZES))])
     for label in ("y", "f"):
         for effect, size in SIZES.items():
-            expected = slopes(lambda d, of=(label, effect): values([replace(view, response=off(view.response, *of, d))]), size)
+            expected = slopes(
+                lambda d, of=(label, effect): values([replace(view, response=off(view.response, *of, d))]),
+                size,
+            )
             np.testing.assert_allclose(change_by(fit, f"{label}.{effect}"), expected, rtol=1e-3)
     # One gain on both channels cancels.
-    common = fitted([replace(view, response=with_uncertainties(view.response, "gain", "delay", source="card"))])
+    common = fitted(
+        [replace(view, response=with_uncertainties(view.response, "gain", "delay", source="card"))]
+    )
     assert common.parameters == fitted([view]).parameters
 
 
@@ -245,7 +294,10 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
 
     def at(error: float, label: str) -> np.ndarray:
         ports = {
-            name: tuple(replace(port, angle=port.angle + error) if port.label == label else port for port in getattr(response, name))
+            name: tuple(
+                replace(port, angle=port.angle + error) if port.label == label else port
+                for port in getattr(response, name)
+            )
             for name in ("outputs", "inputs")
         }
         return values([replace(view, response=replace(response, **ports))])
@@ -256,52 +308,94 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
     expected = {
         "f.dof": slopes(lambda error: at(error, "f"), angle),
         "y.dof": slopes(lambda error: at(error, "y"), angle),
-        "scale": slopes(lambda error: values([replace(view, settings=replace(view.settings, mass=0.92 + error))]), of_mass),
-        "arm": slopes(lambda d: values([replace(view, response=replace(response, matrix=response.matrix + d * sums.change))]), 1.0),
-        "stiffness of the support, 134.5 kN/m": slopes(lambda d: on(replace(SUPPORT, stiffness=Uncertain(134.5e3 + d, 100.0))), 100.0),
-        "damping of the support, 3.68 N.s/m": slopes(lambda d: on(replace(SUPPORT, damping=Uncertain(3.68 + d, 0.05))), 0.05),
+        "scale": slopes(
+            lambda error: values([replace(view, settings=replace(view.settings, mass=0.92 + error))]), of_mass
+        ),
+        "arm": slopes(
+            lambda d: values(
+                [replace(view, response=replace(response, matrix=response.matrix + d * sums.change))]
+            ),
+            1.0,
+        ),
+        "stiffness of the support, 134.5 kN/m": slopes(
+            lambda d: on(replace(SUPPORT, stiffness=Uncertain(134.5e3 + d, 100.0))), 100.0
+        ),
+        "damping of the support, 3.68 N.s/m": slopes(
+            lambda d: on(replace(SUPPORT, damping=Uncertain(3.68 + d, 0.05))), 0.05
+        ),
     }
     for source, change in expected.items():
         np.testing.assert_allclose(change_by(fit, source), change, rtol=1e-3, err_msg=source)
-    # The support is fitted within its uncertainty: noise and support together leave what is known of the unknowns.
-    noise = fitted([replace(view, settings=replace(view.settings, subtract=Support(Uncertain(134.5e3), Uncertain(3.68))))])
+    # The support is fitted within its uncertainty: noise and support together leave what is known of the
+    # unknowns.
+    noise = fitted(
+        [
+            replace(
+                view, settings=replace(view.settings, subtract=Support(Uncertain(134.5e3), Uncertain(3.68)))
+            )
+        ]
+    )
     alone = fitted([view])
     for one, other in zip(alone.parameters, noise.parameters, strict=True):
         assert one.std_error >= other.std_error and one.combined > one.std_error
 
 
 def test_a_sensor_across_tells_what_a_turned_one_reads() -> None:
-    """A probe along y whose direction is written d too large reads d of the motion along x, whatever the model says of that motion."""
+    """A probe along y whose direction is written d too large reads d of the motion along x, whatever the
+    model says of that motion.
+    """
     view = viewed()
     response = view.response
     across = replace(response.outputs[0], label="x", channel="x", dof="x", angle=0.0)
-    turned = replace(response.outputs[0], uncertainties=(ChannelUncertainty("direction", Uncertainty("y.dof", 0.01, "rad")),))
+    turned = replace(
+        response.outputs[0],
+        uncertainties=(ChannelUncertainty("direction", Uncertainty("y.dof", 0.01, "rad")),),
+    )
     settings, covariance = replace(view.settings, output=("y", "x")), response.covariance * np.eye(2)
 
     def case(matrix: np.ndarray, share: float, port: Port) -> View:
         both = np.concatenate([matrix, share * response.matrix], axis=1)
-        return replace(view, response=replace(response, outputs=(port, across), matrix=both, covariance=covariance), settings=settings)
+        return replace(
+            view,
+            response=replace(response, outputs=(port, across), matrix=both, covariance=covariance),
+            settings=settings,
+        )
 
     observation = case(response.matrix, 0.3, turned).observation
     (error,) = observation.errors(GEOMETRY, (134.5e3, 3.68))
     np.testing.assert_allclose(error.change[:, 0], 0.01 * 0.3 * response.matrix[:, 0], rtol=1e-12)
     assert not np.any(error.change[:, 1])
     expected = slopes(lambda d: values([case((1 + d) * response.matrix, 1.0, response.outputs[0])]), 0.01)
-    np.testing.assert_allclose(change_by(fitted([case(response.matrix, 1.0, turned)]), "y.dof"), expected, rtol=1e-3)
+    np.testing.assert_allclose(
+        change_by(fitted([case(response.matrix, 1.0, turned)]), "y.dof"), expected, rtol=1e-3
+    )
 
 
 def test_tests_with_one_sensor_err_together() -> None:
-    """Two tests with one force sensor: both are changed; with a sensor each the changes of the unknowns add up to the same."""
+    """Two tests with one force sensor: both are changed.
+
+    With a sensor each the changes of the unknowns add up to the same.
+    """
     first, other = viewed(), viewed(2e-3)
 
     def gauged(view: View, source: str) -> View:
-        return replace(view, response=replace(view.response, inputs=(uncertain(view.response.inputs[0], "gain", source=source),)))
+        return replace(
+            view,
+            response=replace(
+                view.response, inputs=(uncertain(view.response.inputs[0], "gain", source=source),)
+            ),
+        )
 
-    expected = slopes(lambda d: values([replace(v, response=off(v.response, "f", "gain", d)) for v in (first, other)]), SIZES["gain"])
+    expected = slopes(
+        lambda d: values([replace(v, response=off(v.response, "f", "gain", d)) for v in (first, other)]),
+        SIZES["gain"],
+    )
     one = fitted([gauged(first, "cell"), gauged(other, "cell")])
     each = fitted([gauged(first, "cell 1"), gauged(other, "cell 2")])
     np.testing.assert_allclose(change_by(one, "cell"), expected, rtol=1e-3)
-    np.testing.assert_allclose(change_by(each, "cell 1") + change_by(each, "cell 2"), change_by(one, "cell"), rtol=1e-9)
+    np.testing.assert_allclose(
+        change_by(each, "cell 1") + change_by(each, "cell 2"), change_by(one, "cell"), rtol=1e-9
+    )
 
 
 def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
@@ -328,7 +422,10 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     plain = thinned(plain, 8)
     own = {**OWN, "after": ["after"], **({"before": [before]} if before else {})}
     asked = CompareSettings(
-        kind="certificate", theory=TheorySettings("b.yaml"), estimate=UNKNOWNS, kind_settings=CertificateSettings(**own)
+        kind="certificate",
+        theory=TheorySettings("b.yaml"),
+        estimate=UNKNOWNS,
+        kind_settings=CertificateSettings(**own),
     )
     wanted = (*UNKNOWNS, "sensitivity_peak", "phase_margin", "log_decrement_1", "pole_real_1", "f_n_1")
 
@@ -339,7 +436,9 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     whole = certificate(asked, with_uncertainties(plain, "gain", "delay"), FILE)
     changes = {name: budget for budget in whole.budgets for name in budget.names}
     sizes = np.array([whole.amount(name).combined for name in wanted])
-    for label, effect in [("before", "gain"), ("x", "delay")] if before else [("after", "delay"), ("e", "gain")]:
+    for label, effect in (
+        [("before", "gain"), ("x", "delay")] if before else [("after", "delay"), ("e", "gain")]
+    ):
         told = np.array([changes[name].change_by(f"{label}.{effect}", name) for name in wanted])
         expected = slopes(lambda d, of=(label, effect): found(off(plain, *of, d)), SIZES[effect])
         np.testing.assert_allclose(told / sizes, expected / sizes, atol=2e-3, err_msg=f"{label}.{effect}")
@@ -356,7 +455,9 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
         estimate=UNKNOWNS,
         kind_settings=CertificateSettings(before=["before"], after=["after"], **OWN),
     )
-    common = replace(plain, outputs=tuple(uncertain(port, "gain", "delay", source="card") for port in plain.outputs))
+    common = replace(
+        plain, outputs=tuple(uncertain(port, "gain", "delay", source="card") for port in plain.outputs)
+    )
     excited = replace(plain, inputs=(uncertain(plain.inputs[0], *SIZES),))
     silent = certificate(asked, plain, FILE)
     for other in (common, excited):
@@ -367,7 +468,10 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
 
 
 def test_chi_square_does_not_reject_what_uncertainties_explain() -> None:
-    """Every number of the channels off by half a standard uncertainty; without the uncertainties the loop is exposed."""
+    """Every number of the channels off by half a standard uncertainty.
+
+    Without the uncertainties the loop is exposed.
+    """
     view = measured(GEOMETRY, np.random.default_rng(8), noise=1e-3, support=(134.5e3, 3.68))
     response = view.response
     for label in ("y", "f"):
@@ -378,12 +482,19 @@ def test_chi_square_does_not_reject_what_uncertainties_explain() -> None:
         told = fitted([replace(view, response=with_uncertainties(response, *SIZES))], names)
         assert plain.chi2_p < 1e-6 < 0.01 < told.chi2_p
     # Another loop is none that these uncertainties explain.
-    wrong = replace(view, response=with_uncertainties(response, *SIZES), file=with_unknowns(GEOMETRY, {"proportional": 1.3}))
+    wrong = replace(
+        view,
+        response=with_uncertainties(response, *SIZES),
+        file=with_unknowns(GEOMETRY, {"proportional": 1.3}),
+    )
     assert fitted([wrong], ()).chi2_p < 1e-6
 
 
 def test_bands_hold_what_given_numbers_leave() -> None:
-    """A gain that is off by its uncertainty moves all bands; intervals by noise alone would miss the prediction."""
+    """A gain that is off by its uncertainty moves all bands.
+
+    Intervals by noise alone would miss the prediction.
+    """
     view = measured(GEOMETRY, np.random.default_rng(5), noise=2e-4, support=(134.5e3, 3.68))
     view = replace(view, settings=replace(view.settings, band=(1.0, 130.0)))
     asked = CompareSettings(kind="prediction", fit="sliding", theory=TheorySettings("b.yaml"))
@@ -406,11 +517,15 @@ def spectra(response: FrequencyResponse, factors: tuple[UncertainFactor, ...]) -
             "voltage",
             role,
             name,
-            uncertainties=(ChannelUncertainty("gain", Uncertainty(f"{name}.gain", SIZES["gain"], "1", dof=7.0)),),
+            uncertainties=(
+                ChannelUncertainty("gain", Uncertainty(f"{name}.gain", SIZES["gain"], "1", dof=7.0)),
+            ),
         )
         for name, role in (("e", "input"), *((port.label, "output") for port in response.outputs))
     )
-    vectors = np.concatenate([np.full((response.n_frequency, 1), 2.0), 2 * response.matrix[:, :, 0]], axis=1)[:, None]
+    vectors = np.concatenate([np.full((response.n_frequency, 1), 2.0), 2 * response.matrix[:, :, 0]], axis=1)[
+        :, None
+    ]
     covariance = np.zeros((response.n_frequency, 1, 5, 5), complex)
     covariance[:, 0, 1:, 1:] = 4 * response.covariance
     return ChannelSpectra(response.frequency, vectors, covariance, channels, ("run",), factors=factors)
@@ -426,7 +541,9 @@ def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
     for number, name in enumerate(["e", *(port.label for port in plain.outputs)]):
         derivative = np.zeros((5, 5), complex)
         derivative[number, number] = -1.0
-        gains.append(UncertainFactor(f"{name}.gain", 0.0, SIZES["gain"], "1", derivative, source=f"{name}.gain"))
+        gains.append(
+            UncertainFactor(f"{name}.gain", 0.0, SIZES["gain"], "1", derivative, source=f"{name}.gain")
+        )
     arm = np.zeros((5, 5), complex)
     arm[3, 4] = 1.0
     made = per_injection(spectra(plain, (*gains, UncertainFactor("arm", 0.3, 0.01, "m", arm))))
@@ -437,7 +554,10 @@ def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
     expected[:, 2] = 0.01 * plain.matrix[:, 3]
     np.testing.assert_allclose(by_source["arm, 0.3 m"].change, expected)
     asked = CompareSettings(
-        kind="certificate", theory=TheorySettings("b.yaml"), estimate=UNKNOWNS, kind_settings=CertificateSettings(after=["after"], **OWN)
+        kind="certificate",
+        theory=TheorySettings("b.yaml"),
+        estimate=UNKNOWNS,
+        kind_settings=CertificateSettings(after=["after"], **OWN),
     )
     ours, theirs = (
         certificate(asked, replace(made, errors=made.errors[:-1]), FILE),
@@ -450,16 +570,23 @@ def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
 def test_a_direction_that_nothing_tells_is_said() -> None:
     plain = both_sides()
     uncertainty = ChannelUncertainty("direction", Uncertainty("before.dof", 0.01, "rad"))
-    turned = replace(plain, outputs=(replace(plain.outputs[0], uncertainties=(uncertainty,)), plain.outputs[1]))
+    turned = replace(
+        plain, outputs=(replace(plain.outputs[0], uncertainties=(uncertainty,)), plain.outputs[1])
+    )
     asked = CompareSettings(kind="sensitivity", name="sensitivity")
-    said, silent = (compare(asked, Evidence((), (one,), ())) for one in (turned, with_uncertainties(plain, "gain")))
+    said, silent = (
+        compare(asked, Evidence((), (one,), ())) for one in (turned, with_uncertainties(plain, "gain"))
+    )
     (finding,) = [one for one in said.findings if one.code == "number-uncertainty"]
     assert "directions of before" in finding.message
     assert not [one for one in silent.findings if one.code == "number-uncertainty"]
 
 
 def test_errors_that_first_order_does_not_tell_are_said() -> None:
-    """Delay and gap of one response are known together far better than each; two standard errors away the delay would be negative."""
+    """Delay and gap of one response are known together far better than each.
+
+    Two standard errors away the delay would be negative.
+    """
     view = measured(GEOMETRY, np.random.default_rng(3), noise=0.08, support=(134.5e3, 3.68))
     both, one = fitted([view], ("gap", "delay")), fitted([view], ("gap",))
     assert [finding.code for finding in identifiability_findings(both)] == ["first-order"]
@@ -467,10 +594,11 @@ def test_errors_that_first_order_does_not_tell_are_said() -> None:
 
 
 def test_intervals_follow_the_course_of_the_response() -> None:
-    """A response in proportion to 1 / bandwidth, a gain with an uncertainty: its interval is the reciprocal of a straight line's, in closed
-    form.
+    """A response in proportion to 1 / bandwidth, a gain with an uncertainty: its interval is the reciprocal
+    of a straight line's, in closed form.
 
-    Estimate and error of x = 1000 Hz / bandwidth from H = x + noise over n lines: mean, s / root of 2 n by noise, x u by the gain.
+    Estimate and error of x = 1000 Hz / bandwidth from H = x + noise over n lines: mean, s / root of 2 n by
+    noise, x u by the gain.
     """
     n, noise, gain, gap = 40, 0.5, 0.05, 0.9
     port, force = (Port(name, name, name) for name in ("y", "f"))
@@ -488,7 +616,9 @@ def test_intervals_follow_the_course_of_the_response() -> None:
         return np.full((n, 1, 1), 1000.0 / file.loop.bandwidth, complex)
 
     error = MatrixError(Uncertainty("y.gain", gain, "1"), -gain * measured_x.matrix)
-    fit = loop_fit([LoopObservation(measured_x, predict, GEOMETRY, errors=lambda *_: (error,))], ("bandwidth",))
+    fit = loop_fit(
+        [LoopObservation(measured_x, predict, GEOMETRY, errors=lambda *_: (error,))], ("bandwidth",)
+    )
     (found,) = fit.parameters
     u = np.hypot(noise / np.sqrt(2 * n), gap * gain)
     ends = 1000.0 / (gap + found.coverage_factor * u), 1000.0 / (gap - found.coverage_factor * u)
@@ -500,7 +630,9 @@ def test_intervals_follow_the_course_of_the_response() -> None:
 
 
 def test_an_unknown_at_the_edge_of_the_possible_is_held_there() -> None:
-    """The response of a loop without delay, off by a gain: a negative delay would fit best, and none can be."""
+    """The response of a loop without delay, off by a gain: a negative delay would fit best, and none can
+    be.
+    """
     fast = with_unknowns(GEOMETRY, {"delay": 1e-9})
     view = measured(fast, np.random.default_rng(3), noise=1e-3, support=(134.5e3, 3.68))
     late = replace(view, response=off(view.response, "y", "delay", 2e-4), file=GEOMETRY)
@@ -521,15 +653,21 @@ def certified() -> Comparison:
         estimate=UNKNOWNS,
         kind_settings=CertificateSettings(after=["after"], before=["before"], **OWN),
     )
-    return certificate(asked, with_uncertainties(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE)
+    return certificate(
+        asked, with_uncertainties(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE
+    )
 
 
 def test_the_report_shows_the_shares_of_the_sources(certified: Comparison) -> None:
     blocks = comparison_blocks(certified, ())
     tables = [block for block in blocks if isinstance(block, Table) and block.header[0] == "source"]
     assert len(tables) == len(certified.budgets) == 3
-    assert {"before.gain", "x.gain", "noise"} <= {row[0] for row in tables[0].rows} | {row[0] for row in tables[1].rows}
-    assert sum(isinstance(block, Figure) and "Shares of the sources" in block.caption for block in blocks) == 3
+    assert {"before.gain", "x.gain", "noise"} <= {row[0] for row in tables[0].rows} | {
+        row[0] for row in tables[1].rows
+    }
+    assert (
+        sum(isinstance(block, Figure) and "Shares of the sources" in block.caption for block in blocks) == 3
+    )
 
 
 def test_rules_ask_for_the_expanded_uncertainty(certified: Comparison) -> None:
@@ -537,8 +675,16 @@ def test_rules_ask_for_the_expanded_uncertainty(certified: Comparison) -> None:
     relative = 100 * amount.expanded / amount.value
     for attribute, wide, narrow in (("expanded", 1.01, 0.99), ("std_error", 1.01, 0.99)):
         for factor, passed in ((wide, True), (narrow, False)):
-            bound = f"{relative * factor:.6g} %" if attribute == "expanded" else f"{amount.combined * factor:.6g}"
+            bound = (
+                f"{relative * factor:.6g} %" if attribute == "expanded" else f"{amount.combined * factor:.6g}"
+            )
             item = f"sensitivity_peak.{attribute}"
-            address = {"section": "accept", "address": f"certificate.{item}", "fit": "certificate", "which": "", "item": item}
+            address = {
+                "section": "accept",
+                "address": f"certificate.{item}",
+                "fit": "certificate",
+                "which": "",
+                "item": item,
+            }
             rule = Rule(**address, kind="<=", bound=bound, place="here")
             assert comparison_outcome(rule, (certified,), compare_number).passed is passed

@@ -1,4 +1,6 @@
-"""What the bearing file predicts against what sliding bands find on the virtual rig that is closed by the same loop in its recording."""
+"""What the bearing file predicts against what sliding bands find on the virtual rig that is closed by the
+same loop in its recording.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +23,24 @@ def bands(labpipe: Callable[..., Any], root: Path, tmp_path: Path) -> list[dict[
     rig = root / "configs/virtual-hmb-loop.yaml"
     assert labpipe("simulate", rig, "--run", "radial-0rpm", "--seed", "1", "-o", tmp_path / "rig").code == 0
     pipeline = yaml.safe_load((root / "pipelines/radial-sliding.yaml").read_text(encoding="utf-8"))
-    pipeline |= {"rig": str(root / "configs/hmb-radial.yaml"), "recordings": str(tmp_path / "rig/radial-0rpm.parquet")}
+    pipeline |= {
+        "rig": str(root / "configs/hmb-radial.yaml"),
+        "recordings": str(tmp_path / "rig/radial-0rpm.parquet"),
+    }
     del pipeline["expect"]
     (tmp_path / "loop.yaml").write_text(yaml.safe_dump(pipeline), encoding="utf-8")
-    assert labpipe("run", tmp_path / "loop.yaml", "-o", tmp_path / "out", "--set", "report.formats=[]").code == 0
-    fits: list[dict[str, Any]] = json.loads((tmp_path / "out/identification.json").read_text(encoding="utf-8"))["fits"]
+    assert (
+        labpipe("run", tmp_path / "loop.yaml", "-o", tmp_path / "out", "--set", "report.formats=[]").code == 0
+    )
+    fits: list[dict[str, Any]] = json.loads(
+        (tmp_path / "out/identification.json").read_text(encoding="utf-8")
+    )["fits"]
     return fits
 
 
-def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(bands: list[dict[str, Any]], root: Path) -> None:
+def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(
+    bands: list[dict[str, Any]], root: Path
+) -> None:
     """K_eq and C_eq of configs/bearings/hmb-magnetic.yaml at the bands' centres."""
     plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().levitated()
     omega = 2 * np.pi * np.array([np.mean(fit["band_hz"]) for fit in bands])
@@ -41,11 +52,14 @@ def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(bands: 
         assert np.mean((low <= truth) & (truth <= high)) >= 0.9, name
 
 
-@pytest.mark.parametrize(("seeds", "least"), [((2,), 0.85), pytest.param((2, 3, 4), 0.9, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("seeds", "least"), [((2,), 0.85), pytest.param((2, 3, 4), 0.9, marks=pytest.mark.long)]
+)
 def test_the_rig_closed_in_time_is_predicted_in_nine_bands_in_ten(
     labpipe: Callable[..., Any], root: Path, tmp_path: Path, seeds: tuple[int, ...], least: float
 ) -> None:
-    """Mean share of the shipped comparison; bands share lines, so a single recording may miss several at once.
+    """Mean share of the shipped comparison; bands share lines, so a single recording may miss several at
+    once.
 
     Twelve seeds gave 97 % of the bands for k (92 to 100 %), 96 % for c (89 to 100 %).
     """

@@ -1,4 +1,6 @@
-"""The reluctance network against a nodal solution of the same circuit, closed forms and the printed magnet."""
+"""The reluctance network against a nodal solution of the same circuit, closed forms and the printed
+magnet.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +21,24 @@ from labpipe.methods.magnetic_bearing.bearing import (
     static_stiffness,
 )
 
-# Turns, gap, bias current and coercivity (9.465 kOe) of Lim et al. (2009), section 2; areas and lengths are made up.
+# Turns, gap, bias current and coercivity (9.465 kOe) of Lim et al. (2009), section 2; areas and lengths are
+# made up.
 MAGNET = Magnet(
-    turns=180, gap=0.45e-3, pole_area=60e-6, bias_current=0.2, coercivity=753.2e3, magnet_length=1e-3, magnet_area=200e-6, iron_path=30e-3
+    turns=180,
+    gap=0.45e-3,
+    pole_area=60e-6,
+    bias_current=0.2,
+    coercivity=753.2e3,
+    magnet_length=1e-3,
+    magnet_area=200e-6,
+    iron_path=30e-3,
 )
 
 
 def nodal_fluxes(magnet: Magnet, x: float, i: float) -> np.ndarray:
-    """Kirchhoff's laws with both rings written out: 8 pole fluxes, 2 potentials and the magnet's flux as unknowns; (8,) [Wb]."""
+    """Kirchhoff's laws with both rings written out: 8 pole fluxes, 2 potentials and the magnet's flux as
+    unknowns; (8,) [Wb].
+    """
     sense = np.array([1.0, -1.0, 0.0, 0.0])
     area = MU_0 * magnet.pole_area
     reluctance = (magnet.gap - sense * x) / area + magnet.iron_path / (area * magnet.iron_permeability)
@@ -37,7 +49,11 @@ def nodal_fluxes(magnet: Magnet, x: float, i: float) -> np.ndarray:
             row = 4 * ring + pole
             matrix[row, row], matrix[row, 8 + ring], right[row] = reluctance[pole], -1.0, coils[pole]
         matrix[8 + ring, 4 * ring : 4 * ring + 4], matrix[8 + ring, 10] = 1.0, -1.0
-    matrix[10, 8:10], matrix[10, 10], right[10] = 1.0, magnet.magnet_reluctance, magnet.coercivity * magnet.magnet_length
+    matrix[10, 8:10], matrix[10, 10], right[10] = (
+        1.0,
+        magnet.magnet_reluctance,
+        magnet.coercivity * magnet.magnet_length,
+    )
     scale = np.abs(matrix).max(axis=1)
     return np.linalg.solve(matrix / scale[:, None], right / scale)[:8]
 
@@ -48,7 +64,13 @@ def test_fluxes_are_those_of_the_whole_network(x: float, i: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "magnet", [MAGNET, replace(MAGNET, magnet_area=None), replace(MAGNET, bias_current=0.0), replace(MAGNET, iron_path=0.0)]
+    "magnet",
+    [
+        MAGNET,
+        replace(MAGNET, magnet_area=None),
+        replace(MAGNET, bias_current=0.0),
+        replace(MAGNET, iron_path=0.0),
+    ],
 )
 def test_factors_are_the_slopes_of_the_force(magnet: Magnet) -> None:
     """Central differences of the nonlinear force: error of second order in the step."""
@@ -60,7 +82,9 @@ def test_factors_are_the_slopes_of_the_force(magnet: Magnet) -> None:
 
 
 def test_electromagnet_alone_has_the_textbook_factors() -> None:
-    """Per pole pair k_i = mu_0 N^2 A i_0 / g^2 * 2, k_n = 2 mu_0 N^2 A i_0^2 / g^3 (straight poles), two rings."""
+    """Per pole pair k_i = mu_0 N^2 A i_0 / g^2 * 2, k_n = 2 mu_0 N^2 A i_0^2 / g^3 (straight poles), two
+    rings.
+    """
     magnet = Magnet(turns=180, gap=0.45e-3, pole_area=60e-6, bias_current=0.2)
     factors = magnet_factors(magnet)
     pair = 2 * MU_0 * 180**2 * 60e-6
@@ -74,19 +98,28 @@ def test_force_of_the_centred_rotor_is_zero() -> None:
 
 
 def test_printed_static_stiffness_asks_for_an_inferred_negative_stiffness() -> None:
-    """8 V/mm, k_p 1, 1 A/V, 5.8 N/A: 46.4 kN/m before the bias field's pull; 1694 N/m leaves 44.706 kN/m of pull."""
+    """8 V/mm, k_p 1, 1 A/V, 5.8 N/A: 46.4 kN/m before the bias field's pull.
+
+    1694 N/m leaves 44.706 kN/m of pull.
+    """
     printed = MagnetFactors(5.8, 5.8 * 8000 - 1694, 0.0)
     assert static_stiffness(printed, 8000.0) == pytest.approx(1694.0, rel=1e-12)
 
 
 def test_inferred_pole_area_gives_both_factors_back() -> None:
-    """The permanent magnet's strength is the other free value; it makes k_i 5.8 N/A, so it is solved from phi_0 = k_i g / 4 N."""
+    """The permanent magnet's strength is the other free value.
+
+    It makes k_i 5.8 N/A, so it is solved from phi_0 = k_i g / 4 N.
+    """
     area = inferred_pole_area(180, 0.45e-3, 5.8, 33106.0)
     bias = 5.8 * 0.45e-3 / (4 * 180)
     source = 2 * bias * 0.45e-3 / (MU_0 * area)
-    factors = magnet_factors(Magnet(turns=180, gap=0.45e-3, pole_area=area, coercivity=source, magnet_length=1.0))
+    factors = magnet_factors(
+        Magnet(turns=180, gap=0.45e-3, pole_area=area, coercivity=source, magnet_length=1.0)
+    )
     assert (factors.force_per_current, factors.negative_stiffness) == pytest.approx((5.8, 33106.0), rel=1e-9)
-    # 2.8 mm^2 with 1.3 T is no pole of this size: the printed stiffness and the printed force-current factor do not fit one geometry.
+    # 2.8 mm^2 with 1.3 T is no pole of this size: the printed stiffness and the printed force-current factor
+    # do not fit one geometry.
     assert area == pytest.approx(2.81e-6, rel=2e-3)
 
 

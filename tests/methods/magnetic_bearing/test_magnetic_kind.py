@@ -10,7 +10,14 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
-from labpipe.methods.magnetic_bearing.bearing import MAGNETIC_KIND, MU_0, Magnet, MagneticFile, magnet_factors, verdict
+from labpipe.methods.magnetic_bearing.bearing import (
+    MAGNETIC_KIND,
+    MU_0,
+    Magnet,
+    MagneticFile,
+    magnet_factors,
+    verdict,
+)
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.virtual_rig_file import load_virtual_rig
@@ -27,7 +34,9 @@ def test_shipped_file_is_the_virtual_rig_s_bearing(root: Path) -> None:
     rig = load_virtual_rig(root / "configs/virtual-hmb-loop.yaml").levitation
     truth = mechanics.levitation_stiffness(rig, 2 * np.pi * frequency) / rig.bearings
     np.testing.assert_allclose([each.stiffness[0, 0] for each in found], truth.real, rtol=1e-9)
-    np.testing.assert_allclose([each.damping[1, 1] for each in found], truth.imag / (2 * np.pi * frequency), rtol=1e-9)
+    np.testing.assert_allclose(
+        [each.damping[1, 1] for each in found], truth.imag / (2 * np.pi * frequency), rtol=1e-9
+    )
 
 
 def test_shares_sum_to_the_coefficients() -> None:
@@ -44,16 +53,23 @@ def test_speed_is_the_frequency_unless_one_is_given() -> None:
 
 def test_static_stiffness_is_a_way_to_give_the_negative_one() -> None:
     inferred = FILE.levitated()
-    assert replace(FILE, static_stiffness=None, negative_stiffness=inferred.negative_stiffness).levitated() == inferred
+    assert (
+        replace(FILE, static_stiffness=None, negative_stiffness=inferred.negative_stiffness).levitated()
+        == inferred
+    )
     assert "inferred from the static stiffness" in FILE.assumptions()
 
 
 def test_geometry_gives_both_factors_and_given_ones_replace_it() -> None:
     """k_i = 4 mu_0 N^2 A i_0 / g^2 of the electromagnet alone."""
     plant = replace(FILE, static_stiffness=None, magnet=MAGNET).levitated()
-    assert plant.loop.force_per_current == pytest.approx(4 * MU_0 * 180**2 * 60e-6 * 0.2 / 0.45e-3**2, rel=1e-12)
+    assert plant.loop.force_per_current == pytest.approx(
+        4 * MU_0 * 180**2 * 60e-6 * 0.2 / 0.45e-3**2, rel=1e-12
+    )
     assert plant.negative_stiffness == magnet_factors(MAGNET).negative_stiffness
-    given = replace(FILE, static_stiffness=None, magnet=MAGNET, force_per_current=5.8, negative_stiffness=1e4).levitated()
+    given = replace(
+        FILE, static_stiffness=None, magnet=MAGNET, force_per_current=5.8, negative_stiffness=1e4
+    ).levitated()
     assert (given.loop.force_per_current, given.negative_stiffness) == (5.8, 1e4)
     assert "no leakage" in replace(FILE, magnet=MAGNET).assumptions()
 
@@ -63,13 +79,19 @@ def test_unstable_loop_is_said_and_has_no_sensitivity() -> None:
     (found,) = MAGNETIC_KIND.coefficients([replace(FILE, loop=ControlLoop(lag=0.25))])
     assert [finding.code for finding in found.findings] == ["unstable-loop"]
     assert "256.4" in found.findings[0].message and found.words["stability"] == "unstable"
-    assert "sensitivity_zone" not in found.words and all(note.name != "sensitivity_peak" for note in found.notes)
+    assert "sensitivity_zone" not in found.words and all(
+        note.name != "sensitivity_peak" for note in found.notes
+    )
 
 
 def test_well_damped_loop_has_no_warning() -> None:
-    """Without the bias field's pull, S is s^2 / (s^2 + 2 z w_0 s + w_0^2) but for the lags, below 1 for z = K k_d / 2 sqrt(K m) = 0.84."""
+    """Without the bias field's pull, S is s^2 / (s^2 + 2 z w_0 s + w_0^2) but for the lags, below 1 for z = K
+    k_d / 2 sqrt(K m) = 0.84.
+    """
     loop = ControlLoop(lag=0.0, derivative=2e-3)
-    (found,) = MAGNETIC_KIND.coefficients([replace(FILE, static_stiffness=None, negative_stiffness=0.0, loop=loop)])
+    (found,) = MAGNETIC_KIND.coefficients(
+        [replace(FILE, static_stiffness=None, negative_stiffness=0.0, loop=loop)]
+    )
     assert found.findings == () and found.words["sensitivity_zone"] == "A"
 
 
@@ -100,11 +122,18 @@ def test_inferred_entries_are_told_and_must_be_entries() -> None:
 
 
 def test_the_shipped_magnet_has_the_published_static_stiffness(root: Path) -> None:
-    """1694 N/m (Lim et al. 2009) from turns, gap, bias current and coercivity as printed; pole area and magnet length are inferred."""
+    """1694 N/m (Lim et al. 2009) from turns, gap, bias current and coercivity as printed.
+
+    Pole area and magnet length are inferred.
+    """
     file = open_bearing(root / "configs/bearings/hmb-geometry.yaml").settings()
     plant = file.levitated()
-    assert dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real == pytest.approx(1694, abs=1)
+    assert dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real == pytest.approx(
+        1694, abs=1
+    )
     assert "pole_area, magnet_length" in file.assumptions()
-    assert (file.magnet.turns, file.magnet.gap, file.magnet.bias_current) == pytest.approx((180, 0.45e-3, 0.2))
+    assert (file.magnet.turns, file.magnet.gap, file.magnet.bias_current) == pytest.approx(
+        (180, 0.45e-3, 0.2)
+    )
     # 9.465 kOe, 1 Oe = 1000 / (4 pi) A/m.
     assert file.magnet.coercivity == pytest.approx(9465 * 1000 / (4 * np.pi), rel=1e-4)

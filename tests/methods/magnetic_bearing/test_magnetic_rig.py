@@ -20,7 +20,9 @@ SILENT = replace(RIG, noise=Noise(0.0, 0.0, 0.0))
 
 def test_the_pedestal_s_recorded_frf_is_its_closed_form() -> None:
     (run,) = simulate(SILENT, 1, ["pedestal"])
-    response = measure([run.recording], FrfSettings(excitation="periodic", period=2.0, skip=7, smooth=0, band=(1.0, 100.0)))
+    response = measure(
+        [run.recording], FrfSettings(excitation="periodic", period=2.0, skip=7, smooth=0, band=(1.0, 100.0))
+    )
     w = 2 * np.pi * response.frequency
     expected = 1 / (134.5e3 - 0.79 * w**2 + 3.682j * w)
     # After 7 periods of 2 s the free decay is down to exp(-zeta w 14 s) = 7e-15 of its start.
@@ -71,11 +73,20 @@ def test_noise_has_the_level_asked_for() -> None:
 
 def test_two_directions_show_the_whole_matrix() -> None:
     runs = simulate(SILENT, 1, ["two-directions-x", "two-directions-y"])
-    response = measure([run.recording for run in runs], FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=0))
+    response = measure(
+        [run.recording for run in runs], FrfSettings(excitation="periodic", period=1.0, skip=0, smooth=0)
+    )
     w = 2 * np.pi * response.frequency[:, None, None]
     stiffness = np.linalg.inv(response.matrix) + 0.92 * w**2 * np.eye(2)
-    np.testing.assert_allclose(stiffness.real, np.broadcast_to(mechanics.COUPLED_STIFFNESS, stiffness.shape), rtol=1e-6)
-    np.testing.assert_allclose((stiffness / w).imag, np.broadcast_to(mechanics.COUPLED_DAMPING, stiffness.shape), rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(
+        stiffness.real, np.broadcast_to(mechanics.COUPLED_STIFFNESS, stiffness.shape), rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        (stiffness / w).imag,
+        np.broadcast_to(mechanics.COUPLED_DAMPING, stiffness.shape),
+        rtol=1e-5,
+        atol=1e-3,
+    )
 
 
 @pytest.mark.parametrize("name", list(RUNS))
@@ -85,7 +96,9 @@ def test_same_seed_same_samples_whatever_else_is_made(name: str) -> None:
     (other,) = simulate(RIG, 8, [name])
 
     def samples(run) -> np.ndarray:  # type: ignore[no-untyped-def]
-        return run.recording.samples if run.recording is not None else np.column_stack(list(run.table.values()))
+        return (
+            run.recording.samples if run.recording is not None else np.column_stack(list(run.table.values()))
+        )
 
     np.testing.assert_array_equal(samples(alone), samples(among))
     assert not np.array_equal(samples(alone), samples(other))

@@ -1,4 +1,6 @@
-"""Poles, argument principle and sensitivity: closed forms, each against the other, and the printed loop of both signs."""
+"""Poles, argument principle and sensitivity: closed forms, each against the other, and the printed loop of
+both signs.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,10 @@ def test_poles_are_zeros_of_the_exact_characteristic_function() -> None:
 @pytest.mark.parametrize("lag", [-0.25, 0.0, 0.25])
 @pytest.mark.parametrize("delay", [0.0, 75e-6, 1e-3, 4e-3])
 def test_argument_principle_counts_the_poles(proportional: float, lag: float, delay: float) -> None:
-    """Pade poles against the exact delay's turn: too soft, stable and delayed loops; no setting lies on the border."""
+    """Pade poles against the exact delay's turn: too soft, stable and delayed loops.
+
+    No setting lies on the border.
+    """
     plant = replace(RIG, loop=replace(RIG.loop, proportional=proportional, lag=lag, delay=delay))
     assert unstable_poles(plant) == np.sum(closed_loop_poles(plant).real > 0)
 
@@ -71,7 +76,9 @@ def test_printed_loop_is_stable_with_the_lag_subtracted_only() -> None:
 
 
 def test_sensitivity_at_rest_is_the_ratio_of_stiffnesses() -> None:
-    """S(0) = -k_n / (K G(0) - k_n): a bearing that is soft at rest is sensitive there, 33106 / 1694 = 19.54."""
+    """S(0) = -k_n / (K G(0) - k_n): a bearing that is soft at rest is sensitive there, 33106 / 1694 =
+    19.54.
+    """
     peak = sensitivity_peak(RIG)
     assert (peak.value, peak.frequency, peak.zone) == (pytest.approx(33106 / 1694, rel=1e-9), 0.0, "D")
     assert abs(sensitivity(RIG, np.array([2 * np.pi * 1e6]))[0]) == pytest.approx(1.0, rel=1e-3)
@@ -87,6 +94,8 @@ def test_peak_of_an_ideal_loop_is_the_one_of_its_closed_form() -> None:
     assert peak.frequency == pytest.approx(w[size.argmax()] / 2 / np.pi, rel=2e-3)
 
 
-@pytest.mark.parametrize(("peak", "zone"), [(1.2, "A"), (2.999, "A"), (3.0, "B"), (4.0, "C"), (5.0, "D"), (40.0, "D")])
+@pytest.mark.parametrize(
+    ("peak", "zone"), [(1.2, "A"), (2.999, "A"), (3.0, "B"), (4.0, "C"), (5.0, "D"), (40.0, "D")]
+)
 def test_zones_of_the_standard(peak: float, zone: str) -> None:
     assert zone_of(peak) == zone

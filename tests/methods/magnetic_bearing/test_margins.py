@@ -1,4 +1,6 @@
-"""Margins by closed forms: a double integrator and an unstable plant under PD, the third-order loop of textbooks, an ideal delay."""
+"""Margins by closed forms: a double integrator and an unstable plant under PD, the third-order loop of
+textbooks, an ideal delay.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,23 @@ import pytest
 
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
-from labpipe.methods.magnetic_bearing.stability import SIGNALS, Levitated, open_loop, sensitivity, unstable_poles
+from labpipe.methods.magnetic_bearing.stability import (
+    SIGNALS,
+    Levitated,
+    open_loop,
+    sensitivity,
+    unstable_poles,
+)
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
 
 K_P, K_D, PULL = 9.0, 2.0, 4.0
 
 
 def test_a_double_integrator_under_pd() -> None:
-    """|L| = 1 at w^4 = k_p^2 + k_d^2 w^2; phase margin atan(k_d w / k_p); no gain makes it unstable, since Im L never vanishes."""
+    """|L| = 1 at w^4 = k_p^2 + k_d^2 w^2; phase margin atan(k_d w / k_p).
+
+    No gain makes it unstable, since Im L never vanishes.
+    """
     found = margins(lambda w: (K_P + 1j * K_D * w) / (1j * np.maximum(w, 1e-9)) ** 2, 1e4)
     crossing = np.sqrt((K_D**2 + np.sqrt(K_D**4 + 4 * K_P**2)) / 2)
     assert found.phase == pytest.approx(np.arctan(K_D * crossing / K_P), rel=1e-9)
@@ -31,13 +42,17 @@ def test_an_unstable_plant_has_a_lower_gain_margin() -> None:
 
 @pytest.mark.parametrize("gain", [3.0, 10.0, 29.0])
 def test_the_third_order_loop(gain: float) -> None:
-    """K / (s (s + 1) (s + 5)): phase -180 deg at w = sqrt 5, where |L| = K / 30 (Ogata, Modern Control Engineering, sec. 7-7)."""
+    """K / (s (s + 1) (s + 5)): phase -180 deg at w = sqrt 5, where |L| = K / 30 (Ogata, Modern Control
+    Engineering, sec. 7-7).
+    """
     found = margins(lambda w: gain / ((1j * w + 1e-300) * (1j * w + 1) * (1j * w + 5)), 1e3)
     assert found.gain_upper == pytest.approx(30 / gain, rel=1e-9)
 
 
 def test_the_disk_is_within_gain_and_phase() -> None:
-    """Disk margin a: gains from (2 - a) / (2 + a) to its inverse are safe, and phases to 2 atan(a / 2) (Seiler et al. 2020)."""
+    """Disk margin a: gains from (2 - a) / (2 + a) to its inverse are safe, and phases to 2 atan(a / 2)
+    (Seiler et al. 2020).
+    """
     found = margins(lambda w: 10 / ((1j * w + 1e-300) * (1j * w + 1) * (1j * w + 5)), 1e3)
     assert (2 + found.disk) / (2 - found.disk) <= found.gain_upper
     assert 2 * np.arctan(found.disk / 2) <= found.phase
@@ -67,7 +82,9 @@ def test_margins_of_a_levitated_mass_are_where_it_becomes_unstable() -> None:
 def test_the_open_loop_is_that_of_the_matrices() -> None:
     """Signals of the closed sampled loop: C, X and I apart against the step matrices that run in time."""
     omega = 2 * np.pi * np.array([10.0, 100.0, 400.0, 3000.0])
-    matrices = sampled_loop(Suspended(PLANT.loop, 33106.0, 0.065), 20e3).response(omega)[:, [1, 2, 3, 0, 4], 2]
+    matrices = sampled_loop(Suspended(PLANT.loop, 33106.0, 0.065), 20e3).response(omega)[
+        :, [1, 2, 3, 0, 4], 2
+    ]
     signals = open_loop(PLANT, omega, 20e3).signals("input")
     np.testing.assert_allclose(np.stack([signals[name] for name in SIGNALS], axis=1), matrices, rtol=1e-9)
     np.testing.assert_allclose(open_loop(PLANT, omega).sensitivity, sensitivity(PLANT, omega), rtol=1e-12)

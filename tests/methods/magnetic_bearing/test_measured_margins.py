@@ -16,17 +16,22 @@ NONE = np.zeros((0, FREQUENCY.size), complex)
 
 
 def of_noise(rng) -> dict[str, tuple[float, float, bool]]:
-    """Value, standard error and whether the interval holds the truth, by name, of L with noise of NOISE in either part."""
-    noisy = TRANSFER + NOISE * (rng.standard_normal(FREQUENCY.size) + 1j * rng.standard_normal(FREQUENCY.size))
+    """Value, standard error and whether the interval holds the truth, by name, of L with noise of NOISE in
+    either part.
+    """
+    noisy = TRANSFER + NOISE * (
+        rng.standard_normal(FREQUENCY.size) + 1j * rng.standard_normal(FREQUENCY.size)
+    )
     found = measured_margins(FREQUENCY, (noisy, np.full(FREQUENCY.size, 2 * NOISE**2)), NONE, 1.96)
     return {one.name: (one.value, one.std_error, one.ci95[0] <= 1 / 0.06 <= one.ci95[1]) for one, _ in found}
 
 
 def test_a_crossing_that_noise_repeats_is_one(rng) -> None:
-    """Im L lies within its noise over a hundred hertz and crosses ten times: the least margin of all these would be too small.
+    """Im L lies within its noise over a hundred hertz and crosses ten times: the least margin of all these
+    would be too small.
 
-    120 draws: mean within 1 % of the closed form 1 / 0.06 (the least of all crossings is 3 % short), intervals of 95 % hold it in 90 %
-    or more.
+    120 draws: mean within 1 % of the closed form 1 / 0.06 (the least of all crossings is 3 % short),
+    intervals of 95 % hold it in 90 % or more.
     """
     drawn = [of_noise(rng).get("measured_gain_margin_upper") for _ in range(120)]
     values, _, held = np.array([one for one in drawn if one is not None]).T

@@ -16,12 +16,16 @@ RIG = VirtualMagneticRig("virtual-magnetic-rig")
 REPEATS = 60
 
 
-@pytest.mark.parametrize(("name", "m", "k", "c"), [("pedestal", 0.79, 134.5e3, 3.682), ("axial", 0.13, 2471.0, 3.108)])
+@pytest.mark.parametrize(
+    ("name", "m", "k", "c"), [("pedestal", 0.79, 134.5e3, 3.682), ("axial", 0.13, 2471.0, 3.108)]
+)
 def test_steady_state_is_the_closed_form_line_by_line(name: str, m: float, k: float, c: float) -> None:
     # Masses, k and c: Lim et al. (2009), sections 4.2 and 6.
     run = ONE_DOF[name](RIG)
     omega = 2 * np.pi * run.force.spacing * run.force.lines
-    motion = linear.steady_state(run.force, 1 / linear.dynamic_stiffness(m, k, c, omega), run.timing.n_sample, 1)
+    motion = linear.steady_state(
+        run.force, 1 / linear.dynamic_stiffness(m, k, c, omega), run.timing.n_sample, 1
+    )
     force = run.force.samples(run.timing.sample_rate, 1)
     measured = np.fft.rfft(motion)[run.force.lines] / np.fft.rfft(force)[run.force.lines]
     np.testing.assert_allclose(measured, 1 / (k - m * omega**2 + 1j * omega * c), rtol=1e-10)
@@ -30,7 +34,8 @@ def test_steady_state_is_the_closed_form_line_by_line(name: str, m: float, k: fl
 
 
 def test_standard_errors_are_the_scatter_of_repeated_runs() -> None:
-    # Weighted means of Re D + m w^2 and Im D / w with D = F/Y over the lines of 60-70 Hz, weights from the known noise.
+    # Weighted means of Re D + m w^2 and Im D / w with D = F/Y over the lines of 60-70 Hz, weights from the
+    # known noise.
     omega = np.pi * np.arange(120, 141)
     exact = 134.5e3 - 0.79 * omega**2 + 3.682j * omega
     weight = 1 / (np.abs(exact) ** 4 * (0.3e-6) ** 2 + np.abs(exact) ** 2 * 0.02**2)
@@ -51,14 +56,18 @@ def test_standard_errors_are_the_scatter_of_repeated_runs() -> None:
 def test_standard_errors_follow_noise_and_stiffness_slope() -> None:
     once = expected_std_error(RIG, "pedestal", (60.0, 70.0))
     tripled = replace(RIG, noise=Noise(3 * 0.3e-6, 3 * 0.02, 1e-6))
-    assert expected_std_error(tripled, "pedestal", (60.0, 70.0)) == pytest.approx({name: 3 * error for name, error in once.items()})
-    # dH/dc = j w dH/dk: the two errors differ by w, which is nearly w_n = 412.6 rad/s where the information is.
+    assert expected_std_error(tripled, "pedestal", (60.0, 70.0)) == pytest.approx(
+        {name: 3 * error for name, error in once.items()}
+    )
+    # dH/dc = j w dH/dk: the two errors differ by w, which is nearly w_n = 412.6 rad/s where the information
+    # is.
     assert once["k"] / once["c"] == pytest.approx(412.6, rel=0.01)
 
 
 def test_damping_is_lost_in_noise_only_when_force_noise_drowns_the_lines() -> None:
-    # The source calls c insignificant, |t| < 2. White noise does that only from 1.58 N of force noise on: a line of 0.0301 N then
-    # carries 2 * 1.58 / sqrt(5 * 2000) = 0.0316 N of noise after averaging, so that no line is found at all.
+    # The source calls c insignificant, |t| < 2. White noise does that only from 1.58 N of force noise on: a
+    # line of 0.0301 N then carries 2 * 1.58 / sqrt(5 * 2000) = 0.0316 N of noise after averaging, so that no
+    # line is found at all.
     loud = replace(RIG, noise=Noise(0.3e-6, 1.58, 1e-6))
     assert 3.682 / expected_std_error(loud, "pedestal", (60.0, 70.0))["c"] == pytest.approx(2.0, rel=5e-3)
     assert linear.line_amplitude(ONE_DOF["pedestal"](loud).force) < 2 * 1.58 / np.sqrt(5 * 2000)
@@ -72,7 +81,9 @@ def test_damping_is_lost_in_noise_only_when_force_noise_drowns_the_lines() -> No
         (replace(RIG, noise=Noise(0.0, 0.0, 0.0)), "pedestal", (60.0, 70.0), "without noise"),
     ],
 )
-def test_what_has_no_standard_error_is_refused(rig: VirtualMagneticRig, name: str, band: tuple[float, float], what: str) -> None:
+def test_what_has_no_standard_error_is_refused(
+    rig: VirtualMagneticRig, name: str, band: tuple[float, float], what: str
+) -> None:
     with pytest.raises(ConfigError, match=what):
         expected_std_error(rig, name, band)
 
@@ -82,7 +93,8 @@ def test_static_force_has_the_published_slope() -> None:
     assert run.table is not None
     displacement, force = (np.asarray(column) for column in run.table.values())
     near = displacement <= 45
-    # 1694 N/m over 45 um, Lim et al. (2009), section 2.2; the bend takes 0.6-2.3 % away, noise of 0.2 mN adds 2 N/m.
+    # 1694 N/m over 45 um, Lim et al. (2009), section 2.2; the bend takes 0.6-2.3 % away, noise of 0.2 mN adds
+    # 2 N/m.
     slope = np.sum(displacement[near] * force[near]) / np.sum(displacement[near] ** 2) * 1e6
     assert 1694 * 0.977 - 6 < slope < 1694 + 6
 

@@ -21,11 +21,15 @@ from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured
 
-ASKED = CompareSettings(kind="prediction", fit="sliding", theory=TheorySettings("hmb.yaml", "loop.proportional"), name="loop")
+ASKED = CompareSettings(
+    kind="prediction", fit="sliding", theory=TheorySettings("hmb.yaml", "loop.proportional"), name="loop"
+)
 GEOMETRY = bearing("hmb-geometry")
 
 
-def predicted(file: MagneticFile, rng: np.random.Generator, truth: MagneticFile = GEOMETRY, **settings) -> Comparison:
+def predicted(
+    file: MagneticFile, rng: np.random.Generator, truth: MagneticFile = GEOMETRY, **settings
+) -> Comparison:
     view = replace(measured(truth, rng, fits=True), file=file)
     return prediction(replace(ASKED, **settings), [view])
 
@@ -47,14 +51,23 @@ def test_another_loop_does_not(rng: np.random.Generator) -> None:
     assert found.amount("chi2_p").value < 1e-6
 
 
-def test_the_prediction_is_the_same_fit_of_the_theory_and_not_its_value_at_the_centre(rng: np.random.Generator) -> None:
-    """Without noise both fits are one, which the values at the centres are not where k(f) bends: 3 % in the lowest band."""
+def test_the_prediction_is_the_same_fit_of_the_theory_and_not_its_value_at_the_centre(
+    rng: np.random.Generator,
+) -> None:
+    """Without noise both fits are one, which the values at the centres are not where k(f) bends: 3 % in the
+    lowest band.
+    """
     view = measured(GEOMETRY, rng, noise=1e-6, fits=True)
-    stiffness = np.array([[fit.parameter("k").value for fit in fits] for fits in (view.fits, predicted_fits(view, GEOMETRY))])
+    stiffness = np.array(
+        [[fit.parameter("k").value for fit in fits] for fits in (view.fits, predicted_fits(view, GEOMETRY))]
+    )
     # What is left is the support, drawn within 100 N/m for both bearings.
     np.testing.assert_allclose(stiffness[0], stiffness[1], atol=200)
     plant, centre = GEOMETRY.levitated(), 2 * np.pi * np.array([view.fits[0].centre_hz])
-    assert abs(stiffness[1, 0] / dynamic_stiffness(plant.loop, plant.negative_stiffness, centre)[0].real - 1) > 0.03
+    assert (
+        abs(stiffness[1, 0] / dynamic_stiffness(plant.loop, plant.negative_stiffness, centre)[0].real - 1)
+        > 0.03
+    )
 
 
 def test_unknowns_are_fitted_and_the_bands_judged_again(rng: np.random.Generator) -> None:
@@ -64,7 +77,9 @@ def test_unknowns_are_fitted_and_the_bands_judged_again(rng: np.random.Generator
     assert gap.ci95 is not None and gap.ci95[0] <= 0.45e-3 <= gap.ci95[1] < 0.47e-3
     assert found.amount("share_k").value < found.amount("share_k_fitted").value
     assert found.correlations[0][:2] == ("delay", "gap")
-    assert all(len(curve.matched) == len(curve.theory) == len(curve.frequency) > 200 for curve in found.curves)
+    assert all(
+        len(curve.matched) == len(curve.theory) == len(curve.frequency) > 200 for curve in found.curves
+    )
 
 
 def test_unknowns_that_cannot_be_told_apart_are_said(rng: np.random.Generator) -> None:
@@ -114,9 +129,15 @@ def test_tests_under_several_gains_are_predicted_each_by_its_own(rng: np.random.
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"parameter": "k_yy"}, "no 'k_yy'"), ({"parameter": "m"}, "no 'm'"), ({"estimate": ("gab",)}, "'gab' is no unknown")],
+    [
+        ({"parameter": "k_yy"}, "no 'k_yy'"),
+        ({"parameter": "m"}, "no 'm'"),
+        ({"estimate": ("gab",)}, "'gab' is no unknown"),
+    ],
 )
-def test_what_cannot_be_predicted_is_said(settings: dict[str, object], message: str, rng: np.random.Generator) -> None:
+def test_what_cannot_be_predicted_is_said(
+    settings: dict[str, object], message: str, rng: np.random.Generator
+) -> None:
     with pytest.raises(ConfigError, match=message):
         predicted(GEOMETRY, rng, **settings)
 
@@ -128,9 +149,18 @@ def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator
     blocks = comparison_blocks(found, ())
     figure, _of_shares = (block for block in blocks if isinstance(block, Figure))
     above, middle, below = figure.graphic.panels
-    assert above.y.label == "k [kN/m]" and middle.y.label == "c [N s/m]" and "measured / predicted" in below.y.label
+    assert (
+        above.y.label == "k [kN/m]"
+        and middle.y.label == "c [N s/m]"
+        and "measured / predicted" in below.y.label
+    )
     assert above.series[0].y[0] == pytest.approx(found.bands[0].value / 1e3)
-    assert [series.name for series in above.series] == ["measured", "predicted", "loop", "with the fitted unknowns"]
+    assert [series.name for series in above.series] == [
+        "measured",
+        "predicted",
+        "loop",
+        "with the fitted unknowns",
+    ]
     tables = [block for block in blocks if isinstance(block, Table)]
     gap = next(row for row in tables[0].rows if row[0] == "gap")
     delay = next(row for row in tables[0].rows if row[0] == "delay")
@@ -143,6 +173,10 @@ def test_a_prediction_survives_its_file_and_is_reported(rng: np.random.Generator
 
 def test_bands_that_miss_are_marked(rng: np.random.Generator) -> None:
     found = predicted(with_unknowns(GEOMETRY, {"proportional": 1.1}), rng)
-    table = next(block for block in comparison_blocks(found, ()) if isinstance(block, Table) and block.header[0] == "band [Hz]")
+    table = next(
+        block
+        for block in comparison_blocks(found, ())
+        if isinstance(block, Table) and block.header[0] == "band [Hz]"
+    )
     marked = [row[1].endswith("*") for row in table.rows]
     assert marked == [not band.holds for band in found.bands if band.parameter == "k"]

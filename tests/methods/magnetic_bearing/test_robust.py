@@ -1,4 +1,6 @@
-"""The band for robust control design: closed forms of its radius, the state space, the overbound, coverage, files."""
+"""The band for robust control design: closed forms of its radius, the state space, the overbound, coverage,
+files.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,28 @@ ROTOR = Rotor(frequency=np.arange(5.0, 151.0, 5.0))
 
 @pytest.mark.parametrize(("dof", "count"), [(6.0, 1), (19.0, 60)])
 def test_the_radius_is_a_quantile_of_f(dof: float, count: int) -> None:
-    """|e|^2 / var of *dof* complex degrees of freedom is F with 2 and 2 dof; of a known variance exponential."""
-    assert scatter_radius(dof, count, 0.95) ** 2 == pytest.approx(stats.f.ppf(0.95 ** (1 / count), 2, 2 * dof), rel=1e-9)
-    assert scatter_radius(np.inf, count, 0.95) ** 2 == pytest.approx(stats.expon.ppf(0.95 ** (1 / count)), rel=1e-9)
+    """|e|^2 / var of *dof* complex degrees of freedom is F with 2 and 2 dof.
+
+    Of a known variance exponential.
+    """
+    assert scatter_radius(dof, count, 0.95) ** 2 == pytest.approx(
+        stats.f.ppf(0.95 ** (1 / count), 2, 2 * dof), rel=1e-9
+    )
+    assert scatter_radius(np.inf, count, 0.95) ** 2 == pytest.approx(
+        stats.expon.ppf(0.95 ** (1 / count)), rel=1e-9
+    )
 
 
 def test_the_state_space_is_the_fitted_plant() -> None:
     plant = fitted(COUPLED.spectra(np.random.default_rng(1))).detail(RobustPlant)
     s = 2j * np.pi * plant.frequency[:, None, None]
-    response = plant.c @ np.linalg.solve(s * np.eye(4) - plant.a, np.broadcast_to(plant.b.astype(complex), (s.shape[0], 4, 2))) + plant.d
+    response = (
+        plant.c
+        @ np.linalg.solve(
+            s * np.eye(4) - plant.a, np.broadcast_to(plant.b.astype(complex), (s.shape[0], 4, 2))
+        )
+        + plant.d
+    )
     np.testing.assert_allclose(response, plant.nominal, rtol=1e-9)
 
 
@@ -58,7 +73,12 @@ def test_the_band_is_exported_and_reported(tmp_path: Path) -> None:
     stored = io.loadmat(tmp_path / "plant.mat")
     np.testing.assert_allclose(stored["A"], fit.detail(RobustPlant).a)
     assert stored["weight"].shape == (60, 2, 2)
-    figures = [block for section in build(Identification((fit,))).sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [
+        block
+        for section in build(Identification((fit,))).sections
+        for block in section.blocks
+        if isinstance(block, Figure)
+    ]
     assert any("weight: radius" in figure.caption for figure in figures)
 
 

@@ -1,4 +1,6 @@
-"""The sampled loop against its twin in the frequency domain, and against a loop written out sample by sample."""
+"""The sampled loop against its twin in the frequency domain, and against a loop written out sample by
+sample.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,19 @@ OMEGA = 2 * np.pi * np.array([2.0, 20.0, 50.0, 100.0, 150.0, 250.0])
 
 @pytest.mark.parametrize(
     "loop",
-    [LOOP, replace(LOOP, delay=60e-6), replace(LOOP, delay=25e-6), replace(LOOP, delay=130e-6), replace(LOOP, sensor_bandwidth=2e3)],
+    [
+        LOOP,
+        replace(LOOP, delay=60e-6),
+        replace(LOOP, delay=25e-6),
+        replace(LOOP, delay=130e-6),
+        replace(LOOP, sensor_bandwidth=2e3),
+    ],
 )
 def test_stiffness_and_damping_are_those_of_the_frequency_domain(loop: ControlLoop) -> None:
-    """K_eq + j w C_eq from the receptance in time. The bilinear PID departs by (w T)^2 / 12 = 5e-4 at 250 Hz."""
+    """K_eq + j w C_eq from the receptance in time.
+
+    The bilinear PID departs by (w T)^2 / 12 = 5e-4 at 250 Hz.
+    """
     motion = 1 / sampled_loop(replace(RIG, loop=loop)).response(OMEGA)[:, 0, 0]
     if loop.sensor_bandwidth is not None:
         motion /= 1 + 1j * OMEGA * loop.corners[1]  # the reading lags behind the motion
@@ -40,7 +51,10 @@ def test_the_sensitivity_is_that_of_the_frequency_domain() -> None:
 
 
 def test_matrices_do_what_the_block_diagram_does(rng: np.random.Generator) -> None:
-    """PID, one interval of computing and the hold written out; the motion by 200 Euler-Cromer steps per interval, hence 1 %."""
+    """PID, one interval of computing and the hold written out.
+
+    The motion by 200 Euler-Cromer steps per interval, hence 1 %.
+    """
     force, noise = rng.normal(size=120), 1e-6 * rng.normal(size=120)
     inputs = np.stack([force[:-1], force[1:], noise[:-1], np.zeros(119)], axis=1)[:, None]
     ours = sampled_loop(ROTOR).run(inputs)[:, 0, 0]
@@ -63,7 +77,10 @@ def test_matrices_do_what_the_block_diagram_does(rng: np.random.Generator) -> No
 
 @pytest.mark.parametrize("delay", [25e-6, 75e-6, 230e-6])
 def test_two_directions_without_a_cross_term_have_the_poles_of_one_twice(delay: float) -> None:
-    """Of the loop of one direction, whose matrices are held against the block diagram; up to four samples wait for their turn."""
+    """Of the loop of one direction, whose matrices are held against the block diagram.
+
+    Up to four samples wait for their turn.
+    """
     rotor = replace(ROTOR, loop=replace(LOOP, delay=delay))
     one, both = (np.linalg.eigvals(a) for a in (sampled_loop(rotor).a, sampled_matrix(rotor, 20e3)))
     assert both.size == 2 * one.size
@@ -89,7 +106,8 @@ def test_a_straight_force_has_sinc_squared_of_its_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"), [({"delay": 10e-6}, "shorter than half a sampling interval"), ({"derivative_time": 0.0}, "above zero")]
+    ("change", "message"),
+    [({"delay": 10e-6}, "shorter than half a sampling interval"), ({"derivative_time": 0.0}, "above zero")],
 )
 def test_what_cannot_be_sampled_is_said(change: dict[str, float], message: str) -> None:
     with pytest.raises(ConfigError, match=message):

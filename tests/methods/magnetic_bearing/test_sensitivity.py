@@ -1,4 +1,6 @@
-"""Measured sensitivity of a loop: from two points of the loop, its peak without bias, its interval, its zone."""
+"""Measured sensitivity of a loop: from two points of the loop, its peak without bias, its interval, its
+zone.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +32,29 @@ FINE = np.linspace(10, 1000, 100_000)
 TRUE_PEAK = float(np.max(np.abs(sensitivity(FILE.levitated(), 2 * np.pi * FINE))))
 
 
-def response(rng: np.random.Generator, noise: float = 0.02, seen: complex = 1.0, frequency: np.ndarray = FREQUENCY) -> FrequencyResponse:
-    """after/e = S and before/e = S - 1 with noise that both share in part; *seen*: what the record of the excitation makes of it."""
+def response(
+    rng: np.random.Generator, noise: float = 0.02, seen: complex = 1.0, frequency: np.ndarray = FREQUENCY
+) -> FrequencyResponse:
+    """after/e = S and before/e = S - 1 with noise that both share in part; *seen*: what the record of the
+    excitation makes of it.
+    """
     true = sensitivity(FILE.levitated(), 2 * np.pi * frequency)
     mixed = noise * np.array([[1.0, 0.0], [0.8, 0.6]])
-    drawn = (rng.normal(size=(frequency.size, 2)) + 1j * rng.normal(size=(frequency.size, 2))) / np.sqrt(2) @ mixed.T
+    drawn = (
+        (rng.normal(size=(frequency.size, 2)) + 1j * rng.normal(size=(frequency.size, 2)))
+        / np.sqrt(2)
+        @ mixed.T
+    )
     matrix = np.stack([true - 1, true], axis=1) + drawn
     ports = tuple(Port(name, name, name) for name in ("before", "after"))
     covariance = np.broadcast_to(mixed @ mixed.T, (frequency.size, 2, 2)).astype(complex)
     return FrequencyResponse(
-        frequency, (matrix / seen)[:, :, None], ports, (Port("e", "e", "e"),), form="other", covariance=covariance / abs(seen) ** 2
+        frequency,
+        (matrix / seen)[:, :, None],
+        ports,
+        (Port("e", "e", "e"),),
+        form="other",
+        covariance=covariance / abs(seen) ** 2,
     )
 
 
@@ -53,13 +68,18 @@ def test_intervals_of_the_lines_hold_the_truth(rng: np.random.Generator) -> None
 
 @pytest.mark.parametrize("seen", [1.0, 0.5, np.exp(-0.7j)])
 def test_gain_and_delay_of_the_recorded_excitation_do_not_matter(seen: complex) -> None:
-    plain, other = (measured_sensitivity(response(np.random.default_rng(5), seen=each), "before", "after") for each in (1.0, seen))
+    plain, other = (
+        measured_sensitivity(response(np.random.default_rng(5), seen=each), "before", "after")
+        for each in (1.0, seen)
+    )
     np.testing.assert_allclose(other.values, plain.values)
     np.testing.assert_allclose(other.error, plain.error)
 
 
 def test_the_peak_is_free_of_bias_and_its_interval_holds_it(rng: np.random.Generator) -> None:
-    """100 noises of 5 %: the highest line is too high on average by more than four of the peak's mean errors, the peak is not."""
+    """100 noises of 5 %: the highest line is too high on average by more than four of the peak's mean errors,
+    the peak is not.
+    """
     peaks, highest, held = [], [], 0
     for _ in range(100):
         measured = measured_sensitivity(response(rng, 0.05), "before", "after")
@@ -106,9 +126,15 @@ def test_an_unstable_prediction_is_said(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"), [({"before": "voltage"}, "no response 'voltage'"), ({"before": "after"}, "under one excitation are needed")]
+    ("settings", "message"),
+    [
+        ({"before": "voltage"}, "no response 'voltage'"),
+        ({"before": "after"}, "under one excitation are needed"),
+    ],
 )
-def test_points_that_are_not_there_are_said(settings: dict[str, str], message: str, rng: np.random.Generator) -> None:
+def test_points_that_are_not_there_are_said(
+    settings: dict[str, str], message: str, rng: np.random.Generator
+) -> None:
     with pytest.raises(ConfigError, match=message):
         loop_sensitivity(replace(ASKED, **settings), response(rng), None)
 
@@ -135,7 +161,10 @@ def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
 
 
 def test_unknowns_are_fitted_to_it_within_their_uncertainty(rng: np.random.Generator) -> None:
-    """Gap, delay and bandwidth over 100 noises, from a file that has them 3 to 20 % wrong; the binomial at 1 in 1000."""
+    """Gap, delay and bandwidth over 100 noises, from a file that has them 3 to 20 % wrong.
+
+    The binomial at 1 in 1000.
+    """
     truth = {"gap": 0.45e-3, "delay": 75e-6, "bandwidth": 1000.0}
     start = with_unknowns(bearing("hmb-geometry"), {"gap": 0.465e-3, "delay": 60e-6, "bandwidth": 1100.0})
     asked = replace(ASKED, estimate=tuple(truth), theory=TheorySettings("hmb.yaml"))

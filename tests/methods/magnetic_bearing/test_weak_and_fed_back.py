@@ -1,4 +1,6 @@
-"""What is no injection, and what is too weak to be one: from raw files of a rig of its own with k_i = 120 N/A and k_s = -420 kN/m."""
+"""What is no injection, and what is too weak to be one: from raw files of a rig of its own with k_i = 120 N/A
+and k_s = -420 kN/m.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def fitted(labpipe_without_report, tmp_path: Path):
     """How the command ended, and the fit as a dictionary; None where there is none."""
 
     def run(axis: Axis, columns: dict[str, np.ndarray], frf: str, fit: str, channels: str = "{}"):
-        kind = {"kind": "random", "length": "block"} if axis.random else {"kind": "periodic", "length": "period"}
+        kind = (
+            {"kind": "random", "length": "block"} if axis.random else {"kind": "periodic", "length": "period"}
+        )
         written(tmp_path, axis, columns)
         file = fit_pipeline(tmp_path, frf.format(**kind, more=""), fit, channels)
         ended = labpipe_without_report("run", file, "-o", tmp_path / "out")
@@ -42,18 +46,27 @@ def test_a_command_beside_the_injection_is_no_drive(fitted) -> None:
     """Both have the role reference; which of them comes from outside only the user knows."""
     columns = RANDOM.record(np.random.default_rng(2))
     ended, _ = fitted(RANDOM, columns, SIDE_BY_SIDE, MAGNET)
-    assert ended.code == 2 and "name what is injected from outside" in ended.err and "reference: e" in ended.err
+    assert (
+        ended.code == 2 and "name what is injected from outside" in ended.err and "reference: e" in ended.err
+    )
     ended, fit = fitted(RANDOM, columns, SIDE_BY_SIDE.replace("spectra", "spectra, reference: e"), MAGNET)
     k_i = fit["parameters"][0]
     assert ended.code == 0 and k_i["ci95"][0] < 120 < k_i["ci95"][1]
     pushed = RANDOM.other(disturbance=10.0)
-    ended, fit = fitted(pushed, pushed.record(np.random.default_rng(2)), SIDE_BY_SIDE.replace("spectra", "spectra, reference: u"), MAGNET)
+    ended, fit = fitted(
+        pushed,
+        pushed.record(np.random.default_rng(2)),
+        SIDE_BY_SIDE.replace("spectra", "spectra, reference: u"),
+        MAGNET,
+    )
     assert ended.code == 1 and "feedback" in codes(fit)
 
 
 @pytest.mark.parametrize(("axis", "rms"), [(RANDOM, 2e-4), (PERIODIC, 1e-3)])
 @pytest.mark.parametrize(("frf", "fit", "channels"), [(SIDE_BY_SIDE, MAGNET, "{}"), (FRF, SDOF, FORCE)])
-def test_an_injection_far_too_weak_is_refused(fitted, axis: Axis, rms: float, frf: str, fit: str, channels: str) -> None:
+def test_an_injection_far_too_weak_is_refused(
+    fitted, axis: Axis, rms: float, frf: str, fit: str, channels: str
+) -> None:
     weak = axis.other(rms=rms)
     more = frf.replace("spectra", "spectra, reference: e") if axis.random else frf
     ended, _ = fitted(weak, weak.record(np.random.default_rng(4)), more, fit, channels)

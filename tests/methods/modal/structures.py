@@ -18,7 +18,9 @@ REFERENCES = (3, 30, 61)
 
 @dataclass(frozen=True)
 class Structure:
-    """Accelerance (n_line, n_point, 3) without noise, and the poles [rad/s] and shapes (n_mode, n_point) inside the band."""
+    """Accelerance (n_line, n_point, 3) without noise, and the poles [rad/s] and shapes (n_mode, n_point)
+    inside the band.
+    """
 
     frequency: np.ndarray
     matrix: np.ndarray
@@ -29,12 +31,17 @@ class Structure:
         """With circular noise of *level* times the root mean square of each FRF."""
         rng = np.random.default_rng(1000 + seed)
         std = level * np.sqrt(np.mean(np.abs(self.matrix) ** 2, axis=0))
-        return self.matrix + std * (rng.normal(size=self.matrix.shape) + 1j * rng.normal(size=self.matrix.shape)) / np.sqrt(2)
+        return self.matrix + std * (
+            rng.normal(size=self.matrix.shape) + 1j * rng.normal(size=self.matrix.shape)
+        ) / np.sqrt(2)
 
 
 @lru_cache(maxsize=8)
 def nine_modes(n_point: int = 79, n_line: int = 1501, seed: int = 0) -> Structure:
-    """Nine slightly complex modes in 10-160 Hz, two of them 1 % apart, and six real modes outside; three references."""
+    """Nine slightly complex modes in 10-160 Hz, two of them 1 % apart, and six real modes outside.
+
+    Three references.
+    """
     rng = np.random.default_rng(seed)
     frequency = np.linspace(10.0, 160.0, n_line)
     s = 2j * np.pi * frequency
@@ -45,13 +52,17 @@ def nine_modes(n_point: int = 79, n_line: int = 1501, seed: int = 0) -> Structur
     for number, (f, zeta) in enumerate([*zip(FREQUENCIES, DAMPING, strict=True), *OUTSIDE]):
         w = 2 * np.pi * f
         pole = -zeta * w + 1j * w * np.sqrt(1 - zeta**2)
-        shape = np.sin((number % 9 + 1) * np.pi * place * 0.93 + 0.3 * number) + 0.3 * rng.normal(size=n_point)
+        shape = np.sin((number % 9 + 1) * np.pi * place * 0.93 + 0.3 * number) + 0.3 * rng.normal(
+            size=n_point
+        )
         if number < FREQUENCIES.size:
             shape = shape * np.exp(0.06j * rng.normal(size=n_point))
             poles.append(pole)
             shapes.append(shape)
         residue = shape[:, None] * shape[references] / (2j * w)
-        matrix += (s**2)[:, None, None] * (residue / (s - pole)[:, None, None] + residue.conj() / (s - pole.conjugate())[:, None, None])
+        matrix += (s**2)[:, None, None] * (
+            residue / (s - pole)[:, None, None] + residue.conj() / (s - pole.conjugate())[:, None, None]
+        )
     matrix.flags.writeable = False
     return Structure(frequency, matrix, np.array(poles), np.array(shapes))
 
@@ -62,7 +73,9 @@ def response_of(structure: Structure, matrix: np.ndarray) -> FrequencyResponse:
     outputs = tuple(Port(f"p{point}", f"p{point}", f"p{point}") for point in range(n_point))
     places = [reference * n_point // 79 for reference in REFERENCES[: matrix.shape[2]]]
     inputs = tuple(Port(f"f{place}", f"f{place}", f"p{place}") for place in places)
-    return FrequencyResponse(structure.frequency, matrix, outputs, inputs, form="accelerance", name="nine modes")
+    return FrequencyResponse(
+        structure.frequency, matrix, outputs, inputs, form="accelerance", name="nine modes"
+    )
 
 
 def chain(n_dof: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -87,20 +100,26 @@ BEAM_FREQUENCIES, BEAM_DAMPING, BEAM_POINTS = np.array([20.0, 80.0, 180.0]), 0.0
 
 
 def beam_shapes() -> np.ndarray:
-    """sin(n pi x / l) of a beam on two hinges at nine points between them, (n_point, 3), the largest 1 (Euler-Bernoulli)."""
+    """sin(n pi x / l) of a beam on two hinges at nine points between them, (n_point, 3), the largest 1
+    (Euler-Bernoulli).
+    """
     place = np.arange(1, BEAM_POINTS + 1) / (BEAM_POINTS + 1)
     shapes = np.sin(np.pi * place[:, None] * np.arange(1, 4))
     return shapes / np.max(np.abs(shapes), axis=0)
 
 
 def beam(seed: int, detuned: float = 0.0) -> FrequencyResponse:
-    """Receptance of this beam along z under a force at its second point, 1 % noise; f_n in the ratio 1 : 4 : 9, lower by *detuned*."""
+    """Receptance of this beam along z under a force at its second point, 1 % noise; f_n in the ratio 1 : 4 :
+    9, lower by *detuned*.
+    """
     frequency = np.arange(10.0, 230.0, 0.25)
     w, w_n, shapes = 2 * np.pi * frequency, 2 * np.pi * BEAM_FREQUENCIES * (1 - detuned), beam_shapes()
     modal = 1 / (w_n**2 - w[:, None] ** 2 + 2j * BEAM_DAMPING * w_n * w[:, None])
     matrix = (modal @ (shapes * shapes[1]).T)[:, :, None]
     noise = np.random.default_rng(seed).normal(size=(2, *matrix.shape))
-    matrix = matrix + 0.01 * np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0)) * (noise[0] + 1j * noise[1]) / np.sqrt(2)
+    matrix = matrix + 0.01 * np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0)) * (
+        noise[0] + 1j * noise[1]
+    ) / np.sqrt(2)
     outputs = tuple(Port(f"{n}.z", f"{n}.z", f"{n}.z") for n in range(1, BEAM_POINTS + 1))
     return FrequencyResponse(frequency, matrix, outputs, (Port("f", "f", "2.z"),), name="beam")
 

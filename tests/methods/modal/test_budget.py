@@ -1,4 +1,6 @@
-"""What uncertainties of sensors and of a given mass do to modes, against whole refits of data with the number off."""
+"""What uncertainties of sensors and of a given mass do to modes, against whole refits of data with the number
+off.
+"""
 
 from __future__ import annotations
 
@@ -29,21 +31,38 @@ def uncertain(known: bool) -> FrequencyResponse:
     response = chain_response(np.linspace(5, 120, 200))
     rng = np.random.default_rng(5)
     std = 2e-8
-    noise = std * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape)) / np.sqrt(2)
+    noise = (
+        std
+        * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape))
+        / np.sqrt(2)
+    )
     uncertainties = (ChannelUncertainty("gain", GAIN),), (ChannelUncertainty("delay", DELAY),)
-    outputs = tuple(replace(port, uncertainties=of_port) for port, of_port in zip(response.outputs, uncertainties, strict=False))
+    outputs = tuple(
+        replace(port, uncertainties=of_port)
+        for port, of_port in zip(response.outputs, uncertainties, strict=False)
+    )
     # A mass that moves with the structure and is taken off by a sum: dH = H (w^2 dm) H.
     omega = 2 * np.pi * response.frequency[:, None, None]
     change = 5e-5 * omega**2 * response.matrix[:, :, :1] @ response.matrix[:, :1, :]
     covariance = uncorrelated(np.full(response.matrix.shape, std**2)) if known else None
-    return replace(response, matrix=response.matrix + noise, outputs=outputs, covariance=covariance, errors=(MatrixError(NUMBER, change),))
+    return replace(
+        response,
+        matrix=response.matrix + noise,
+        outputs=outputs,
+        covariance=covariance,
+        errors=(MatrixError(NUMBER, change),),
+    )
 
 
 def with_error(response: FrequencyResponse, source: Uncertainty, sign: float) -> FrequencyResponse:
     """The response as it were with the number off by one standard uncertainty."""
     if source is NUMBER:
         return replace(response, matrix=response.matrix + sign * response.errors[0].change)
-    row, factor = (0, 1 - sign * 0.01) if source is GAIN else (1, np.exp(2j * np.pi * response.frequency * sign * 5e-5)[:, None])
+    row, factor = (
+        (0, 1 - sign * 0.01)
+        if source is GAIN
+        else (1, np.exp(2j * np.pi * response.frequency * sign * 5e-5)[:, None])
+    )
     matrix = response.matrix.copy()
     matrix[:, row] *= factor
     return replace(response, matrix=matrix)
@@ -51,11 +70,18 @@ def with_error(response: FrequencyResponse, source: Uncertainty, sign: float) ->
 
 @pytest.mark.parametrize("known", [True, False])
 def test_changes_are_those_of_refits(known: bool) -> None:
-    """To 2 % of the combined uncertainty (Gauss-Newton's form); without known noise the fit weighs its elements by their residual."""
+    """To 2 % of the combined uncertainty (Gauss-Newton's form).
+
+    Without known noise the fit weighs its elements by their residual.
+    """
     response = uncertain(known)
     fit = modal(response)
     budget = fit.budget
-    assert budget is not None and {uncertainty.source for uncertainty in budget.sources} == {GAIN.source, DELAY.source, NUMBER.source}
+    assert budget is not None and {uncertainty.source for uncertainty in budget.sources} == {
+        GAIN.source,
+        DELAY.source,
+        NUMBER.source,
+    }
     for source in (GAIN, DELAY, NUMBER) if known else (NUMBER,):
         ends = [modal(with_error(response, source, sign)) for sign in (1.0, -1.0)]
         for name, combined in zip(budget.names, budget.combined, strict=True):
@@ -64,7 +90,10 @@ def test_changes_are_those_of_refits(known: bool) -> None:
 
 
 def oblique(of_force: bool) -> FrequencyResponse:
-    """Two modes at 20 and 70 deg, 30 and 47 Hz, seen and driven along x and y; one sensor or force with an uncertainty of its direction."""
+    """Two modes at 20 and 70 deg, 30 and 47 Hz, seen and driven along x and y.
+
+    One sensor or force with an uncertainty of its direction.
+    """
     frequency = np.linspace(15, 80, 400)
     w = 2 * np.pi * frequency
     matrix = np.zeros((w.size, 2, 2), complex)
@@ -74,17 +103,29 @@ def oblique(of_force: bool) -> FrequencyResponse:
         matrix += (1 / mass / (w_n**2 - w**2 + 2j * zeta * w_n * w))[:, None, None] * np.outer(shape, shape)
     rng, std = np.random.default_rng(3), 2e-9
     noise = std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
-    uncertainties = [(ChannelUncertainty("direction", TURNED),) if (n, of_force) in ((0, True), (1, False)) else () for n in (0, 1)]
+    uncertainties = [
+        (ChannelUncertainty("direction", TURNED),) if (n, of_force) in ((0, True), (1, False)) else ()
+        for n in (0, 1)
+    ]
     outputs = tuple(
-        Port(n, n, n, a, () if of_force else d) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True)
+        Port(n, n, n, a, () if of_force else d)
+        for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True)
     )
-    inputs = tuple(Port(n, n, n, a, d if of_force else ()) for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True))
-    return FrequencyResponse(frequency, matrix + noise, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+    inputs = tuple(
+        Port(n, n, n, a, d if of_force else ())
+        for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True)
+    )
+    return FrequencyResponse(
+        frequency, matrix + noise, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, std**2))
+    )
 
 
 @pytest.mark.parametrize("of_force", [True, False])
 def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
-    """A sensor or force at the angle d sees cos d and sin d of the two directions; to 2 % of the combined uncertainty."""
+    """A sensor or force at the angle d sees cos d and sin d of the two directions.
+
+    To 2 % of the combined uncertainty.
+    """
     response = oblique(of_force)
     budget = modal(response).budget
     assert budget is not None
@@ -98,11 +139,19 @@ def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
     for name, combined in zip(budget.names, budget.combined, strict=True):
         expected = (ends[0].parameter(name).value - ends[1].parameter(name).value) / 2
         assert budget.change_by("port.dof", name) == pytest.approx(expected, abs=0.02 * combined)
-    assert max(abs(budget.change_by("port.dof", name)) / budget.combined[budget.names.index(name)] for name in ("m_1", "m_2")) > 0.5
+    assert (
+        max(
+            abs(budget.change_by("port.dof", name)) / budget.combined[budget.names.index(name)]
+            for name in ("m_1", "m_2")
+        )
+        > 0.5
+    )
 
 
 def test_a_gain_moves_masses_and_no_frequencies() -> None:
-    """Closed form: H (1 - d) in the driving row has the poles that it had, and 1 / (1 - d) times the modal mass."""
+    """Closed form: H (1 - d) in the driving row has the poles that it had, and 1 / (1 - d) times the modal
+    mass.
+    """
     budget, fit = (one := modal(uncertain(True))).budget, one
     assert budget is not None
     assert budget.change_by(GAIN.source, "m_1") / fit.parameter("m_1").value == pytest.approx(0.01, rel=0.01)
@@ -117,4 +166,6 @@ def test_a_given_mass_stands_beside_the_sensors() -> None:
     for name in ("k_1", "c_1"):
         assert fit.budget.change_by("mass 2 kg", name) == pytest.approx(0.01 * fit.parameter(name).value)
     assert fit.budget.change_by("mass 2 kg", "f_n_1") == 0
-    assert fit.parameter("k_1").combined == pytest.approx(np.hypot(fit.parameter("k_1").std_error, fit.parameter("k_1").systematic))
+    assert fit.parameter("k_1").combined == pytest.approx(
+        np.hypot(fit.parameter("k_1").std_error, fit.parameter("k_1").systematic)
+    )

@@ -1,4 +1,6 @@
-"""Model modal as people use it: values of known systems, single references, moved forces, covariance, and what is refused."""
+"""Model modal as people use it: values of known systems, single references, moved forces, covariance, and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,16 @@ from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.report.fits import _single
-from tests.methods.modal.structures import BEAM_DAMPING, BEAM_FREQUENCIES, beam, beam_shapes, chain, chain_response, nine_modes, response_of
+from tests.methods.modal.structures import (
+    BEAM_DAMPING,
+    BEAM_FREQUENCIES,
+    beam,
+    beam_shapes,
+    chain,
+    chain_response,
+    nine_modes,
+    response_of,
+)
 
 
 def modal(response: FrequencyResponse, **settings: object) -> Fit:
@@ -30,8 +41,16 @@ def modal(response: FrequencyResponse, **settings: object) -> Fit:
 
 def with_known_noise(response: FrequencyResponse, std: float, seed: int) -> FrequencyResponse:
     rng = np.random.default_rng(seed)
-    noise = std * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape)) / np.sqrt(2)
-    return replace(response, matrix=response.matrix + noise, covariance=uncorrelated(np.full(response.matrix.shape, std**2)))
+    noise = (
+        std
+        * (rng.normal(size=response.matrix.shape) + 1j * rng.normal(size=response.matrix.shape))
+        / np.sqrt(2)
+    )
+    return replace(
+        response,
+        matrix=response.matrix + noise,
+        covariance=uncorrelated(np.full(response.matrix.shape, std**2)),
+    )
 
 
 def within(fit: Fit, name: str, truth: float, limit: float = 4.0) -> bool:
@@ -69,7 +88,8 @@ def test_given_mass_gives_the_support_of_one_mode(sdof_like: FrequencyResponse) 
     fit = modal(sdof_like, mass=0.79)
     assert within(fit, "k_1", 134.5e3) and within(fit, "c_1", 20.0)
     (reference,) = identify(sdof_like, FitSettings("sdof", mass=0.79))
-    # The residual terms cost some information, so the interval is wider than that of the exact model, never narrower.
+    # The residual terms cost some information, so the interval is wider than that of the exact model, never
+    # narrower.
     assert fit.parameter("k_1").std_error >= 0.99 * reference.parameter("k").std_error
 
 
@@ -100,13 +120,17 @@ def test_coverage_with_known_noise() -> None:
 def test_roving_hammer_is_the_same_structure() -> None:
     structure = nine_modes(12, 751)
     response = response_of(structure, structure.noisy(0.01, 5))
-    roving = replace(response, matrix=response.matrix.swapaxes(1, 2), outputs=response.inputs, inputs=response.outputs)
+    roving = replace(
+        response, matrix=response.matrix.swapaxes(1, 2), outputs=response.inputs, inputs=response.outputs
+    )
     one, other = modal(response), modal(roving)
     assert one.detail(Modes) is not None and other.detail(Modes) is not None
     assert other.detail(Modes).forces_move and not one.detail(Modes).forces_move
     np.testing.assert_allclose(one.detail(Modes).frequency, other.detail(Modes).frequency, rtol=1e-12)
     assert other.curve is not None and other.curve.measured.shape == roving.matrix.shape
-    np.testing.assert_allclose(other.curve.fitted.swapaxes(1, 2), one.curve.fitted if one.curve else None, rtol=1e-6)
+    np.testing.assert_allclose(
+        other.curve.fitted.swapaxes(1, 2), one.curve.fitted if one.curve else None, rtol=1e-6
+    )
 
 
 def test_one_reference_says_what_it_cannot_see() -> None:
@@ -131,7 +155,9 @@ def test_noise_free_data_are_exact() -> None:
 def test_poles_by_hand() -> None:
     response = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
     f, _, _ = chain_truth()
-    fit = modal(response, model_settings=ModalSettings(order=20, poles=(float(f[0]),)), band=(5.0, 1.4 * float(f[0])))
+    fit = modal(
+        response, model_settings=ModalSettings(order=20, poles=(float(f[0]),)), band=(5.0, 1.4 * float(f[0]))
+    )
     assert [parameter.name for parameter in fit.parameters if parameter.name.startswith("f_n_")] == ["f_n_1"]
     assert within(fit, "f_n_1", float(f[0]))
 
@@ -141,14 +167,21 @@ def test_modes_near_the_band_are_residual_terms() -> None:
     response = response_of(structure, structure.noisy(0.01, 8))
     fit = modal(response, band=(70.0, 105.0))
     assert fit.detail(Modes) is not None
-    assert within(fit, "f_n_1", 78.0) and within(fit, "zeta_1", 0.006) and within(fit, "f_n_2", 95.0) and within(fit, "zeta_2", 0.003)
+    assert (
+        within(fit, "f_n_1", 78.0)
+        and within(fit, "zeta_1", 0.006)
+        and within(fit, "f_n_2", 95.0)
+        and within(fit, "zeta_2", 0.003)
+    )
     assert fit.detail(Modes).frequency.size == 2
 
 
 def test_refusals_say_what_to_do() -> None:
     rng = np.random.default_rng(2)
     clean = chain_response(np.linspace(5, 120, 400))
-    noise = replace(clean, matrix=rng.normal(size=clean.matrix.shape) + 1j * rng.normal(size=clean.matrix.shape))
+    noise = replace(
+        clean, matrix=rng.normal(size=clean.matrix.shape) + 1j * rng.normal(size=clean.matrix.shape)
+    )
     with pytest.raises(FitError, match="no pole returns"):
         modal(noise)
     with pytest.raises(FitError, match="too few for a stabilisation diagram"):
@@ -177,7 +210,8 @@ def test_result_is_read_back_and_reported() -> None:
     assert again.detail(Modes) is not None and fit.detail(Modes) is not None
     np.testing.assert_array_equal(again.detail(Modes).shapes, fit.detail(Modes).shapes)
     np.testing.assert_array_equal(
-        again.detail(Modes).diagram.order if again.detail(Modes).diagram else None, fit.detail(Modes).diagram.order
+        again.detail(Modes).diagram.order if again.detail(Modes).diagram else None,
+        fit.detail(Modes).diagram.order,
     )
     blocks = modal_blocks(fit, fit.detail(Modes))
     assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
@@ -195,14 +229,21 @@ def test_every_detail_has_the_key_of_its_place_in_a_result_and_none_is_lost() ->
 @pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
-    """A chain damped in proportion to its stiffness has real modes: f_n, zeta of the undamped eigenvalues, zeta = 20 us w / 2.
+    """A chain damped in proportion to its stiffness has real modes: f_n, zeta of the undamped eigenvalues,
+    zeta = 20 us w / 2.
 
-    With a complex shape's free phase the frequency is less certain, by root two where the lines are dense about the peak.
+    With a complex shape's free phase the frequency is less certain, by root two where the lines are dense
+    about the peak.
     """
     frequency = np.arange(45.0, 110.0, 0.125)
     exact, (mass, _, stiffness) = chain_response(frequency), chain()
     w = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real))
-    truth = {"f_n_1": w[0] / (2 * np.pi), "f_n_2": w[1] / (2 * np.pi), "zeta_1": 1e-5 * w[0], "zeta_2": 1e-5 * w[1]}
+    truth = {
+        "f_n_1": w[0] / (2 * np.pi),
+        "f_n_2": w[1] / (2 * np.pi),
+        "zeta_1": 1e-5 * w[0],
+        "zeta_2": 1e-5 * w[1],
+    }
     std = 0.01 * np.sqrt(np.mean(np.abs(exact.matrix) ** 2))
     errors, wider = [], []
     for seed in range(10):
@@ -211,18 +252,28 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
         if known:
             response = replace(response, covariance=uncorrelated(np.full(exact.matrix.shape, std**2)))
         real, free = (
-            identify(response, FitSettings("modal", model_settings=ModalSettings(shapes=kind)))[0] for kind in ("real", "complex")
+            identify(response, FitSettings("modal", model_settings=ModalSettings(shapes=kind)))[0]
+            for kind in ("real", "complex")
         )
         assert real.detail(Modes) is not None and np.all(real.detail(Modes).collinearity > 1 - 1e-12)
-        errors.append([(real.parameter(name).value - value) / (real.parameter(name).std_error or np.nan) for name, value in truth.items()])
-        wider.append((free.parameter("f_n_1").std_error or np.nan) / (real.parameter("f_n_1").std_error or np.nan))
+        errors.append(
+            [
+                (real.parameter(name).value - value) / (real.parameter(name).std_error or np.nan)
+                for name, value in truth.items()
+            ]
+        )
+        wider.append(
+            (free.parameter("f_n_1").std_error or np.nan) / (real.parameter("f_n_1").std_error or np.nan)
+        )
     # 40 values: the root mean square of standard normal ones has the standard deviation .11.
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1.0, abs=0.33)
     assert np.mean(wider) == pytest.approx(np.sqrt(2), rel=0.05)
 
 
 def test_complex_modes_contradict_real_ones() -> None:
-    """Phases of .06 rad at 1 % noise: the fit with real shapes is called a mismatch, that with complex ones not."""
+    """Phases of .06 rad at 1 % noise: the fit with real shapes is called a mismatch, that with complex ones
+    not.
+    """
     structure = nine_modes(20, 600)
     response = response_of(structure, structure.noisy(0.01, 1))
     for kind, seen in (("real", True), ("complex", False)):
@@ -231,12 +282,16 @@ def test_complex_modes_contradict_real_ones() -> None:
 
 
 def test_a_slow_structure_is_as_any_other_and_the_line_at_rest_is_left_out() -> None:
-    """The chain two hundred times as slow, all of its lines below 1 Hz, the first at 0 Hz, where nothing swings."""
+    """The chain two hundred times as slow, all of its lines below 1 Hz, the first at 0 Hz, where nothing
+    swings.
+    """
     noisy = with_known_noise(chain_response(np.linspace(0.0, 120.0, 401)), 2e-8, 3)
     fit = modal(replace(noisy, frequency=noisy.frequency / 200))
     f, zeta, _ = chain_truth()
     for number in (1, 2):
-        assert within(fit, f"f_n_{number}", f[number - 1] / 200) and within(fit, f"zeta_{number}", zeta[number - 1])
+        assert within(fit, f"f_n_{number}", f[number - 1] / 200) and within(
+            fit, f"zeta_{number}", zeta[number - 1]
+        )
     assert fit.lines == 400
 
 
@@ -246,7 +301,11 @@ def test_a_wrong_sign_of_the_force_is_a_negative_mass() -> None:
     response = with_known_noise(replace(exact, matrix=-exact.matrix), 1e-8, 3)
     (finding,) = [finding for finding in modal(response).findings if finding.code == "unphysical"]
     assert finding.message.startswith("modes 1, 2 have a negative mass at the driving point")
-    assert not [finding for finding in modal(with_known_noise(exact, 1e-8, 3)).findings if finding.code == "unphysical"]
+    assert not [
+        finding
+        for finding in modal(with_known_noise(exact, 1e-8, 3)).findings
+        if finding.code == "unphysical"
+    ]
 
 
 def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
@@ -261,33 +320,51 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
     assert np.sort(np.abs(kept.poles)) / (2 * np.pi) == pytest.approx(BEAM_FREQUENCIES, rel=1e-3)
     # Only this one is named, and for this alone.
     (note,) = notes
-    assert "as broad as the band" in note and float(note.split("pole at ")[1].split(" Hz")[0]) == pytest.approx(120, rel=0.1)
+    assert "as broad as the band" in note and float(
+        note.split("pole at ")[1].split(" Hz")[0]
+    ) == pytest.approx(120, rel=0.1)
 
 
 @pytest.mark.parametrize("detuned", [0.002, 0.05])
 def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(detuned: float) -> None:
-    """A moving sensor lowers all frequencies, at the last point by a tenth or by two and a half of the half-power width: a mismatch."""
+    """A moving sensor lowers all frequencies, at the last point by a tenth or by two and a half of the
+    half-power width: a mismatch.
+    """
     moving = [beam(5, detuned=detuned * n / 9) for n in range(9)]
     response = replace(moving[0], matrix=np.stack([one.matrix[:, n] for n, one in enumerate(moving)], axis=1))
     fit = modal(response)
     assert "model-mismatch" in {finding.code for finding in fit.findings}
     assert not [note for note in fit.notes if "were added" in note]
-    # An interval for every mode, which holds its frequency wherever the sensor is: 20 Hz down to what the last point has.
+    # An interval for every mode, which holds its frequency wherever the sensor is: 20 Hz down to what the
+    # last point has.
     for parameter in fit.parameters:
         assert parameter.ci95 is not None and parameter.reason
         if parameter.name.startswith("f_n"):
-            assert parameter.interval.discrepancy > parameter.interval.noise and "from point to point" in parameter.reason
+            assert (
+                parameter.interval.discrepancy > parameter.interval.noise
+                and "from point to point" in parameter.reason
+            )
     if detuned < BEAM_DAMPING:
         assert len([parameter for parameter in fit.parameters if parameter.name.startswith("f_n_")]) == 3
 
 
-@pytest.mark.parametrize(("told", "spacing", "warned"), [(False, 0.5, True), (False, 0.1, False), (True, 0.5, False)])
-def test_a_mode_hardly_wider_than_a_line_is_said_where_the_window_is_not_known(told: bool, spacing: float, warned: bool) -> None:
+@pytest.mark.parametrize(
+    ("told", "spacing", "warned"), [(False, 0.5, True), (False, 0.1, False), (True, 0.5, False)]
+)
+def test_a_mode_hardly_wider_than_a_line_is_said_where_the_window_is_not_known(
+    told: bool, spacing: float, warned: bool
+) -> None:
     """The first mode of the beam is .4 Hz wide: .8 or 4 lines."""
     exact = beam(6)
-    chosen = replace(exact, frequency=exact.frequency[::2], matrix=exact.matrix[::2]) if spacing == 0.5 else finer(exact, spacing)
+    chosen = (
+        replace(exact, frequency=exact.frequency[::2], matrix=exact.matrix[::2])
+        if spacing == 0.5
+        else finer(exact, spacing)
+    )
     response = replace(chosen, line_correlation=(-2 / 3, 1 / 6)) if told else chosen
-    leaking = [finding for finding in modal(response, band=(15.0, 30.0)).findings if finding.code == "leakage"]
+    leaking = [
+        finding for finding in modal(response, band=(15.0, 30.0)).findings if finding.code == "leakage"
+    ]
     assert bool(leaking) is warned
 
 
@@ -295,6 +372,8 @@ def finer(response: FrequencyResponse, spacing: float) -> FrequencyResponse:
     """The first mode of the beam on other lines, with the same noise."""
     frequency = np.arange(10.0, 40.0, spacing)
     w, w_n = 2 * np.pi * frequency, 2 * np.pi * BEAM_FREQUENCIES[0]
-    matrix = (beam_shapes()[:, 0] / (w_n**2 - w[:, None] ** 2 + 2j * BEAM_DAMPING * w_n * w[:, None]))[:, :, None]
+    matrix = (beam_shapes()[:, 0] / (w_n**2 - w[:, None] ** 2 + 2j * BEAM_DAMPING * w_n * w[:, None]))[
+        :, :, None
+    ]
     noise = np.random.default_rng(8).normal(size=(2, *matrix.shape))
     return replace(response, frequency=frequency, matrix=matrix + 1e-8 * (noise[0] + 1j * noise[1]))

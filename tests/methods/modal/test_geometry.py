@@ -1,4 +1,6 @@
-"""Shapes on a structure: which way a dof moves its point, and the shapes of a beam on two hinges against their closed form."""
+"""Shapes on a structure: which way a dof moves its point, and the shapes of a beam on two hinges against
+their closed form.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def test_the_shapes_of_a_beam_on_two_hinges_stand_on_its_points() -> None:
     motion = beam_geometry().motion(fit.detail(Modes).dofs, fit.detail(Modes).shapes)
     assert not motion[:, [0, -1]].any() and not motion[:, :, :2].any()
     error = np.abs(
-        motion[:, 1:-1, 2].T - beam_shapes() * np.sign(beam_shapes()[np.argmax(np.abs(fit.detail(Modes).shapes), axis=0), range(3)])
+        motion[:, 1:-1, 2].T
+        - beam_shapes()
+        * np.sign(beam_shapes()[np.argmax(np.abs(fit.detail(Modes).shapes), axis=0), range(3)])
     )
     assert np.all(error < 4 * fit.detail(Modes).shape_std_errors + 1e-9)
     (figure,) = shape_figures("beam", fit.detail(Modes))

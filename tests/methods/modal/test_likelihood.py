@@ -1,4 +1,6 @@
-"""Refinement: estimates, standard errors and residual terms against a dense weighted least squares written out here."""
+"""Refinement: estimates, standard errors and residual terms against a dense weighted least squares written
+out here.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def small_case(n_input: int = 2) -> tuple[Lines, ResidualTerms, np.ndarray, np.n
 
 
 def dense_residual(parameters: np.ndarray, lines: Lines, refined: Refined) -> np.ndarray:
-    """Residual over its noise: poles, free participation, shapes, residual factors of 1, s^2 and s^-2 as plain parameters."""
+    """Residual over its noise: poles, free participation, shapes, residual factors of 1, s^2 and s^-2 as
+    plain parameters.
+    """
     n_line, n_output, n_input = lines.matrix.shape
     values = parameters[0::2] + 1j * parameters[1::2]
     k = refined.poles.size
@@ -46,7 +50,10 @@ def dense_residual(parameters: np.ndarray, lines: Lines, refined: Refined) -> np
     model = np.zeros((n_line, n_output, n_input), complex)
     for mode in range(k):
         residue = np.outer(shapes[:, mode], participation[mode])
-        model += residue / (s - poles[mode])[:, None, None] + residue.conj() / (s - poles[mode].conj())[:, None, None]
+        model += (
+            residue / (s - poles[mode])[:, None, None]
+            + residue.conj() / (s - poles[mode].conj())[:, None, None]
+        )
     unit = s / (1j * lines.omega[-1])
     for factor, power in zip(factors, (-2, 0, 2), strict=True):
         model += factor * (unit**power)[:, None, None]
@@ -62,19 +69,29 @@ def test_estimate_and_covariance_are_those_of_dense_least_squares() -> None:
     free = np.array([refined.participation[mode, 1 - fixed[mode]] for mode in range(2)])
     start = np.concatenate([refined.poles / 1e3, free, refined.shapes.ravel(), np.zeros(3 * lines.n_element)])
     start = np.stack([start.real, start.imag], -1).ravel()
-    dense = least_squares(dense_residual, start, args=(lines, refined), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    dense = least_squares(
+        dense_residual, start, args=(lines, refined), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
     covariance = np.linalg.inv(dense.jac.T @ dense.jac)
     error = np.sqrt(np.diag(refined.covariance))
     found = np.stack([refined.poles.real, refined.poles.imag], -1).ravel()
     np.testing.assert_allclose(found, 1e3 * dense.x[:4], atol=2e-2 * error[:4].min())
-    np.testing.assert_allclose(refined.covariance[:4, :4], 1e6 * covariance[:4, :4], rtol=1e-3, atol=1e-3 * error[:4].min() ** 2)
-    np.testing.assert_allclose(refined.covariance[4:, 4:], covariance[4:8, 4:8], rtol=1e-3, atol=1e-6 * covariance[4, 4])
+    np.testing.assert_allclose(
+        refined.covariance[:4, :4], 1e6 * covariance[:4, :4], rtol=1e-3, atol=1e-3 * error[:4].min() ** 2
+    )
+    np.testing.assert_allclose(
+        refined.covariance[4:, 4:], covariance[4:8, 4:8], rtol=1e-3, atol=1e-6 * covariance[4, 4]
+    )
     shapes = dense.x[8 : 8 + 12].reshape(3, 4)
-    np.testing.assert_allclose(np.stack([refined.shapes.real, refined.shapes.imag], -1).reshape(3, 4), shapes, rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(
+        np.stack([refined.shapes.real, refined.shapes.imag], -1).reshape(3, 4), shapes, rtol=1e-3, atol=1e-7
+    )
     for output in range(3):
         block = slice(8 + 4 * output, 12 + 4 * output)
         size = np.sqrt(np.outer(np.diag(covariance[block, block]), np.diag(covariance[block, block])))
-        np.testing.assert_allclose(refined.shape_covariance[output] / size, covariance[block, block] / size, atol=2e-3)
+        np.testing.assert_allclose(
+            refined.shape_covariance[output] / size, covariance[block, block] / size, atol=2e-3
+        )
         scale = np.array([1e3, 1e3, 1e3, 1e3, 1, 1, 1, 1])
         crossed = covariance[block, :8] * scale
         size = np.sqrt(np.outer(np.diag(covariance[block, block]), np.diag(refined.covariance)))

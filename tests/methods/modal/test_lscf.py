@@ -10,14 +10,21 @@ from tests.methods.modal.structures import chain, chain_response, nine_modes
 
 
 def eigen_poles(n_dof: int) -> np.ndarray:
-    """Poles of the chain with positive imaginary part, from the undamped modes: damping in proportion to the stiffness."""
+    """Poles of the chain with positive imaginary part, from the undamped modes: damping in proportion to the
+    stiffness.
+    """
     mass, _, stiffness = chain(n_dof)
     square = np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)
     return -1e-5 * square + 1j * np.sqrt(square - 1e-10 * square**2)
 
 
-def regression(omega: np.ndarray, matrix: np.ndarray, order: int, period: float, scale: np.ndarray) -> np.ndarray:
-    """A_0 ... A_order-1 with A_order = I by one least-squares solution over all numerators and the denominator."""
+def regression(
+    omega: np.ndarray, matrix: np.ndarray, order: int, period: float, scale: np.ndarray
+) -> np.ndarray:
+    """A_0 ...
+
+    A_order-1 with A_order = I by one least-squares solution over all numerators and the denominator.
+    """
     n_output, n_input = matrix.shape[1:]
     scaled = matrix * scale
     scaled = scaled / np.sqrt(np.mean(np.abs(scaled) ** 2, axis=(0, 2)))[None, :, None]
@@ -55,7 +62,9 @@ def test_denominators_are_those_of_the_regression() -> None:
 @pytest.mark.parametrize("stable_noise", [False, True])
 def test_poles_of_a_noise_free_chain(stable_noise: bool) -> None:
     response = chain_response(np.linspace(5, 120, 400), 3)
-    poles = normal_equations(2 * np.pi * response.frequency, response.matrix, 12).poles(12, stable_noise=stable_noise)
+    poles = normal_equations(2 * np.pi * response.frequency, response.matrix, 12).poles(
+        12, stable_noise=stable_noise
+    )
     for expected in eigen_poles(3):
         assert np.min(np.abs(poles.values - expected)) < 1e-4 * abs(expected.real)
 
@@ -67,7 +76,10 @@ def test_participation_is_the_shape_at_the_forces() -> None:
     square, shapes = np.linalg.eig(np.linalg.solve(mass, stiffness))
     for w2, shape in zip(square, shapes.T, strict=True):
         nearest = np.argmin(np.abs(np.abs(poles.values) - np.sqrt(w2)))
-        assert similarity(poles.participation[nearest : nearest + 1], shape[None].astype(complex))[0, 0] > 1 - 1e-8
+        assert (
+            similarity(poles.participation[nearest : nearest + 1], shape[None].astype(complex))[0, 0]
+            > 1 - 1e-8
+        )
 
 
 def test_a_narrow_band_far_from_zero_keeps_its_poles() -> None:
@@ -81,7 +93,10 @@ def test_a_narrow_band_far_from_zero_keeps_its_poles() -> None:
 
 
 def test_the_origin_lies_a_tenth_of_the_band_below_its_first_line() -> None:
-    """The band then takes ten elevenths of 0.95 of the half circle; one that begins near 0 Hz keeps that as its origin."""
+    """The band then takes ten elevenths of 0.95 of the half circle.
+
+    One that begins near 0 Hz keeps that as its origin.
+    """
     omega = np.array([100.0, 130.0, 160.0, 200.0])
     matrix = np.ones((4, 1, 1)) + 0j
     high, low = normal_equations(omega, matrix, 1), normal_equations(omega - 90, matrix, 1)

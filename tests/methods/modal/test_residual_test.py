@@ -9,7 +9,9 @@ from labpipe.methods.modal.number import LineNoise
 
 
 def test_power_of_lines_that_share_their_noise() -> None:
-    """The mean power of n lines scatters by 1 + 2 sum |rho_d|^2 more: of a Hann window 1 + 2 (4 / 9 + 1 / 36); of drawn noise as well."""
+    """The mean power of n lines scatters by 1 + 2 sum |rho_d|^2 more: of a Hann window 1 + 2 (4 / 9 + 1 /
+    36); of drawn noise as well.
+    """
     hann = LineNoise((-2 / 3, 1 / 6))
     assert LineNoise().shared_power == 1.0 and hann.shared_power == pytest.approx(1 + 2 * (4 / 9 + 1 / 36))
     rng = np.random.default_rng(1)

@@ -8,7 +8,10 @@ from labpipe.methods.modal.poles import SHARE_OF_DECAY, SHARE_OF_FREQUENCY, Pole
 
 
 def test_a_pole_between_two_modes_stays_with_the_stronger_one() -> None:
-    """The mode that returns in five orders comes first and takes the pole between; that in four does not take it away again."""
+    """The mode that returns in five orders comes first and takes the pole between.
+
+    That in four does not take it away again.
+    """
     first = -1.0 + 100j
     limit = SHARE_OF_DECAY * abs(first.real) + SHARE_OF_FREQUENCY * abs(first)
     between, second = first + 0.8j * limit, first + 1.6j * limit

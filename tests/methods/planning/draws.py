@@ -17,12 +17,17 @@ def planned_rig(name: str, model: PlannedModel | None = None) -> tuple[Rig, np.n
     model = truth if model is None else model
     spacing = float(frequency[1] - frequency[0])
     force = {"pedestal": 1.0, "rotor": 2.0, "seal": 20e3}[name]
-    rig = Rig(model, noise, Limits(force), np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing)
+    rig = Rig(
+        model, noise, Limits(force), np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing
+    )
     return rig, np.round(frequency / spacing).astype(int), Wanted("minimax", np.ones(len(model.names)))
 
 
-def estimates(truth: Rig, parts: list[tuple[Campaign, float]], start: np.ndarray, draws: int, seed: int) -> np.ndarray:
-    """Errors in variables by Gauss-Newton with known noise, (draws, n_coefficient): z = [F, X, A], e = F - M_s A - D X.
+def estimates(
+    truth: Rig, parts: list[tuple[Campaign, float]], start: np.ndarray, draws: int, seed: int
+) -> np.ndarray:
+    """Errors in variables by Gauss-Newton with known noise, (draws, n_coefficient): z = [F, X, A], e = F -
+    M_s A - D X.
 
     parts: campaigns with their seconds of data, all fitted together; what they apply moves the rig *truth*.
     """
@@ -35,13 +40,22 @@ def estimates(truth: Rig, parts: list[tuple[Campaign, float]], start: np.ndarray
             force = test.forces @ truth.directions
             moved = np.einsum("lij,lj->li", model.receptance(omega), force)
             # An amplitude from T seconds has the variance 2 S^2 / T.
-            size = np.sqrt(2 / (share * seconds)) * np.array([truth.noise.force, truth.noise.displacement, truth.noise.acceleration])
+            size = np.sqrt(2 / (share * seconds)) * np.array(
+                [truth.noise.force, truth.noise.displacement, truth.noise.acceleration]
+            )
             clean = (force, moved, -(omega[:, None] ** 2) * moved)
             shape = (draws, omega.size, n)
             noisy = []
             for part, deviation in zip(clean, size / np.sqrt(2), strict=True):
                 noisy.append(part + deviation * (rng.normal(size=shape) + 1j * rng.normal(size=shape)))
-            runs.append((model.elements_at(omega), model.with_expected(0 * model.expected).stiffness(omega), noisy, size**2))
+            runs.append(
+                (
+                    model.elements_at(omega),
+                    model.with_expected(0 * model.expected).stiffness(omega),
+                    noisy,
+                    size**2,
+                )
+            )
     theta = np.tile(start, (draws, 1))
     for _ in range(6):
         theta = theta + _step(model, runs, theta)

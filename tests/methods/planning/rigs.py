@@ -1,4 +1,7 @@
-"""Rigs of the planner's tests: a pedestal, a rotor with eight coefficients, a floating stator with twelve; and their noise."""
+"""Rigs of the planner's tests: a pedestal, a rotor with eight coefficients, a floating stator with twelve.
+
+And their noise.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,19 @@ import numpy as np
 
 from labpipe.methods.planning.model import Noise, PlannedModel, floating, rotor, sdof
 
-# The pedestal and the rotor of sample_data/hmb (Lim et al. 2009; truth.json there), the seal of configs/virtual-floating.yaml.
+# The pedestal and the rotor of sample_data/hmb (Lim et al. 2009; truth.json there), the seal of
+# configs/virtual-floating.yaml.
 PEDESTAL = {"k": 134.5e3, "c": 3.682}
-ROTOR = {"k_xx": 180e3, "k_xy": 25e3, "k_yx": -18e3, "k_yy": 210e3, "c_xx": 120.0, "c_xy": 15.0, "c_yx": -10.0, "c_yy": 150.0}
+ROTOR = {
+    "k_xx": 180e3,
+    "k_xy": 25e3,
+    "k_yx": -18e3,
+    "k_yy": 210e3,
+    "c_xx": 120.0,
+    "c_xy": 15.0,
+    "c_yx": -10.0,
+    "c_yy": 150.0,
+}
 SEAL = {
     **{"k_xx": 3.30e6, "k_xy": 11.3e6, "k_yx": -10.3e6, "k_yy": 3.89e6},
     **{"c_xx": 147e3, "c_xy": 52.9e3, "c_yx": -57.7e3, "c_yy": 147e3},

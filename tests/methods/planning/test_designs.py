@@ -16,7 +16,9 @@ POINTS = np.linspace(-1, 1, 21)
 QUADRATIC = np.stack([np.outer(row, row) for row in np.stack([np.ones(21), POINTS, POINTS**2], axis=1)])
 
 
-@pytest.mark.parametrize(("criterion", "shares"), [("D", [1 / 3, 1 / 3, 1 / 3]), ("A", [1 / 4, 1 / 2, 1 / 4])])
+@pytest.mark.parametrize(
+    ("criterion", "shares"), [("D", [1 / 3, 1 / 3, 1 / 3]), ("A", [1 / 4, 1 / 2, 1 / 4])]
+)
 def test_quadratic_regression(criterion: str, shares: list[float]) -> None:
     # Fedorov 1972, Theory of Optimal Experiments, sec. 2.2 and 2.9: the points -1, 0, 1.
     design = optimum(criterion, QUADRATIC)
@@ -25,8 +27,9 @@ def test_quadratic_regression(criterion: str, shares: list[float]) -> None:
 
 
 def test_minimax_of_a_line() -> None:
-    # y = a + b x at x = 0 (share 1 - w) and x = 2 (share w): I = [[1, 2w], [2w, 4w]], v_a = 1 / (1 - w), v_b = 1 / (4 w (1 - w)).
-    # For w >= 1/4 the variance of a is the larger: the largest is least at w = 1/4, v = 4 / 3.
+    # y = a + b x at x = 0 (share 1 - w) and x = 2 (share w): I = [[1, 2w], [2w, 4w]], v_a = 1 / (1 - w), v_b
+    # = 1 / (4 w (1 - w)). For w >= 1/4 the variance of a is the larger: the largest is least at w = 1/4, v =
+    # 4 / 3.
     points = np.stack([np.outer(row, row) for row in np.array([[1.0, 0.0], [1.0, 2.0]])])
     design = optimum("minimax", points)
     np.testing.assert_allclose(design.shares, [0.75, 0.25], atol=1e-3)

@@ -1,4 +1,6 @@
-"""Predicted standard errors against the scatter of an estimator written here, over draws of the sensors' noise; and two-stage plans."""
+"""Predicted standard errors against the scatter of an estimator written here, over draws of the sensors'
+noise; and two-stage plans.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def test_predicted_errors_are_those_of_draws(name: str) -> None:
     lines = lines[::4]
     rig = Rig(rig.model, rig.noise, rig.limits, rig.directions, rig.shakers, rig.spacing)
     told = best(rig, lines, wanted, (ONE_BY_ONE if rig.model.n_dof == 1 else INTERLEAVED,)).campaign
-    found = np.concatenate([estimates(rig, [(told, SECONDS)], rig.model.expected, DRAWS // 4, seed) for seed in range(4)])
+    found = np.concatenate(
+        [estimates(rig, [(told, SECONDS)], rig.model.expected, DRAWS // 4, seed) for seed in range(4)]
+    )
     ratio = found.std(axis=0) / (told.errors(SECONDS) * rig.model.scales)
     assert np.all(np.abs(ratio - 1) < 0.1), ratio
     assert np.all(np.abs(found.mean(axis=0) - rig.model.expected) < 0.2 * found.std(axis=0))
@@ -30,7 +34,8 @@ def test_predicted_errors_are_those_of_draws(name: str) -> None:
 
 @pytest.mark.long
 def test_the_remedy_of_forces_at_45_degrees_works() -> None:
-    # On a symmetric rig 45 deg alone tells 4 of 8 coefficients; with a second direction simulated tests end near the truth.
+    # On a symmetric rig 45 deg alone tells 4 of 8 coefficients; with a second direction simulated tests end
+    # near the truth.
     expected = np.array([180e3, 0.0, 0.0, 180e3, 120.0, 0.0, 0.0, 120.0])
     rig, lines, _ = planned_rig("rotor", RIGS["rotor"]()[0].with_expected(expected))
     oblique = np.array([[1.0, 1.0], [-1.0, 1.0]], complex) / np.sqrt(2)

@@ -38,8 +38,15 @@ def test_without_a_budget_the_stated_errors_are_noise() -> None:
 
 
 def test_noise_and_sources_of_a_budget() -> None:
-    # Noise 8 and 0.1 by the budget; the probe changes k by 6, c by -0.02: their product is the covariance that it makes.
-    budget = Budget(("k", "c", "f_n"), np.array([8.0, 0.1, 0.1]), 38.0, (Uncertainty("probe", 0.01, "1"),), np.array([[6.0, -0.02, 0.0]]))
+    # Noise 8 and 0.1 by the budget; the probe changes k by 6, c by -0.02: their product is the covariance
+    # that it makes.
+    budget = Budget(
+        ("k", "c", "f_n"),
+        np.array([8.0, 0.1, 0.1]),
+        38.0,
+        (Uncertainty("probe", 0.01, "1"),),
+        np.array([[6.0, -0.02, 0.0]]),
+    )
     found = earlier_uncertainties(fit(budget))
     np.testing.assert_allclose(found.covariance(), [[100.0, 0.4 - 0.12], [0.28, 0.0104]])
     np.testing.assert_allclose(found.covariance(["probe"]), [[64.0, 0.4], [0.4, 0.01]])

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from labpipe.methods.planning.expectation import Excitation, Identifiability, identifiability
-from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, rotor, sdof, sensitivities, vector_information
+from labpipe.methods.planning.model import (
+    Noise,
+    PlannedModel,
+    relative_errors,
+    rotor,
+    sdof,
+    sensitivities,
+    vector_information,
+)
 from tests.methods.planning.rigs import PEDESTAL, ROTOR, pedestal, rig_rotor, seal
 
 AXES = np.eye(2, dtype=complex)
@@ -36,7 +44,9 @@ def test_eight_coefficients() -> None:
     assert _found(model, [60.0], AXES).full
     assert _found(model, [60.0, 61.0], AXES[:1]).full
     # Without cross terms a force in x moves nothing in y: what answers to y is not told.
-    straight = _found(rotor({**ROTOR, "k_xy": 0.0, "k_yx": 0.0, "c_xy": 0.0, "c_yx": 0.0}, 0.92), lines, AXES[:1])
+    straight = _found(
+        rotor({**ROTOR, "k_xy": 0.0, "k_yx": 0.0, "c_xy": 0.0, "c_yx": 0.0}, 0.92), lines, AXES[:1]
+    )
     assert (straight.rank, straight.undetermined) == (4, ("k_xy", "k_yy", "c_xy", "c_yy"))
 
 
@@ -49,7 +59,8 @@ def test_forces_at_45_degrees_on_a_symmetric_rig() -> None:
 
 
 def test_twelve_coefficients() -> None:
-    # a(jw) X + b(jw) Y = 0 has real quadratics a, b for any single direction of force: two of twelve are not told, whatever the lines.
+    # a(jw) X + b(jw) Y = 0 has real quadratics a, b for any single direction of force: two of twelve are not
+    # told, whatever the lines.
     model, _, lines = seal()
     for direction in (AXES[:1], AXES[1:], OBLIQUE, np.array([[0.6, -0.8]], complex)):
         assert _found(model, lines, direction).rank == 10
@@ -71,10 +82,14 @@ def test_a_vector_per_line_cannot_tell_more_than_its_equations(lines: list[float
 
 
 @pytest.mark.parametrize(("damping", "ratios"), [(120.0, (59, 20, 6.0)), (26.5, (13, 4.5, 1.6))])
-def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(damping: float, ratios: tuple[float, ...]) -> None:
-    """Largest error over that of x, then y at equal power, for 1, 3, 10 % of anisotropy: sqrt(1 + (4 zeta / a)^2), calculated apart.
+def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(
+    damping: float, ratios: tuple[float, ...]
+) -> None:
+    """Largest error over that of x, then y at equal power, for 1, 3, 10 % of anisotropy: sqrt(1 + (4 zeta /
+    a)^2), calculated apart.
 
-    The two planes are told apart by how far their resonances lie from each other, in half-power widths: zeta is 15 and 3.3 %.
+    The two planes are told apart by how far their resonances lie from each other, in half-power widths: zeta
+    is 15 and 3.3 %.
     """
     _, noise, lines = rig_rotor()
     force_alone = Noise(force=noise.force)
@@ -90,4 +105,6 @@ def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(damping: float, 
         scale = largest / rotor(values, 0.92).scales
         found = (relative_errors(oblique) / scale).max() / (relative_errors(apart) / scale).max()
         assert found == pytest.approx(expected, rel=0.06)
-        assert found == pytest.approx(np.hypot(1, 4 * damping / (2 * np.sqrt(180e3 * 0.92)) / anisotropy), rel=0.08)
+        assert found == pytest.approx(
+            np.hypot(1, 4 * damping / (2 * np.sqrt(180e3 * 0.92)) / anisotropy), rel=0.08
+        )

@@ -1,4 +1,6 @@
-"""Fisher information against an independent calculation with the true forces as unknowns, and against closed forms."""
+"""Fisher information against an independent calculation with the true forces as unknowns, and against closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,11 @@ from tests.methods.planning.rigs import RIGS
 
 
 def _brute_force(model: PlannedModel, noise: Noise, omega: float, force: np.ndarray) -> np.ndarray:
-    """Information per second of relative coefficients, true forces and accelerations unknown, by differences and a Schur complement.
+    """Information per second of relative coefficients, true forces and accelerations unknown, by differences
+    and a Schur complement.
 
-    z = [F, D^-1 (F - M_s A), A]: the shaft inside a floating stator moves as it likes, so that its A and X are independent.
+    z = [F, D^-1 (F - M_s A), A]: the shaft inside a floating stator moves as it likes, so that its A and X
+    are independent.
     """
     n, accelerated = model.n_dof, noise.acceleration > 0
     frequency = np.array([omega])
@@ -42,7 +46,9 @@ def _brute_force(model: PlannedModel, noise: Noise, omega: float, force: np.ndar
     for number, scale in enumerate(model.scales):
         step = np.zeros(len(model.names))
         step[number] = 1e-5 * scale
-        columns.append((measured(model.expected + step, unknown) - measured(model.expected - step, unknown)) / 2e-5)
+        columns.append(
+            (measured(model.expected + step, unknown) - measured(model.expected - step, unknown)) / 2e-5
+        )
     for part in (1.0, 1j):
         columns.extend(measured(model.expected, part * unit) for unit in np.eye(unknown.size))
     jacobian = np.stack(columns, axis=1) / deviation[:, None]
@@ -64,9 +70,12 @@ def test_information_is_that_of_errors_in_variables(name: str) -> None:
 
 
 def test_stiffness_of_a_spring_alone() -> None:
-    # D = k, noise of force alone: k = F / X with the relative error of F, |n_F| / |F|: I = |F|^2 / S_F^2 per second.
+    # D = k, noise of force alone: k = F / X with the relative error of F, |n_F| / |F|: I = |F|^2 / S_F^2 per
+    # second.
     model = sdof({"k": 2e4, "c": 0.0}, 0.0)
-    (found,) = vector_information(sensitivities(model, Noise(force=0.1), np.array([10.0])), np.array([[3.0 + 0j]]))
+    (found,) = vector_information(
+        sensitivities(model, Noise(force=0.1), np.array([10.0])), np.array([[3.0 + 0j]])
+    )
     assert found[0, 0] == pytest.approx(9.0 / 0.01, rel=1e-12)
 
 
@@ -82,7 +91,9 @@ def test_a_spectrum_of_rank_one_tells_what_its_vector_tells() -> None:
 def test_noise_per_sample_is_a_density() -> None:
     # White noise of s per sample has its power s^2 spread over half the sampling rate.
     noise = Noise.of_samples(2.0, 3e-6, 0.5, 800.0)
-    assert (noise.force**2 * 400, noise.displacement**2 * 400, noise.acceleration**2 * 400) == pytest.approx((4.0, 9e-12, 0.25))
+    assert (noise.force**2 * 400, noise.displacement**2 * 400, noise.acceleration**2 * 400) == pytest.approx(
+        (4.0, 9e-12, 0.25)
+    )
 
 
 def test_a_coefficient_without_information_has_no_error() -> None:

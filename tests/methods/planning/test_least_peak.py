@@ -10,8 +10,8 @@ from labpipe.raw_files.excitation import peaks
 
 
 def test_peaks_of_known_sums() -> None:
-    # One sine of amplitude 3; two cosines in phase, whose peaks meet at t = 0.
-    # The largest sine that meets no sample is told exactly; others are told too high, by 1 - cos(pi / 192) at most.
+    # One sine of amplitude 3; two cosines in phase, whose peaks meet at t = 0. The largest sine that meets no
+    # sample is told exactly; others are told too high, by 1 - cos(pi / 192) at most.
     alone = peaks(np.array([7]), 3.0 * np.exp(1j * np.linspace(0, 2 * np.pi, 100))[None])
     assert np.all(alone >= 3.0 - 1e-12) and np.all(alone <= 3.0 / np.cos(np.pi / 192) + 1e-12)
     assert peaks(np.array([7, 8]), np.array([[1.0, 2.0], [1.0, 2.0j]])) == pytest.approx([2.0, 4.0], rel=1e-2)
@@ -24,7 +24,8 @@ def test_schroeder_phases_of_a_flat_spectrum() -> None:
 
 
 def test_flat_multisine_comes_below_one_and_a_half() -> None:
-    # Optimised crest factors of flat multisines of many lines lie at 1.4 to 1.5, Schroeder's at 1.7 to 1.9 (Guillaume et al. 1991).
+    # Optimised crest factors of flat multisines of many lines lie at 1.4 to 1.5, Schroeder's at 1.7 to 1.9
+    # (Guillaume et al. 1991).
     lines = np.arange(1, 101)
     gains = np.full((100, 1, 1), np.sqrt(2 / 100), complex)
     phases = least_peak_phases(lines, gains)

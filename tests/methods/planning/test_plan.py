@@ -20,7 +20,10 @@ from labpipe.methods.planning.plan_file import PlanFile, plan_files
         (ConfigError("is no plan"), "lab/plan.yaml: is no plan"),
         (DataError("cannot be read"), "lab/plan.yaml: cannot be read"),
         # A file that the plan names says itself where its fault is.
-        (ConfigError("must be above zero", where="lab/rotor.yaml:3:1", field="mass"), "lab/rotor.yaml:3:1: must be above zero"),
+        (
+            ConfigError("must be above zero", where="lab/rotor.yaml:3:1", field="mass"),
+            "lab/rotor.yaml:3:1: must be above zero",
+        ),
     ],
 )
 def test_a_fault_has_its_place(error: LabpipeError, message: str) -> None:

@@ -1,4 +1,6 @@
-"""labpipe plan as a user meets it: files, prediction, refusals, and a test carried out as planned on a simulated rig."""
+"""labpipe plan as a user meets it: files, prediction, refusals, and a test carried out as planned on a
+simulated rig.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ def _write(folder: Path, entries: dict[str, object]) -> Path:
 
 
 def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
-    """Recordings of the plan's signal files on the expected rig, in its steady state, with the noise that the plan assumes."""
+    """Recordings of the plan's signal files on the expected rig, in its steady state, with the noise that the
+    plan assumes.
+    """
     expected = {c.name: c.expected for c in plan.coefficients}
     model = MODELS[plan.model].model(expected, plan.mass)
     rng = np.random.default_rng(seed)
@@ -74,10 +78,18 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
         for shaker, signal in zip(test.shakers, applied, strict=True):
             forces[("x", "y").index(shaker)] = signal
         frequency = np.fft.rfftfreq(n_sample, 1 / plan.sample_rate)
-        moved = np.fft.irfft(np.einsum("lij,jl->il", model.receptance(2 * np.pi * frequency), np.fft.rfft(forces)), n_sample)
+        moved = np.fft.irfft(
+            np.einsum("lij,jl->il", model.receptance(2 * np.pi * frequency), np.fft.rfft(forces)), n_sample
+        )
         names = ["f"] if len(test.shakers) == 1 else ["f_1", "f_2"]
-        columns = {f"{name} [N]": signal + 0.02 * rng.normal(size=n_sample) for name, signal in zip(names, applied, strict=True)}
-        columns |= {f"{axis} [m]": row + 0.3e-6 * rng.normal(size=n_sample) for axis, row in zip("xy"[: model.n_dof], moved, strict=True)}
+        columns = {
+            f"{name} [N]": signal + 0.02 * rng.normal(size=n_sample)
+            for name, signal in zip(names, applied, strict=True)
+        }
+        columns |= {
+            f"{axis} [m]": row + 0.3e-6 * rng.normal(size=n_sample)
+            for axis, row in zip("xy"[: model.n_dof], moved, strict=True)
+        }
         pc.write_csv(pa.table(columns), folder / "recordings" / f"{test.name}.csv")
 
 
@@ -90,8 +102,11 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
         pytest.param(ROTOR, "together", marks=pytest.mark.long),
     ],
 )
-def test_a_test_carried_out_as_planned(labpipe: Command, tmp_path: Path, entries: dict[str, object], scheme: str) -> None:
-    # The truth is what was expected; the stated errors are those predicted, the noise being estimated from the periods.
+def test_a_test_carried_out_as_planned(
+    labpipe: Command, tmp_path: Path, entries: dict[str, object], scheme: str
+) -> None:
+    # The truth is what was expected; the stated errors are those predicted, the noise being estimated from
+    # the periods.
     folder = tmp_path / "planned"
     ended = labpipe("plan", _write(tmp_path, {**entries, "scheme": scheme}), "-o", folder)
     assert ended.code == 0, ended.err
@@ -106,11 +121,16 @@ def test_a_test_carried_out_as_planned(labpipe: Command, tmp_path: Path, entries
         assert abs(found[c.name]["value"] - c.expected) < 4.5 * c.error_weighted * c.scale
         assert found[c.name]["std_error"] == pytest.approx(c.error * c.scale, rel=0.3)
     # The result is what is expected of the next test.
-    again = {name: value for name, value in entries.items() if name != "expected"} | {"earlier": "out/identification.json"}
+    again = {name: value for name, value in entries.items() if name != "expected"} | {
+        "earlier": "out/identification.json"
+    }
     ended = labpipe("plan", _write(tmp_path, {**again, "scheme": scheme}), "-o", tmp_path / "second")
     assert ended.code == 0, ended.err
     second = read_plan(tmp_path / "second" / "plan.json")
-    assert all(c.error_range is not None and c.error_range[0] <= c.error <= c.error_range[1] for c in second.coefficients)
+    assert all(
+        c.error_range is not None and c.error_range[0] <= c.error <= c.error_range[1]
+        for c in second.coefficients
+    )
     assert second.gain_range is not None
     values = {c.name: c.expected for c in second.coefficients}
     assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
@@ -121,7 +141,13 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     ended = labpipe("plan", path, "-o", tmp_path / "out")
     assert ended.code == 0, ended.err
     assert "The goals are NOT met: they need" in ended.out
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["pipeline.yaml", "plan.json", "report.html", "rig.yaml", "x.csv"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "pipeline.yaml",
+        "plan.json",
+        "report.html",
+        "rig.yaml",
+        "x.csv",
+    ]
     plan = read_plan(tmp_path / "out" / "plan.json")
     (test,) = plan.tests
     force = pc.read_csv(tmp_path / "out" / "x.csv")["f [N]"].to_numpy()
@@ -140,21 +166,51 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     "changes",
     [
         {**PEDESTAL, "sample_rate": "145 Hz"},
-        {**PEDESTAL, "mass": "2.1 kg", "expected": {"k": "160 kN/m", "c": "9 N.s/m"}, "band": "20-47 Hz", "displacement_limit": "60 um"},
+        {
+            **PEDESTAL,
+            "mass": "2.1 kg",
+            "expected": {"k": "160 kN/m", "c": "9 N.s/m"},
+            "band": "20-47 Hz",
+            "displacement_limit": "60 um",
+        },
         {**PEDESTAL, "displacement_limit": "60 um", "force_limit": "3 N", "sample_rate": "3 kHz", "skip": 0},
         {**ROTOR, "displacement_limit": "20 um", "force_limit": "5 N", "scheme": "one by one"},
-        {**ROTOR, "displacement_limit": "20 um", "force_limit": "5 N", "scheme": "together", "sample_rate": "4.096 kHz", "period": "1 s"},
-        {**ROTOR, "shakers": ["20 deg", "100 deg"], "force_limit": "3 N", "scheme": "interleaved", "sample_rate": "202 Hz"},
+        {
+            **ROTOR,
+            "displacement_limit": "20 um",
+            "force_limit": "5 N",
+            "scheme": "together",
+            "sample_rate": "4.096 kHz",
+            "period": "1 s",
+        },
+        {
+            **ROTOR,
+            "shakers": ["20 deg", "100 deg"],
+            "force_limit": "3 N",
+            "scheme": "interleaved",
+            "sample_rate": "202 Hz",
+        },
     ],
 )
-def test_what_is_written_obeys_the_limits(labpipe: Command, tmp_path: Path, changes: dict[str, object]) -> None:
-    # Sampled finer by sines, and on the expected rig from rest to rest: an integration in time that knows nothing of lines.
+def test_what_is_written_obeys_the_limits(
+    labpipe: Command, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    # Sampled finer by sines, and on the expected rig from rest to rest: an integration in time that knows
+    # nothing of lines.
     assert labpipe("plan", _write(tmp_path, changes), "-o", tmp_path / "out").code == 0
     plan = read_plan(tmp_path / "out" / "plan.json")
-    force_limit, displacement_limit = (parse_value(str(changes.get(f"{name}_limit", f"1 {unit}")), unit) for name, unit in LIMITED)
+    force_limit, displacement_limit = (
+        parse_value(str(changes.get(f"{name}_limit", f"1 {unit}")), unit) for name, unit in LIMITED
+    )
     model = MODELS[plan.model].model({c.name: c.expected for c in plan.coefficients}, plan.mass)
-    n_period, n_dof, fine = round(plan.period * plan.sample_rate), model.n_dof, int(np.ceil(6400 / plan.sample_rate))
-    stiffness, damping, mass = (model.known + np.einsum("n,nkij->kij", model.expected, model.elements)) * np.ones((3, n_dof, n_dof))
+    n_period, n_dof, fine = (
+        round(plan.period * plan.sample_rate),
+        model.n_dof,
+        int(np.ceil(6400 / plan.sample_rate)),
+    )
+    stiffness, damping, mass = (
+        model.known + np.einsum("n,nkij->kij", model.expected, model.elements)
+    ) * np.ones((3, n_dof, n_dof))
     inverse = np.linalg.inv(mass)
     states = np.block([[np.zeros((n_dof, n_dof)), np.eye(n_dof)], [-inverse @ stiffness, -inverse @ damping]])
     for test in plan.tests:
@@ -166,8 +222,12 @@ def test_what_is_written_obeys_the_limits(labpipe: Command, tmp_path: Path, chan
             assert np.abs(written).max() <= told <= force_limit
             # 512 samples and more per period of the highest line leave at most 2e-5 of the peak between them.
             assert np.cos(np.pi / 192) * (1 - 2e-5) * told <= np.abs(finer).max() <= told
-            angle = {"x": 0.0, "y": np.pi / 2}.get(shaker, np.radians(float(shaker.removesuffix(" deg")) if "deg" in shaker else 0.0))
-            forces += np.outer((np.cos(angle), np.sin(angle))[:n_dof], np.tile(period, test.periods + test.skip))
+            angle = {"x": 0.0, "y": np.pi / 2}.get(
+                shaker, np.radians(float(shaker.removesuffix(" deg")) if "deg" in shaker else 0.0)
+            )
+            forces += np.outer(
+                (np.cos(angle), np.sin(angle))[:n_dof], np.tile(period, test.periods + test.skip)
+            )
         step = 1 / plan.sample_rate / fine
         rest = np.zeros((n_dof, round(1.0 / step)))
         inputs, outputs = np.vstack([np.zeros((n_dof, n_dof)), inverse]), np.eye(n_dof, 2 * n_dof)
@@ -180,20 +240,28 @@ def test_what_is_written_obeys_the_limits(labpipe: Command, tmp_path: Path, chan
 
 @pytest.mark.long
 def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Path) -> None:
-    """The written signals on the virtual rig, whose shaft moves along: coefficients end within the predicted errors of the rig's own."""
+    """The written signals on the virtual rig, whose shaft moves along: coefficients end within the predicted
+    errors of the rig's own.
+    """
     condition = Condition(film="journal", load=5e3, speed=50.0)
     rig = FloatingRig(
         "virtual-floating-rig",
         stator_mass=60.0,
         shaft_mass=50.0,
         conditions=(("oil", condition),),
-        journal=JournalSettings(kind="journal-bearing", diameter=0.1, length=0.05, clearance=1e-4, viscosity=0.03),
+        journal=JournalSettings(
+            kind="journal-bearing", diameter=0.1, length=0.05, clearance=1e-4, viscosity=0.03
+        ),
     )
     noise = {"force": 3.0, "displacement": 1e-7, "acceleration": 0.1}
     entries = {
         "model": "dynamic-stiffness",
         "mass": "60 kg",
-        "expected": {"bearing": str(ROOT / "configs/bearings/floating-journal.yaml"), "load": "5 kN", "speed": "3000 rpm"},
+        "expected": {
+            "bearing": str(ROOT / "configs/bearings/floating-journal.yaml"),
+            "load": "5 kN",
+            "speed": "3000 rpm",
+        },
         "noise": {"force": "3 N", "displacement": "0.1 um", "acceleration": "0.1 m/s^2"},
         "sample_rate": "500 Hz",
         "band": "20-100 Hz",
@@ -223,7 +291,9 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
         assert ended.code == 0, ended.err
     (fit,) = json.loads((tmp_path / "out" / "identification.json").read_text("utf-8"))["fits"]
     found = {p["name"]: p for p in fit["parameters"]}
-    true = dict(zip((c.name for c in plan.coefficients), np.ravel(coefficients(rig, condition)[:2]), strict=True))
+    true = dict(
+        zip((c.name for c in plan.coefficients), np.ravel(coefficients(rig, condition)[:2]), strict=True)
+    )
     for c in plan.coefficients:
         # Theory on its usual mesh and the rig's converged film differ by tenths of a per cent.
         assert c.expected == pytest.approx(true[c.name], rel=0.02)
@@ -254,9 +324,24 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
         ({"speeed": "50 Hz"}, "did you mean 'speed'"),
     ],
 )
-def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
-    alike = {**ROTOR["expected"], "k_yy": "180 kN/m", "k_xy": "0 N/m", "k_yx": "0 N/m", "c_yy": "120 N.s/m", "c_xy": "0 N.s/m"}
-    entries = {**ROTOR, "expected": {**alike, "c_yx": "0 N.s/m"}, "period": "0.25 s", "scheme": "interleaved", **changes}
+def test_refusals_name_place_and_remedy(
+    labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    alike = {
+        **ROTOR["expected"],
+        "k_yy": "180 kN/m",
+        "k_xy": "0 N/m",
+        "k_yx": "0 N/m",
+        "c_yy": "120 N.s/m",
+        "c_xy": "0 N.s/m",
+    }
+    entries = {
+        **ROTOR,
+        "expected": {**alike, "c_yx": "0 N.s/m"},
+        "period": "0.25 s",
+        "scheme": "interleaved",
+        **changes,
+    }
     ended = labpipe("plan", _write(tmp_path, entries), "-o", tmp_path / "out")
     assert ended.code == 2
     assert message in ended.err and "plan.yaml" in ended.err and "Traceback" not in ended.err

@@ -12,10 +12,15 @@ from labpipe.methods.planning.plan_file import load_plan, read_any_plan, read_pl
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest, RunPlan
 
 LINES = (60.0, 61.0, 64.0, 64.5)
-ONE = PlannedTest("one", 3, 2, ("x",), ("one.csv",), LINES, ((1.0,) * 4,), ((0.0,) * 4,), (1.5,), (1.0,), (1e-6,))
-COEFFICIENTS = tuple(PlannedCoefficient(name, unit, 1.0, 1.0, 0.1, 0.1, 0.2) for name, unit in (("k", "N/m"), ("c", "N.s/m")))
+ONE = PlannedTest(
+    "one", 3, 2, ("x",), ("one.csv",), LINES, ((1.0,) * 4,), ((0.0,) * 4,), (1.5,), (1.0,), (1e-6,)
+)
+COEFFICIENTS = tuple(
+    PlannedCoefficient(name, unit, 1.0, 1.0, 0.1, 0.1, 0.2) for name, unit in (("k", "N/m"), ("c", "N.s/m"))
+)
 PLAN = Plan(
-    "Planned", "sdof", "d", "alone", "optimal", 0.0, period=2.0, sample_rate=256.0, duration=6.0, efficiency=1.0, factor=1.0,
+    "Planned", "sdof", "d", "alone", "optimal", 0.0, period=2.0, sample_rate=256.0, duration=6.0,
+    efficiency=1.0, factor=1.0,
     coefficients=COEFFICIENTS, tests=(ONE,), gains=(), mass=0.79,
 )  # fmt: skip
 

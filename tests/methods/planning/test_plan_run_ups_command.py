@@ -1,4 +1,6 @@
-"""labpipe plan for run-ups: files, words, refusals, and tables recorded as planned that end within the predicted errors."""
+"""labpipe plan for run-ups: files, words, refusals, and tables recorded as planned that end within the
+predicted errors.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,10 @@ PLAN = {
     "stretches": 2,
     "dwell": "10 s",
     "duration": "5 min",
-    "trials": {"both": {"unbalance": {"disc 1": "50 g.mm", "disc 2": "30 g.mm at 60 deg"}}, "one": {"unbalance": {"disc 2": "50 g.mm"}}},
+    "trials": {
+        "both": {"unbalance": {"disc 1": "50 g.mm", "disc 2": "30 g.mm at 60 deg"}},
+        "one": {"unbalance": {"disc 2": "50 g.mm"}},
+    },
     "noise": {"amplitude": "1 %", "displacement": "0.5 um", "phase": "1 deg", "threshold": "0.2 %"},
     "to_threshold": True,
     "known": ["clearance"],
@@ -57,7 +62,9 @@ def _read(run: RunUp, rng: np.random.Generator) -> RunUp:
     noisy = run.response * size * np.exp(1j * run.phase_error * rng.standard_normal(shape))
     threshold = None
     if run.threshold is not None:
-        threshold = Uncertain(run.threshold.value + run.threshold.std_error * rng.standard_normal(), run.threshold.std_error)
+        threshold = Uncertain(
+            run.threshold.value + run.threshold.std_error * rng.standard_normal(), run.threshold.std_error
+        )
     return replace(run, response=noisy, threshold=threshold)
 
 
@@ -90,7 +97,9 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
     ended = labpipe("run", folder / "pipeline.yaml", "-o", tmp_path / "out")
     assert ended.code == 0, ended.err
     (method,) = [
-        m for m in json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["run_ups"]["methods"] if m["name"] == "joint"
+        m
+        for m in json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["run_ups"]["methods"]
+        if m["name"] == "joint"
     ]
     found = {p["name"]: p for p in method["parameters"]}
     assert "clearance" not in found and method["unknowns"] == 11
@@ -110,8 +119,14 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
     ("changes", "message"),
     [
         # Without a measured clearance no run-up separates it from viscosity and all factors: rank 11 of 12.
-        ({"known": [], "goal": {"clearance": "1 %"}}, "however many runs there are, they do not determine clearance"),
-        ({"known": [], "goal": {"clearance": "1 %"}}, "a measured clearance (known: clearance) would determine all"),
+        (
+            {"known": [], "goal": {"clearance": "1 %"}},
+            "however many runs there are, they do not determine clearance",
+        ),
+        (
+            {"known": [], "goal": {"clearance": "1 %"}},
+            "a measured clearance (known: clearance) would determine all",
+        ),
         ({"goal": {"k_zz": "2 %"}}, "no k_zz is predicted"),
         ({"goal": {"clearance": "2 %"}}, "clearance is known"),
         ({"known": ["oil"]}, "the film has no parameter oil"),
@@ -126,7 +141,9 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"dwel": "3 s"}, "did you mean 'dwell'"),
     ],
 )
-def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+def test_refusals_name_place_and_remedy(
+    labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
     quick = {"to_threshold": False, "stretches": 1, "step": "400 rpm"}
     ended = labpipe("plan", _write(tmp_path, **{**quick, **changes}), "-o", tmp_path / "out")
     assert ended.code == 2
@@ -143,13 +160,19 @@ def test_one_load_leaves_the_load_s_exponent_open(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path) -> None:
-    """Where the plan names a measured clearance as the change, fits with it tell all, and scatter as predicted."""
+    """Where the plan names a measured clearance as the change, fits with it tell all, and scatter as
+    predicted.
+    """
     file = load_plan(_write(tmp_path, known=[], goal={}, at_load=None, at_speed=None))
     assert plan_run_ups(file.settings, "", {}).plan.remedies == ("a measured clearance (known: clearance)",)
     file = load_plan(_write(tmp_path, goal={}, duration="20 min", to_threshold=False))
     planned = plan_run_ups(file.settings, "", {})
     assert planned.plan.undetermined == ()
-    runs = [expected_run(planned.expected, planned.candidates[run.name]) for run in planned.plan.runs for _ in range(run.count)]
+    runs = [
+        expected_run(planned.expected, planned.candidates[run.name])
+        for run in planned.plan.runs
+        for _ in range(run.count)
+    ]
     free = np.array([name != "clearance" for name in PARAMETERS])
     prior = np.diag(PRIOR[free] ** -2.0)
     covariance = planned.answered.covariance[np.ix_(free, free)]
@@ -158,7 +181,12 @@ def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path
     # At one truth the estimates scatter by C I C, less than C, which holds for truths drawn from the prior.
     scatter = covariance @ information @ covariance
     rng = np.random.default_rng(8)
-    draws = np.array([fit_jointly(planned.expected.rig, [_read(run, rng) for run in runs], known=("clearance",)).values for _ in range(80)])
+    draws = np.array(
+        [
+            fit_jointly(planned.expected.rig, [_read(run, rng) for run in runs], known=("clearance",)).values
+            for _ in range(80)
+        ]
+    )
     away = draws[:, free] - draws[:, free].mean(axis=0)
     square = np.einsum("di,ij,dj->d", away, np.linalg.inv(scatter), away).sum() / (79 * 11)
     # The mean square of 79 x 11 normal numbers wanders by sqrt(2 / 869) = 4.8 %.

@@ -1,4 +1,6 @@
-"""labpipe plan for a floating bearing at several loads and speeds: files, words, refusals, and states tested on the virtual rig."""
+"""labpipe plan for a floating bearing at several loads and speeds: files, words, refusals, and states tested
+on the virtual rig.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,11 @@ def write(folder: Path, **changes: object) -> Path:
 
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     folder = tmp_path / "planned"
-    common = {"estimate": ["clearance", "viscosity"], "goal": {"clearance": "1 %", "viscosity": "2 %"}, "duration": "90 s"}
+    common = {
+        "estimate": ["clearance", "viscosity"],
+        "goal": {"clearance": "1 %", "viscosity": "2 %"},
+        "duration": "90 s",
+    }
     ended = labpipe("plan", write(tmp_path, **common), "-o", folder)
     assert ended.code == 0, ended.err
     assert "runs of the floating bearing under" in ended.out and "The goals are met" in ended.out
@@ -76,7 +82,9 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
         ({"noise": None}, "one of 'noise' and 'noise_density' is needed"),
     ],
 )
-def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+def test_refusals_name_place_and_remedy(
+    labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
     ended = labpipe("plan", write(tmp_path, **changes), "-o", tmp_path / "out")
     assert ended.code == 2
     assert message in ended.err and "plan.yaml" in ended.err and "Traceback" not in ended.err
@@ -85,14 +93,20 @@ def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, change
 
 @pytest.mark.long
 def test_states_tested_as_planned_end_within_the_predicted_errors(labpipe: Command, tmp_path: Path) -> None:
-    """The written signals on the virtual rig, whose shaft moves along, and the pipeline of the plan over all states."""
-    conditions = {f"{load:g}N-3000rpm": Condition(film="journal", load=load, speed=50.0) for load in (2e3, 5e3)}
+    """The written signals on the virtual rig, whose shaft moves along, and the pipeline of the plan over all
+    states.
+    """
+    conditions = {
+        f"{load:g}N-3000rpm": Condition(film="journal", load=load, speed=50.0) for load in (2e3, 5e3)
+    }
     rig = FloatingRig(
         "virtual-floating-rig",
         stator_mass=60.0,
         shaft_mass=50.0,
         conditions=tuple(conditions.items()),
-        journal=JournalSettings(kind="journal-bearing", diameter=0.1, length=0.05, clearance=1e-4, viscosity=0.03),
+        journal=JournalSettings(
+            kind="journal-bearing", diameter=0.1, length=0.05, clearance=1e-4, viscosity=0.03
+        ),
     )
     folder = tmp_path / "planned"
     ended = labpipe("plan", write(tmp_path, goal={"k_xy": "3 %", "k_yx": "3 %"}), "-o", folder)
@@ -102,20 +116,30 @@ def test_states_tested_as_planned_end_within_the_predicted_errors(labpipe: Comma
     rng = np.random.default_rng(11)
     (folder / "recordings").mkdir()
     for run in plan.runs:
-        forces = np.stack([pc.read_csv(folder / "signals" / f"{run.name}-{axis}.csv")["f [N]"].to_numpy() for axis in "xy"], axis=1)
+        forces = np.stack(
+            [pc.read_csv(folder / "signals" / f"{run.name}-{axis}.csv")["f [N]"].to_numpy() for axis in "xy"],
+            axis=1,
+        )
         frequency = np.fft.rfftfreq(len(forces), 1 / 500)[1:]
         applied = np.fft.rfft(forces, axis=0)[1:]
-        stator, shaft = motions(rig, conditions[run.name], frequency, np.hstack([applied, np.zeros_like(applied)]))
+        stator, shaft = motions(
+            rig, conditions[run.name], frequency, np.hstack([applied, np.zeros_like(applied)])
+        )
         seen = np.hstack([applied, stator - shaft, -((2 * np.pi * frequency[:, None]) ** 2) * stator])
         clean = np.fft.irfft(np.vstack([np.zeros(6), seen]), len(forces), axis=0)
         names = ["f_1 [N]", "f_2 [N]", "x [m]", "y [m]", "a_x [m/s^2]", "a_y [m/s^2]"]
         for name in run_names(run):
             noisy = clean + rng.normal(size=clean.shape) * np.repeat(list(NOISE.values()), 2)
-            pc.write_csv(pa.table(dict(zip(names, noisy.T, strict=True))), folder / "recordings" / f"{name}.csv")
+            pc.write_csv(
+                pa.table(dict(zip(names, noisy.T, strict=True))), folder / "recordings" / f"{name}.csv"
+            )
     for stage in ("frf", "identify"):
         ended = labpipe(stage, "-c", folder / "pipeline.yaml", "-o", tmp_path / "out")
         assert ended.code == 0, ended.err
-    fits = {fit["test"]: fit for fit in json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["fits"]}
+    fits = {
+        fit["test"]: fit
+        for fit in json.loads((tmp_path / "out/identification.json").read_text("utf-8"))["fits"]
+    }
     errors = {number.name: number for number in plan.numbers}
     for run in plan.runs:
         true = dict(zip(COEFFICIENTS, np.ravel(coefficients(rig, conditions[run.name])[:2]), strict=True))
@@ -131,7 +155,9 @@ def test_states_tested_as_planned_end_within_the_predicted_errors(labpipe: Comma
 
 
 def _check_what_states_have_in_common(folder: Path, fits: dict[str, Any]) -> None:
-    """Clearance and viscosity by one step of least squares from the coefficients of both states, weighted by their information."""
+    """Clearance and viscosity by one step of least squares from the coefficients of both states, weighted by
+    their information.
+    """
     settings = load_plan(write(folder, estimate=["clearance", "viscosity"])).settings
     tests = plan_states(settings, "", folder)[1]
     told, pulled = np.zeros((2, 2)), np.zeros(2)

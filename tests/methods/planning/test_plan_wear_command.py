@@ -1,4 +1,6 @@
-"""labpipe plan for wear tests: files, words, light wear, refusals, and tests made on the virtual rig as planned."""
+"""labpipe plan for wear tests: files, words, light wear, refusals, and tests made on the virtual rig as
+planned.
+"""
 
 from __future__ import annotations
 
@@ -57,11 +59,21 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
 
 def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:
     one = {"speeds": ["50 Hz"], "loads": ["-80 N"], "bands": ["60-100 Hz"], "duration": "70 s"}
-    ended = labpipe("plan", _write(tmp_path, **one, expected={"depth": "0.3 um"}, goal={"depth": "1 um"}), "-o", tmp_path / "light")
+    ended = labpipe(
+        "plan",
+        _write(tmp_path, **one, expected={"depth": "0.3 um"}, goal={"depth": "1 um"}),
+        "-o",
+        tmp_path / "light",
+    )
     assert ended.code == 0, ended.err
     assert "At a depth of 0.3 um these tests do not tell the angle" in ended.out
     # At no wear the angle is none: whatever the time. Some wear makes it one.
-    ended = labpipe("plan", _write(tmp_path, **one, expected={"depth": "0 um"}, goal={"angle": "1 deg"}), "-o", tmp_path / "none")
+    ended = labpipe(
+        "plan",
+        _write(tmp_path, **one, expected={"depth": "0 um"}, goal={"angle": "1 deg"}),
+        "-o",
+        tmp_path / "none",
+    )
     assert ended.code == 2
     assert "however many runs there are, they do not determine wear_angle" in ended.err
     assert "a wear of 5 um would determine all" in ended.err
@@ -81,7 +93,9 @@ def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:
         ({"duration": "10 s"}, "no run fits into 10 s"),
     ],
 )
-def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+def test_refusals_name_place_and_remedy(
+    labpipe: Command, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
     one = {"speeds": ["50 Hz"], "loads": ["-80 N"], "bands": ["60-100 Hz"]}
     ended = labpipe("plan", _write(tmp_path, **{**one, **changes}), "-o", tmp_path / "out")
     assert ended.code == 2
@@ -91,14 +105,19 @@ def test_refusals_name_place_and_remedy(labpipe: Command, tmp_path: Path, change
 
 @pytest.mark.long
 def test_tests_made_as_planned_end_within_the_predicted_errors(labpipe: Command, tmp_path: Path) -> None:
-    """The rehearsal on the virtual rig: the last fit knows what all tests told. Beside noise, its films have finite cells."""
+    """The rehearsal on the virtual rig: the last fit knows what all tests told.
+
+    Beside noise, its films have finite cells.
+    """
     folder = tmp_path / "planned"
     small = {"bands": ["60-100 Hz"], "duration": "200 s", "force": "2 N", "clearance": None}
     assert labpipe("plan", _write(tmp_path, **small, criterion="D"), "-o", folder).code == 0
     plan = read_any_plan(folder / "plan.json")
     assert isinstance(plan, RunPlan)
     for run in plan.runs:
-        ended = labpipe("simulate", folder / f"virtual-{run.name}.yaml", "-o", folder / "recordings" / run.name)
+        ended = labpipe(
+            "simulate", folder / f"virtual-{run.name}.yaml", "-o", folder / "recordings" / run.name
+        )
         assert ended.code == 0, ended.err
     for stage in ("frf", "identify"):
         ended = labpipe(stage, "-c", folder / "pipeline.yaml", "-o", tmp_path / "out")
@@ -109,4 +128,8 @@ def test_tests_made_as_planned_end_within_the_predicted_errors(labpipe: Command,
         assert number.error is not None
         stated = found[number.name]["std_error"]
         assert abs(found[number.name]["value"] - number.expected) < 4 * stated
-        assert 0.8 * number.error < stated < np.hypot(1.3 * number.error, 0.1e-6 if number.unit == "m" else np.deg2rad(0.05))
+        assert (
+            0.8 * number.error
+            < stated
+            < np.hypot(1.3 * number.error, 0.1e-6 if number.unit == "m" else np.deg2rad(0.05))
+        )

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, SCHEMES, TOGETHER, Limits, Rig, as_large_as_allowed, crest_factors
+from labpipe.methods.planning.campaigns import (
+    INTERLEAVED,
+    ONE_BY_ONE,
+    SCHEMES,
+    TOGETHER,
+    Limits,
+    Rig,
+    as_large_as_allowed,
+    crest_factors,
+)
 from labpipe.methods.planning.model import relative_errors
 from labpipe.methods.planning.search import BOTH_LIMITS, LEAST_CREST, Wanted, best, flat, reference
 from labpipe.raw_files.excitation import peaks
@@ -73,8 +82,11 @@ def test_crest_factor_out_of_reach() -> None:
         ("seal", None, BOTH_LIMITS, 1.6),
     ],
 )
-def test_gain_over_a_flat_multisine_of_equal_peak_and_time(name: str, displacement: float | None, phases: str, least: float) -> None:
-    # Flat: x, then y, equal times, phases of least crest. With the displacement limited, phases for both limits are most of the gain.
+def test_gain_over_a_flat_multisine_of_equal_peak_and_time(
+    name: str, displacement: float | None, phases: str, least: float
+) -> None:
+    # Flat: x, then y, equal times, phases of least crest. With the displacement limited, phases for both
+    # limits are most of the gain.
     rig, lines, wanted = planned_rig(name, displacement)
     schemes = (ONE_BY_ONE,) if rig.model.n_dof == 1 else (INTERLEAVED,)
     found = best(rig, lines, wanted, schemes)

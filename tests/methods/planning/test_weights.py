@@ -1,4 +1,6 @@
-"""Errors of labpipe's own fits where periods tell the noise, over the prediction with known noise: simulated tests from samples to fits."""
+"""Errors of labpipe's own fits where periods tell the noise, over the prediction with known noise: simulated
+tests from samples to fits.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 from tests.methods.planning.rigs import PEDESTAL, SEAL
 
-# Draws of the suite. The table of labpipe.methods.planning.plan is of 2000: there the rms of n ratios is known to 1 / sqrt(4000 n).
+# Draws of the suite. The table of labpipe.methods.planning.plan is of 2000: there the rms of n ratios is
+# known to 1 / sqrt(4000 n).
 DRAWS = 150
 
 
@@ -61,9 +64,15 @@ def _fitted(name: str, recording: Recording, period: float, names: tuple[str, ..
         response = measure([recording], FrfSettings("periodic", period=period, skip=0, band=(64.9, 66.6)))
         (fit,) = identify(response, FitSettings("sdof", mass=0.79, name="fit"), judging=False)
     else:
-        spectra = channel_spectra([recording], FrfSettings("periodic", period=period, skip=0, band=(9.5, 98.5), result="spectra"))
+        spectra = channel_spectra(
+            [recording], FrfSettings("periodic", period=period, skip=0, band=(9.5, 98.5), result="spectra")
+        )
         form = DynamicStiffnessSettings(form="kcm")
-        (fit,) = identify(spectra, FitSettings("dynamic-stiffness", mass=60.0, model_settings=form, name="fit"), judging=False)
+        (fit,) = identify(
+            spectra,
+            FitSettings("dynamic-stiffness", mass=60.0, model_settings=form, name="fit"),
+            judging=False,
+        )
     values = {parameter.name: parameter.value for parameter in fit.parameters}
     return [values[key] for key in names]
 

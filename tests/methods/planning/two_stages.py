@@ -1,8 +1,9 @@
-"""Plans in two stages on rigs that are not as expected: python -m tests.methods.planning.two_stages {pedestal,rotor,seal} COUNT
+"""Plans in two stages on rigs that are not as expected: python -m tests.methods.planning.two_stages
+{pedestal,rotor,seal} COUNT
 
-Coefficients are wrong by up to 30 % either way. A fifth of the time is flat, which is the floor, the rest planned on its estimate without
-another; all data are fitted together. Held against the plan of one who knows the rig, with its floor of 20 % of the power, and against
-flat alone for the whole time.
+Coefficients are wrong by up to 30 % either way. A fifth of the time is flat, which is the floor, the rest
+planned on its estimate without another; all data are fitted together. Held against the plan of one who knows
+the rig, with its floor of 20 % of the power, and against flat alone for the whole time.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ STEP = {"pedestal": 1, "rotor": 4, "seal": 2}
 
 
 def two_stages(name: str, count: int) -> tuple[list[float], list[float]]:
-    """Of every rig the share of the gain that is kept, and the gain over flat: ratios of the largest relative error."""
+    """Of every rig the share of the gain that is kept, and the gain over flat: ratios of the largest relative
+    error.
+    """
     rng = np.random.default_rng(2)
     kept, over_flat = [], []
     for number in range(count):
@@ -36,7 +39,10 @@ def two_stages(name: str, count: int) -> tuple[list[float], list[float]]:
         second = best(estimated, lines, Wanted("minimax", wanted.goals, 0.0), (scheme,)).campaign
         ideal = best(truth, lines, wanted, (scheme,)).campaign
         both = 0.2 * first.information + 0.8 * truth.rate(second.tests[0])
-        errors = [np.sqrt(np.diagonal(np.linalg.inv(information)).max()) for information in (both, ideal.information, first.information)]
+        errors = [
+            np.sqrt(np.diagonal(np.linalg.inv(information)).max())
+            for information in (both, ideal.information, first.information)
+        ]
         kept.append(float(errors[1] / errors[0]))
         over_flat.append(float(errors[2] / errors[0]))
     return kept, over_flat

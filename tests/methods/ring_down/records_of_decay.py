@@ -20,7 +20,10 @@ def times(duration: float = DURATION, rate: float = RATE) -> np.ndarray:
 def motion(modes: Modes, t: np.ndarray) -> np.ndarray:
     """sum A exp(-zeta w t) cos(w sqrt(1 - zeta^2) t + phase)."""
     omega = [2 * np.pi * f for f, *_ in modes]
-    return sum(a * np.exp(-z * w * t) * np.cos(w * np.sqrt(1 - z**2) * t + phase) for (_, z, a, phase), w in zip(modes, omega, strict=True))
+    return sum(
+        a * np.exp(-z * w * t) * np.cos(w * np.sqrt(1 - z**2) * t + phase)
+        for (_, z, a, phase), w in zip(modes, omega, strict=True)
+    )
 
 
 def record(columns: Sequence[np.ndarray], rate: float = RATE, units: str = "m") -> FreeDecays:
@@ -30,14 +33,18 @@ def record(columns: Sequence[np.ndarray], rate: float = RATE, units: str = "m") 
 
 
 def bound(modes: Modes, t: np.ndarray, sigma: float) -> np.ndarray:
-    """Cramer-Rao standard errors of f_1, zeta_1, f_2, ...: the whole Fisher matrix of f, zeta, A, phase and the offset, by differences."""
+    """Cramer-Rao standard errors of f_1, zeta_1, f_2, ...: the whole Fisher matrix of f, zeta, A, phase and
+    the offset, by differences.
+    """
     values = np.array([value for mode in modes for value in mode])
 
     def model(x: np.ndarray) -> np.ndarray:
         return motion(x.reshape(-1, 4), t)
 
     steps = 1e-6 * np.maximum(np.abs(values), 1e-3)
-    columns = [(model(values + d) - model(values - d)) / (2 * h) for h, d in zip(steps, np.diag(steps), strict=True)]
+    columns = [
+        (model(values + d) - model(values - d)) / (2 * h) for h, d in zip(steps, np.diag(steps), strict=True)
+    ]
     jacobian = np.stack([*columns, np.ones(t.size)], axis=1)
     errors = sigma * np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     return errors[:-1].reshape(-1, 4)[:, :2].reshape(-1)

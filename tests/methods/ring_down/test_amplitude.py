@@ -1,4 +1,6 @@
-"""Damping over amplitude: the law against an integration of its equation, what is seen of it, and false alarms."""
+"""Damping over amplitude: the law against an integration of its equation, what is seen of it, and false
+alarms.
+"""
 
 from __future__ import annotations
 
@@ -43,14 +45,21 @@ def test_the_law_solves_its_equation(rest: float, slope: float) -> None:
     """A' = -w (z0 + z1 A) A and the integral of A, integrated numerically to 1e-10."""
     t = times(2.0)
     exact = solve_ivp(
-        lambda _, y: [-OMEGA * (rest + slope * y[0]) * y[0], y[0]], (0, t[-1]), [0.8, 0.0], t_eval=t, rtol=1e-10, atol=1e-12
+        lambda _, y: [-OMEGA * (rest + slope * y[0]) * y[0], y[0]],
+        (0, t[-1]),
+        [0.8, 0.0],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-12,
     ).y
     np.testing.assert_allclose(amplitude(t, 0.8, OMEGA, rest, slope), exact[0], rtol=1e-7)
     np.testing.assert_allclose(travelled(t, 0.8, OMEGA, rest, slope), exact[1], rtol=1e-7, atol=1e-9)
 
 
 def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
-    """Two hits of 1.0 and 0.6: one exponential leaves a residual that no noise leaves, the law leaves noise and holds the truth."""
+    """Two hits of 1.0 and 0.6: one exponential leaves a residual that no noise leaves, the law leaves noise
+    and holds the truth.
+    """
     pieces, fit = fit_of(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1))
     tested = judged(pieces, fit, RATE)
     assert tested.amplitude < 1e-6 and tested.white < 1e-6 and abs(tested.strongest - 40) < 0.5
@@ -62,12 +71,17 @@ def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
 
 
 def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
-    """1 % of a gain is 1 % of what is per amplitude, as a refit of samples 1 % too small says; poles and the law at rest do not know it."""
+    """1 % of a gain is 1 % of what is per amplitude, as a refit of samples 1 % too small says.
+
+    Poles and the law at rest do not know it.
+    """
     plain = record(noisy([slipping(1.0, 0.3), slipping(0.6, 2.0)], 1))
     gain = ChannelUncertainty("gain", Uncertainty("probe", 0.01, "1"))
     settings = FitSettings("decay", mass="2 kg +- 1 %", name="d")  # type: ignore[arg-type]
     (fit,) = identify(replace(plain, outputs=(replace(plain.outputs[0], uncertainties=(gain,)),)), settings)
-    small = replace(plain, decays=tuple(replace(decay, samples=0.99 * decay.samples) for decay in plain.decays))
+    small = replace(
+        plain, decays=tuple(replace(decay, samples=0.99 * decay.samples) for decay in plain.decays)
+    )
     (refit,) = identify(small, settings)
     assert fit.budget is not None and [source.source for source in fit.budget.sources] == ["probe"]
     for name in ("zeta_slope_1", "f_slope_1"):
@@ -78,7 +92,9 @@ def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
 
 
 def test_stretches_show_the_law() -> None:
-    """Without noise the local damping ratio is z0 + z1 A and the local frequency w + s A, but for the change within a stretch."""
+    """Without noise the local damping ratio is z0 + z1 A and the local frequency w + s A, but for the change
+    within a stretch.
+    """
     pieces, fit = fit_of([slipping(1.0, 0.3) + 1e-9 * np.random.default_rng(1).standard_normal(times().size)])
     course = over_amplitude(pieces, fit, 0, 0)
     assert course.amplitude.size > 10 and np.all(np.diff(course.amplitude) > 0)
@@ -89,7 +105,12 @@ def test_stretches_show_the_law() -> None:
 def test_stretches_of_a_linear_mode_agree_with_it_within_their_errors() -> None:
     pieces, fit = fit_of(noisy([motion(((40.0, 0.005, 1.0, 0.3),), times())], 2))
     course = over_amplitude(pieces, fit, 0, 0)
-    ratios = np.concatenate([(course.damping - 0.005) / course.damping_std_error, (course.frequency - 40) / course.frequency_std_error])
+    ratios = np.concatenate(
+        [
+            (course.damping - 0.005) / course.damping_std_error,
+            (course.frequency - 40) / course.frequency_std_error,
+        ]
+    )
     assert 0.6 < np.sqrt(np.mean(ratios**2)) < 1.5
 
 
@@ -108,7 +129,8 @@ def test_white_noise_seldom_alarms() -> None:
     """At 1 % each test: 200 draws give at most 7 alarms in 99.8 % of such series (binomial)."""
     chances = alarms(((40.0, 0.005, 1.0, 0.3),), 200)
     assert np.all(np.sum(chances < 0.01, axis=0) <= 7)
-    # Chances of a test whose null is right are uniform: the share below one half is within four standard deviations of it.
+    # Chances of a test whose null is right are uniform: the share below one half is within four standard
+    # deviations of it.
     assert np.all(np.abs(np.mean(chances < 0.5, axis=0) - 0.5) < 4 * 0.5 / np.sqrt(200) + 0.06)
 
 
@@ -120,21 +142,29 @@ def test_hum_is_seen_at_its_frequency() -> None:
 
 
 def test_the_portmanteau_statistic_is_that_of_ljung_and_box() -> None:
-    """By hand for series 1, -1, 1, ... of 16 values and two lags: r = -15/16, 14/16; Q = 16 18 (r_1^2 / 15 + r_2^2 / 14)."""
+    """By hand for series 1, -1, 1, ... of 16 values and two lags: r = -15/16, 14/16.
+
+    Q = 16 18 (r_1^2 / 15 + r_2^2 / 14).
+    """
     series = np.where(np.arange(16) % 2 == 0, 1.0, -1.0)[:, None].astype(complex)
     q = 16 * 18 * ((15 / 16) ** 2 / 15 + (14 / 16) ** 2 / 14)
     # chi-square of two degrees of freedom: P = exp(-Q / 2).
     assert portmanteau([series], real=True) == pytest.approx(np.exp(-q / 2), rel=1e-9)
 
 
-@pytest.mark.parametrize(("sigma", "low", "high"), [(0.0, -0.002, 0.001), (0.01, -0.035, -0.025), (0.05, -0.25, -0.19)])
+@pytest.mark.parametrize(
+    ("sigma", "low", "high"), [(0.0, -0.002, 0.001), (0.01, -0.035, -0.025), (0.05, -0.25, -0.19)]
+)
 def test_peaks_are_biased_low_by_noise(sigma: float, low: float, high: float) -> None:
     """Mean of 60 draws, down to a tenth of the first peak: about -3 % at 1 % noise, -22 % at 5 %."""
     truth = 2 * np.pi * 0.005 / np.sqrt(1 - 0.005**2)
     rng = np.random.default_rng(9)
     read = [
         peak_decrement(
-            motion(((40.0, 0.005, 1.0, float(rng.uniform(0, 6))),), times()) + sigma * rng.standard_normal(times().size), RATE, 40.0
+            motion(((40.0, 0.005, 1.0, float(rng.uniform(0, 6))),), times())
+            + sigma * rng.standard_normal(times().size),
+            RATE,
+            40.0,
         )
         for _ in range(60)
     ]
@@ -150,5 +180,10 @@ def test_a_long_record_keeps_its_extremes_when_it_is_thinned() -> None:
     y = np.sin(2 * np.pi * 40 * t)
     y[3333] = 7.0
     time, shown = trace(t, y)
-    assert time.size == shown.size < 1500 and shown.max() == 7.0 and shown.min() == y.min() and np.all(np.diff(time) > 0)
+    assert (
+        time.size == shown.size < 1500
+        and shown.max() == 7.0
+        and shown.min() == y.min()
+        and np.all(np.diff(time) > 0)
+    )
     assert trace(t[:100], y[:100])[1].size == 100

@@ -1,4 +1,6 @@
-"""The virtual mass that is struck, against its equation of motion, and the shipped recordings against their recipe."""
+"""The virtual mass that is struck, against its equation of motion, and the shipped recordings against their
+recipe.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def test_a_mode_obeys_its_equation() -> None:
 
 
 def test_the_joint_damps_by_its_amplitude() -> None:
-    """Its peaks at 100 % and 80 % differ by the law: local damping ratio zeta + joint A, from peak to peak."""
+    """Its peaks at 100 % and 80 % differ by the law: local damping ratio zeta + joint A, from peak to
+    peak.
+    """
     t = np.arange(40960) / 10240
     peaks = motion(RIG, "joint", t, 1.0)[64::256]
     middle = (np.log(peaks[:-1] / peaks[1:]) / (2 * np.pi))[:40]
@@ -61,10 +65,14 @@ def test_the_shipped_recordings_are_made_by_their_recipe(root: Path, tmp_path: P
     assert labpipe("simulate", CONFIG, "-o", tmp_path, "--seed", 1).code == 0
     shipped = root / "sample_data/decay"
     for name in RUNS:
-        made, kept = (np.array(pq.read_table(folder / f"{name}.parquet")["y [nm]"]) for folder in (tmp_path, shipped))
+        made, kept = (
+            np.array(pq.read_table(folder / f"{name}.parquet")["y [nm]"]) for folder in (tmp_path, shipped)
+        )
         # A sine of another machine may round to the next step of 10 nm.
         assert np.max(np.abs(made - kept)) <= 10 and np.mean(made != kept) < 1e-3
     told = json.loads((shipped / "truth.json").read_text())["truth"]
     assert told == {name: truth(load_virtual_rig(CONFIG), [name]) for name in RUNS}
-    assert told["struck"]["k"] == pytest.approx(2 * (80 * np.pi) ** 2) and told["joint"]["zeta_slope_1"] == pytest.approx(30)
+    assert told["struck"]["k"] == pytest.approx(2 * (80 * np.pi) ** 2) and told["joint"][
+        "zeta_slope_1"
+    ] == pytest.approx(30)
     assert sum(path.stat().st_size for path in shipped.iterdir()) < 1.2e5

@@ -1,4 +1,6 @@
-"""The model decay as a fit: parameters, derived values, warnings, notes, refusals, and its way through files and reports."""
+"""The model decay as a fit: parameters, derived values, warnings, notes, refusals, and its way through files
+and reports.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def linear(seed: int = 1, modes=ONE) -> FreeDecays:
 
 
 def test_the_parameters_of_one_mode_and_its_support() -> None:
-    """k = m w_n^2, c = 2 zeta w_n m, log decrement = 2 pi zeta / sqrt(1 - zeta^2), from the fitted f_n and zeta."""
+    """k = m w_n^2, c = 2 zeta w_n m, log decrement = 2 pi zeta / sqrt(1 - zeta^2), from the fitted f_n and
+    zeta.
+    """
     fit = fitted(linear(), mass=2.0)
     assert [p.name for p in fit.parameters] == ["f_n_1", "zeta_1", "log_decrement_1", "k", "c"]
     f_n, zeta, decrement, k, c = fit.parameters
@@ -46,8 +50,17 @@ def test_the_parameters_of_one_mode_and_its_support() -> None:
     assert decrement.value == pytest.approx(2 * np.pi * zeta.value / np.sqrt(1 - zeta.value**2), rel=1e-12)
     assert k.std_error == pytest.approx(2 * k.value * f_n.std_error / f_n.value, rel=1e-9)
     assert decrement.std_error == pytest.approx(2 * np.pi * zeta.std_error, rel=1e-3)
-    assert [p.derived for p in fit.parameters] == [False, False, True, True, True] and fit.correlation.shape == (2, 2)
-    assert all(p.ci95[0] < truth < p.ci95[1] for p, truth in zip(fit.parameters, (40, 0.005, 0.0314163, 126330.9, 5.02655), strict=True))
+    assert [p.derived for p in fit.parameters] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+    ] and fit.correlation.shape == (2, 2)
+    assert all(
+        p.ci95[0] < truth < p.ci95[1]
+        for p, truth in zip(fit.parameters, (40, 0.005, 0.0314163, 126330.9, 5.02655), strict=True)
+    )
     assert fit.findings == () and fit.gof.r2 > 0.98 and fit.lines == fit.equations == 4096 and fit.dof == 4091
 
 
@@ -67,16 +80,24 @@ def test_damping_over_amplitude_warns_and_takes_the_intervals() -> None:
     assert [f.code for f in fit.findings] == ["amplitude-dependent"]
     assert all(fit.parameter(name).std_error is None for name in ("f_n_1", "zeta_1", "log_decrement_1"))
     slope = fit.parameter("zeta_slope_1")
-    assert slope.unit == "1/m" and slope.ci95[0] < 0.003 < slope.ci95[1] and fit.parameter("f_slope_1").unit == "Hz/m"
+    assert (
+        slope.unit == "1/m"
+        and slope.ci95[0] < 0.003 < slope.ci95[1]
+        and fit.parameter("f_slope_1").unit == "Hz/m"
+    )
     assert fit.detail(RingDown).modes[0].law is not None
 
 
 def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None:
-    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure has; two modes fit better."""
+    """Two linear modes 0.2 Hz apart under one: the law fits the beat with a damping at rest that no structure
+    has; two modes fit better.
+    """
     decays = record(noisy([motion(((40.0, 0.005, 1.0, 0.3), (40.2, 0.005, 0.5, 2.8)), times(2.0))], 1))
     fit = fitted(decays)
     (finding,) = [finding for finding in fit.findings if finding.code == "missing-mode"]
-    assert "`modes: 2`" in finding.message and "amplitude-dependent" not in [finding.code for finding in fit.findings]
+    assert "`modes: 2`" in finding.message and "amplitude-dependent" not in [
+        finding.code for finding in fit.findings
+    ]
     named = [float(number) for number in re.findall(r"at (\d+\.?\d*) and (\d+\.?\d*) Hz", finding.message)[0]]
     np.testing.assert_allclose(named, [40.0, 40.2], atol=0.05)
     assert "zeta_rest_1" not in [parameter.name for parameter in fit.parameters]
@@ -86,7 +107,9 @@ def test_two_modes_that_beat_are_not_taken_for_a_law_that_gains_energy() -> None
 @pytest.mark.parametrize("ratio", [0.2, 0.5])
 @pytest.mark.parametrize("phase", [0.3, 2.8])
 def test_a_missing_mode_is_named_where_it_beats(apart: float, ratio: float, phase: float) -> None:
-    """Up to the half-power width of 0.4 Hz apart, 4 s: one mode alone would be said to depend on its amplitude."""
+    """Up to the half-power width of 0.4 Hz apart, 4 s: one mode alone would be said to depend on its
+    amplitude.
+    """
     beating = motion(((40.0, 0.005, 1.0, 0.3), (40.0 + apart, 0.005, ratio, phase)), times())
     assert "missing-mode" in [finding.code for finding in fitted(record(noisy([beating], 7))).findings]
 
@@ -110,12 +133,16 @@ def test_an_oscillation_that_grows_is_unphysical() -> None:
 
 def test_a_band_is_fitted_alone() -> None:
     fit = fitted(linear(modes=(*ONE, (95.0, 0.01, 3.0, 1.0))), band=(35.0, 45.0))
-    assert fit.band_hz == (35.0, 45.0) and abs(fit.parameter("f_n_1").value - 40) < 0.01 and fit.findings == ()
+    assert (
+        fit.band_hz == (35.0, 45.0) and abs(fit.parameter("f_n_1").value - 40) < 0.01 and fit.findings == ()
+    )
 
 
 def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
     fit = fitted(record(noisy([motion(((40.0, 1e-7, 0.3, 0.3),), times())], 5)))
-    assert {f.code for f in fit.findings} & {"insignificant", "unphysical"} and fit.parameter("zeta_1").significant is False
+    assert {f.code for f in fit.findings} & {"insignificant", "unphysical"} and fit.parameter(
+        "zeta_1"
+    ).significant is False
 
 
 @pytest.mark.parametrize(
@@ -129,7 +156,9 @@ def test_an_oscillation_that_does_not_decay_is_no_mode() -> None:
         ({"band": (200.0, 300.0)}, FitError, "is noise"),
     ],
 )
-def test_what_does_not_fit_is_refused(settings: dict[str, object], error: type[Exception], message: str) -> None:
+def test_what_does_not_fit_is_refused(
+    settings: dict[str, object], error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         fitted(linear(), **settings)
 
@@ -147,7 +176,9 @@ def test_a_number_of_modes_beyond_reason_is_refused(modes: int) -> None:
 
 def test_models_say_what_they_are_of() -> None:
     port = (Port("y", "y", "y"),)
-    response = FrequencyResponse(np.arange(1.0, 4.0), np.ones((3, 1, 1), complex), port, (Port("f", "f", "y"),))
+    response = FrequencyResponse(
+        np.arange(1.0, 4.0), np.ones((3, 1, 1), complex), port, (Port("f", "f", "y"),)
+    )
     with pytest.raises(ConfigError, match="model decay needs free decays"):
         identify(response, FitSettings("decay"))
     with pytest.raises(ConfigError, match="model sdof needs an FRF"):
@@ -155,17 +186,23 @@ def test_models_say_what_they_are_of() -> None:
 
 
 def test_outputs_of_one_hit_share_their_poles() -> None:
-    """The second output sees the mode a hundred times weaker in other units: the intervals are at least as narrow as those of the first."""
+    """The second output sees the mode a hundred times weaker in other units: the intervals are at least as
+    narrow as those of the first.
+    """
     first, second = noisy([motion(ONE, times()), 0.01 * motion(ONE, times())], 6)
     ports = (Port("a", "a", "x"), Port("b", "b", "y"))
-    both = FreeDecays(1024.0, ports, ("m", "m/s^2"), (FreeDecay("r", 0.0, np.stack([first, 0.1 * second], axis=1)),))
+    both = FreeDecays(
+        1024.0, ports, ("m", "m/s^2"), (FreeDecay("r", 0.0, np.stack([first, 0.1 * second], axis=1)),)
+    )
     together, alone = fitted(both), fitted(both, output="a")
     assert together.parameter("f_n_1").std_error <= alone.parameter("f_n_1").std_error
     assert together.detail(RingDown).output == "a" and together.equations == 2 * alone.equations
 
 
 def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
-    decays = FreeDecays(1024.0, (Port("y", "y", "y"),), ("m",), linear().decays * 2, name="t", conditions={"preload": "1 N"})
+    decays = FreeDecays(
+        1024.0, (Port("y", "y", "y"),), ("m",), linear().decays * 2, name="t", conditions={"preload": "1 N"}
+    )
     write_decays(tmp_path / "t.decay.parquet", decays, Header("decay", {}, inputs=()))
     back = read_decays(tmp_path / "t.decay.parquet")
     assert (back.sample_rate, back.outputs, back.units, back.name, back.conditions) == (
@@ -179,7 +216,10 @@ def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
     np.testing.assert_array_equal(back.decays[1].samples, decays.decays[1].samples)
     fit = fitted(record(noisy([slipping(1.0, 0.3)], 1)))
     again = read_fit(json.loads(json.dumps(fit_entry(fit))))
-    assert again.parameters == fit.parameters and again.detail(RingDown).modes[0].law == fit.detail(RingDown).modes[0].law
+    assert (
+        again.parameters == fit.parameters
+        and again.detail(RingDown).modes[0].law == fit.detail(RingDown).modes[0].law
+    )
     np.testing.assert_array_equal(again.detail(RingDown).residual, fit.detail(RingDown).residual)
 
 
@@ -188,7 +228,10 @@ def test_the_report_shows_decay_residual_and_course_over_amplitude() -> None:
     (section,) = [s for s in build(Identification((fit,), "t")).sections if s.heading == "Result: ring"]
     # The correlation of the two estimates is a sentence.
     decay, over = [block for block in section.blocks if isinstance(block, Figure)]
-    assert decay.graphic.names == ("measured", "fitted", "residual") and over.graphic.names == ("stretches", "law")
+    assert decay.graphic.names == ("measured", "fitted", "residual") and over.graphic.names == (
+        "stretches",
+        "law",
+    )
     law = over.graphic.panels[0].series[1]
     assert law.y[-1] > law.y[0] > 0.3
 
@@ -197,4 +240,9 @@ def test_no_decay_is_no_record() -> None:
     with pytest.raises(DataError, match="holds no free decay"):
         record([])
     with pytest.raises(DataError, match="has 1 outputs, 2 are needed"):
-        FreeDecays(1.0, (Port("a", "a", "a"), Port("b", "b", "b")), ("m", "m"), (FreeDecay("r", 0.0, np.ones((3, 1))),))
+        FreeDecays(
+            1.0,
+            (Port("a", "a", "a"), Port("b", "b", "b")),
+            ("m", "m"),
+            (FreeDecay("r", 0.0, np.ones((3, 1))),),
+        )

@@ -8,7 +8,13 @@ from scipy.optimize import least_squares
 
 from labpipe.errors import FitError
 from labpipe.methods.ring_down.fit import mode_parameters
-from labpipe.methods.ring_down.likelihood import maximum_likelihood, most_likely, pencil_poles, pieces_of, solve
+from labpipe.methods.ring_down.likelihood import (
+    maximum_likelihood,
+    most_likely,
+    pencil_poles,
+    pieces_of,
+    solve,
+)
 from labpipe.records.spectra import FreeDecay
 from tests.methods.ring_down.records_of_decay import RATE, Modes, bound, motion, record, times
 
@@ -37,7 +43,8 @@ def test_a_decay_without_noise_gives_its_poles(modes: Modes) -> None:
 
 def test_hits_of_unlike_amplitude_phase_and_length_share_their_poles() -> None:
     hits = [
-        motion(((40.0, 0.005, a, p),), times(d)) + o for a, p, d, o in ((1.0, 0.1, 4.0, 0.0), (0.3, 2.0, 2.5, 1.0), (0.7, 4.0, 3.1, -2.0))
+        motion(((40.0, 0.005, a, p),), times(d)) + o
+        for a, p, d, o in ((1.0, 0.1, 4.0, 0.0), (0.3, 2.0, 2.5, 1.0), (0.7, 4.0, 3.1, -2.0))
     ]
     np.testing.assert_allclose(fitted(hits, 1).poles, poles_of(ONE), rtol=1e-9)
 
@@ -52,7 +59,10 @@ def test_a_long_lightly_damped_record_keeps_its_phase() -> None:
 
 @pytest.mark.parametrize("modes", [ONE, TWO], ids=["one", "two"])
 def test_the_covariance_is_the_inverse_fisher_matrix(modes: Modes) -> None:
-    """Against all parameters at once, by differences, in f and zeta; the noise's size is that of the residual."""
+    """Against all parameters at once, by differences, in f and zeta.
+
+    The noise's size is that of the residual.
+    """
     t, sigma = times(), 0.01
     y = motion(modes, t) + sigma * np.random.default_rng(3).standard_normal(t.size)
     fit = fitted([y], len(modes))
@@ -66,10 +76,15 @@ def test_the_minimum_is_that_of_a_plain_search() -> None:
     t = times()
     y = motion(ONE, t) + 0.5 + 0.05 * np.random.default_rng(4).standard_normal(t.size)
     twin = least_squares(
-        lambda x: motion([tuple(x[:4])], t) + x[4] - y, [40.01, 0.0051, 1.0, 0.3, 0.5], x_scale=[40, 0.005, 1, 1, 1], xtol=1e-14
+        lambda x: motion([tuple(x[:4])], t) + x[4] - y,
+        [40.01, 0.0051, 1.0, 0.3, 0.5],
+        x_scale=[40, 0.005, 1, 1, 1],
+        xtol=1e-14,
     )
     f_n, zeta, _ = mode_parameters(fitted([y], 1), None)
-    assert f_n.value == pytest.approx(twin.x[0], rel=1e-8) and zeta.value == pytest.approx(twin.x[1], rel=1e-6)
+    assert f_n.value == pytest.approx(twin.x[0], rel=1e-8) and zeta.value == pytest.approx(
+        twin.x[1], rel=1e-6
+    )
 
 
 def test_the_residual_is_orthogonal_to_the_tangent() -> None:
@@ -80,12 +95,17 @@ def test_the_residual_is_orthogonal_to_the_tangent() -> None:
 
 
 def test_a_band_keeps_another_mode_out() -> None:
-    """A strong mode at 95 Hz and hum at 50 Hz outside 35-45 Hz; the error stays within four standard errors of the truth."""
+    """A strong mode at 95 Hz and hum at 50 Hz outside 35-45 Hz.
+
+    The error stays within four standard errors of the truth.
+    """
     t = times()
     noise = 0.01 * np.random.default_rng(5).standard_normal(t.size)
     y = motion((*ONE, (95.0, 0.01, 3.0, 1.0)), t) + 0.2 * np.cos(2 * np.pi * 50 * t + 1) + noise
     f_n, zeta, _ = mode_parameters(fitted([y], 1, (35.0, 45.0)), None)
-    assert abs(f_n.value - 40) < 4 * f_n.std_error < 0.01 and abs(zeta.value - 0.005) < 4 * zeta.std_error < 2e-4
+    assert (
+        abs(f_n.value - 40) < 4 * f_n.std_error < 0.01 and abs(zeta.value - 0.005) < 4 * zeta.std_error < 2e-4
+    )
     assert 0.9 < f_n.std_error / bound(ONE, t, 0.01)[0] < 1.3
 
 
@@ -95,11 +115,15 @@ def test_a_band_of_few_lines_and_a_short_decay_are_refused() -> None:
     with pytest.raises(FitError, match="samples of its highest frequency long"):
         pencil_poles([np.ones(9)], RATE, 1, 2)
     with pytest.raises(FitError, match="became one"):
-        maximum_likelihood(pieces_of((FreeDecay("a", 0.0, motion(ONE, times())[:, None]),), [0], RATE, None), np.repeat(poles_of(ONE), 2))
+        maximum_likelihood(
+            pieces_of((FreeDecay("a", 0.0, motion(ONE, times())[:, None]),), [0], RATE, None),
+            np.repeat(poles_of(ONE), 2),
+        )
 
 
 def drawn(modes: Modes, sigma: float, bits: int, draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors over the Cramer-Rao bound, and whether the intervals hold the truth, (draw, f_1 zeta_1 f_2 ...); seeds pinned.
+    """Errors over the Cramer-Rao bound, and whether the intervals hold the truth, (draw, f_1 zeta_1 f_2 ...);
+    seeds pinned.
 
     8 bits: steps of 5/256 of the first amplitude, whose own variance, step^2 / 12, counts as noise.
     """
@@ -132,7 +156,9 @@ def test_few_draws_reach_the_bound(bits: int) -> None:
 @CASES
 @PAIRS
 def test_the_bound_is_reached_and_intervals_hold_the_truth(modes: Modes, bits: int) -> None:
-    """200 draws: root mean square error within 1.1 of the Cramer-Rao bound, 93 to 97 % of the intervals hold the truth, none is lost."""
+    """200 draws: root mean square error within 1.1 of the Cramer-Rao bound, 93 to 97 % of the intervals hold
+    the truth, none is lost.
+    """
     ratios, holds = drawn(modes, 0.01, bits, 200)
     frequency, damping = ratios[:, 0::2], ratios[:, 1::2]
     assert np.sqrt(np.mean(frequency**2)) < 1.1 and np.sqrt(np.mean(damping**2)) < 1.1

@@ -1,4 +1,7 @@
-"""What is said of a measured hammer test of a beam (vibrationtesting, MIT); its figures are in the validation manual."""
+"""What is said of a measured hammer test of a beam (vibrationtesting, MIT).
+
+Its figures are in the validation manual.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,10 @@ from tests.validation.modal import decayed
 def test_a_damping_that_depends_on_the_amplitude_is_named() -> None:
     """A second mode fits it better than the law, but not well: no interval."""
     fit = decayed((204.0, 220.0))
-    assert "amplitude-dependent" in [finding.code for finding in fit.findings] and fit.parameter("zeta_1").ci95 is None
+    assert (
+        "amplitude-dependent" in [finding.code for finding in fit.findings]
+        and fit.parameter("zeta_1").ci95 is None
+    )
 
 
 def test_hum_is_no_mode() -> None:

@@ -16,8 +16,12 @@ from tests.conftest import Command
 RATE, LENGTH = 512.0, 2.0
 
 
-def struck(frequencies: Sequence[float], ratios: Sequence[float], sizes: Sequence[float], seed: int = 1) -> np.ndarray:
-    """A recording of hits in closed form: after each y = A e^(-zeta w t) sin(w_d t), with white noise of a hundredth."""
+def struck(
+    frequencies: Sequence[float], ratios: Sequence[float], sizes: Sequence[float], seed: int = 1
+) -> np.ndarray:
+    """A recording of hits in closed form: after each y = A e^(-zeta w t) sin(w_d t), with white noise of a
+    hundredth.
+    """
     time = np.arange(round(LENGTH * RATE)) / RATE
     parts = [np.zeros(100)]
     for frequency, ratio, size in zip(frequencies, ratios, sizes, strict=True):
@@ -46,8 +50,13 @@ def named(fit: dict[str, Any]) -> dict[str, Any]:
     return {parameter["name"]: parameter for parameter in fit["parameters"]}
 
 
-def test_twenty_one_decays_of_a_frequency_that_scatters(tmp_path: Path, labpipe: Command, rng: np.random.Generator) -> None:
-    """The mean of what each decay was made with; an interval of Student's size, not that of the noise; one fit of all has none."""
+def test_twenty_one_decays_of_a_frequency_that_scatters(
+    tmp_path: Path, labpipe: Command, rng: np.random.Generator
+) -> None:
+    """The mean of what each decay was made with; an interval of Student's size, not that of the noise.
+
+    One fit of all has none.
+    """
     frequencies, ratios = 40 * np.exp(0.002 * rng.normal(size=21)), 0.005 * np.exp(0.1 * rng.normal(size=21))
     motion = struck(frequencies, ratios, np.full(21, 1.0))
     fit = run(tmp_path, labpipe, motion)
@@ -63,13 +72,18 @@ def test_twenty_one_decays_of_a_frequency_that_scatters(tmp_path: Path, labpipe:
     assert f["repeats"]["spread"] == pytest.approx(np.std(frequencies, ddof=1), rel=0.2)
     assert f["std_error"] < 0.1 * expected
     assert f["interval"]["discrepancy"] == f["interval"]["systematic"] == 0
-    assert np.hypot(f["interval"]["noise"], f["interval"]["repeats"]) == pytest.approx(f["std_error_inflated"])
+    assert np.hypot(f["interval"]["noise"], f["interval"]["repeats"]) == pytest.approx(
+        f["std_error_inflated"]
+    )
     # k = m (2 pi f)^2: twice the relative interval.
     assert k["value"] == pytest.approx(2 * (2 * np.pi * f["value"]) ** 2, rel=1e-9)
     assert np.log(k["ci95"][1] / k["value"]) == pytest.approx(2 * np.log(f["ci95"][1] / f["value"]), rel=1e-6)
     assert any("means over 21 decays" in note for note in fit["notes"])
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert "21 repeats whose means the values are. Line and shade" in page and "hold the scatter between repeats" in page
+    assert (
+        "21 repeats whose means the values are. Line and shade" in page
+        and ("hold the scatter between repeats") in page
+    )
     assert "The residual is not noise" not in page
     (tmp_path / "pool").mkdir()
     pooled = named(run(tmp_path / "pool", labpipe, motion, ", repeats: pool"))
@@ -87,7 +101,9 @@ def test_a_decay_that_stands_out_is_named(tmp_path: Path, labpipe: Command, rng:
     assert any("means over 8 of 9 decays" in note for note in fit["notes"])
 
 
-def test_a_frequency_that_follows_the_amplitude_is_stated_at_one(tmp_path: Path, labpipe: Command, rng: np.random.Generator) -> None:
+def test_a_frequency_that_follows_the_amplitude_is_stated_at_one(
+    tmp_path: Path, labpipe: Command, rng: np.random.Generator
+) -> None:
     """f = 40 (1 - .004 (a - .65)): at the middle amplitude of the decays, with less than their scatter."""
     sizes = rng.permutation(np.linspace(0.3, 1.0, 12))
     frequencies = 40 * (1 - 0.004 * (sizes - 0.65)) * np.exp(1e-4 * rng.normal(size=12))

@@ -61,7 +61,10 @@ def twin() -> Twin:
 
 @pytest.fixture(scope="session")
 def mixed_loads() -> Callable[[RollingBearing, np.random.Generator, int], np.ndarray]:
-    """Loads of 1 N to 20 kN in every mix of directions (n_case, 5); moments as forces at the pitch radius; some components zero."""
+    """Loads of 1 N to 20 kN in every mix of directions (n_case, 5); moments as forces at the pitch radius.
+
+    Some components zero.
+    """
 
     def loads(bearing: RollingBearing, rng: np.random.Generator, n_case: int) -> np.ndarray:
         directions = rng.normal(size=(n_case, 5)) * (rng.random((n_case, 5)) < 0.7)

@@ -1,4 +1,6 @@
-"""The virtual ball-bearing rig: its samples against an independent solution line by line, its truth, its scatter, its files."""
+"""The virtual ball-bearing rig: its samples against an independent solution line by line, its truth, its
+scatter, its files.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,10 @@ def rig() -> VirtualBallBearingRig:
 
 
 def test_the_stiffness_is_the_printed_one_times_the_ratio(rig) -> None:
-    """Knaapen (1997), appendix A: NSK 6208 at 427 N, K_xx .2125e9, K_zz .1654e8; RPF 7208 at 445 N, K_zz .9993e8 (printed digits)."""
+    """Knaapen (1997), appendix A: NSK 6208 at 427 N, K_xx .2125e9, K_zz .1654e8.
+
+    RPF 7208 at 445 N, K_zz .9993e8 (printed digits).
+    """
     quiet = replace(rig, noise=QUIET)
     first, second = simulate_ball_bearing(quiet, 1, ["6208-427N-up-z", "7208-445N-up-z"])
     k = np.array(first.truth["stiffness"])
@@ -41,7 +46,9 @@ def test_the_stiffness_is_the_printed_one_times_the_ratio(rig) -> None:
 
 @pytest.mark.parametrize(("force", "row"), [("x", 0), ("z", 2), ("by", 4)])
 def test_the_samples_are_the_steady_state_of_the_shaft(rig, force: str, row: int) -> None:
-    """Accelerance of the recording's spectra against -w^2 (Z)^-1 with the bearing's and the shaft's compliances added literally."""
+    """Accelerance of the recording's spectra against -w^2 (Z)^-1 with the bearing's and the shaft's
+    compliances added literally.
+    """
     quiet = replace(rig, noise=QUIET)
     (run,) = simulate_ball_bearing(quiet, 1, [f"6208-701N-up-{force}"])
     n = round(rig.sampling.rate / rig.sampling.spacing)
@@ -49,7 +56,9 @@ def test_the_samples_are_the_steady_state_of_the_shaft(rig, force: str, row: int
     for line in (33, 250, 460):
         w = 2 * np.pi * line * rig.sampling.spacing
         bearing = np.array(run.truth["stiffness"]) * (1 + 1j * w * rig.damping_factor)
-        total = np.linalg.inv(np.linalg.inv(bearing) + np.diag([1, 1, 0, 0, 0]) / rig.deep_groove.bending_stiffness)
+        total = np.linalg.inv(
+            np.linalg.inv(bearing) + np.diag([1, 1, 0, 0, 0]) / rig.deep_groove.bending_stiffness
+        )
         h = -(w**2) * np.linalg.inv(total - w**2 * np.diag([2.45, 2.45, 2.45, 1.24e-2, 1.24e-2]))
         lever = np.array([1, 1, 1, 0.1, 0.1])
         expected = (lever[:, None] * h * lever)[[0, 2, 4], row]
@@ -60,9 +69,13 @@ def test_noise_has_the_stated_size_and_the_periods_repeat_without_it(rig) -> Non
     (noisy,) = simulate_ball_bearing(rig, 1, ["6208-427N-up-x"])
     still = replace(rig, noise=replace(rig.noise, acceleration=0.0, force=0.0))
     (clean,) = simulate_ball_bearing(still, 1, ["6208-427N-up-x"])
-    np.testing.assert_allclose(np.std(noisy.recording.samples - clean.recording.samples, axis=0), [0.1, 0.3, 0.3, 0.3], rtol=0.05)
+    np.testing.assert_allclose(
+        np.std(noisy.recording.samples - clean.recording.samples, axis=0), [0.1, 0.3, 0.3, 0.3], rtol=0.05
+    )
     n = round(rig.sampling.rate / rig.sampling.spacing)
-    np.testing.assert_allclose(clean.recording.samples[:n], clean.recording.samples[-n:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        clean.recording.samples[:n], clean.recording.samples[-n:], rtol=1e-9, atol=1e-9
+    )
 
 
 def test_a_setting_has_one_preload_and_settings_scatter_as_stated(rig) -> None:
@@ -97,7 +110,9 @@ def test_a_run_does_not_depend_on_which_others_are_made(rig) -> None:
 def test_calibration_tables_follow_their_laws(rig) -> None:
     """P = a f^2 with a = 0.009189, F = 2079 S + 0.0092 as printed by Knaapen (1997)."""
     string, strip = simulate_ball_bearing(replace(rig, noise=QUIET), 1, ["string", "strip"])
-    np.testing.assert_allclose(string.table["force [N]"], 0.009189 * string.table["frequency [Hz]"] ** 2, rtol=1e-12)
+    np.testing.assert_allclose(
+        string.table["force [N]"], 0.009189 * string.table["frequency [Hz]"] ** 2, rtol=1e-12
+    )
     np.testing.assert_allclose(strip.table["force [N]"], 2079 * strip.table["strip [V]"] + 0.0092, rtol=1e-12)
 
 
@@ -117,11 +132,21 @@ def test_faults_are_named(rig) -> None:
 def test_the_sample_data_are_what_the_rig_gives(rig, labpipe, tmp_path, root) -> None:
     names = ["6208-427N-up-x", "6208-701N-m1-r1-z", "strip"]
     options = [part for name in names for part in ("--run", name)]
-    assert labpipe("simulate", root / "configs/virtual-ball-bearing.yaml", "-o", tmp_path, "--seed", 1, *options).code == 0
+    assert (
+        labpipe(
+            "simulate", root / "configs/virtual-ball-bearing.yaml", "-o", tmp_path, "--seed", 1, *options
+        ).code
+        == 0
+    )
     for name in names[:2]:
-        made, kept = (pq.read_table(folder / f"{name}.parquet").to_pandas() for folder in (tmp_path, root / "sample_data/ball-bearing"))
+        made, kept = (
+            pq.read_table(folder / f"{name}.parquet").to_pandas()
+            for folder in (tmp_path, root / "sample_data/ball-bearing")
+        )
         assert list(made) == list(kept)
-        assert np.max(np.abs(made.to_numpy(int) - kept.to_numpy(int))) <= 1  # one step of the logger: rounding of the last digit
+        assert (
+            np.max(np.abs(made.to_numpy(int) - kept.to_numpy(int))) <= 1
+        )  # one step of the logger: rounding of the last digit
     assert (tmp_path / "strip.csv").read_text() == (root / "sample_data/ball-bearing/strip.csv").read_text()
     size = sum(file.stat().st_size for file in (root / "sample_data/ball-bearing").iterdir())
     assert size <= 2e6

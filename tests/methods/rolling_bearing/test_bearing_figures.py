@@ -40,9 +40,23 @@ def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
     figures = sweep_figures("6208", "loads.z [N]", values, found)
     assert list(figures) == ["stiffness"]
     panels = figures["stiffness"].graphic.panels
-    assert [panel.y.label for panel in panels] == ["stiffness [kN/m]", "stiffness [N/rad]", "stiffness [N.m/rad]"]
+    assert [panel.y.label for panel in panels] == [
+        "stiffness [kN/m]",
+        "stiffness [N/rad]",
+        "stiffness [N.m/rad]",
+    ]
     lines = {series.name: series for panel in panels for series in panel.series}
-    assert set(lines) == {"k x,x", "k y,y", "k y,z", "k z,z", "k x,by", "k y,bx", "k z,bx", "k bx,bx", "k by,by"}
+    assert set(lines) == {
+        "k x,x",
+        "k y,y",
+        "k y,z",
+        "k z,z",
+        "k x,by",
+        "k y,bx",
+        "k z,bx",
+        "k bx,bx",
+        "k by,by",
+    }
     assert lines["k z,z"].y == pytest.approx([each.stiffness[2, 2] / 1e3 for each in found])
     assert "range over one ball passage" in figures["stiffness"].caption
 
@@ -50,7 +64,10 @@ def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
 def test_damping_has_its_figure_and_asymmetric_matrices_show_both_sides() -> None:
     """A journal bearing's two dofs: k_yz and k_zy differ and are both drawn."""
     stiffness = np.array([[2.0, 7.0], [-8.0, 1.0]]) * 1e6
-    found = [BearingCoefficients(dofs=("y", "z"), stiffness=factor * stiffness, damping=np.eye(2) * 1e3) for factor in (1.0, 2.0)]
+    found = [
+        BearingCoefficients(dofs=("y", "z"), stiffness=factor * stiffness, damping=np.eye(2) * 1e3)
+        for factor in (1.0, 2.0)
+    ]
     figures = sweep_figures("journal", "speed [Hz]", np.array([10.0, 20.0]), found)
     labels = [series.name for series in figures["stiffness"].graphic.panels[0].series]
     assert labels == ["k y,y", "k y,z", "k z,y", "k z,z"]

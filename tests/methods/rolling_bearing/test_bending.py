@@ -1,4 +1,6 @@
-"""The bending shaft in series: closed forms, the error law against sampling, intervals that cover, what is refused."""
+"""The bending shaft in series: closed forms, the error law against sampling, intervals that cover, what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,17 @@ def test_static_stiffness_from_the_bending_moment() -> None:
 
     def deflection(load: float) -> float:
         points = (load, span / 2)
-        return integrate.quad(lambda x: moment(x, load) * moment(x, span / 2), 0, span, points=points)[0] / BEAM.rigidity
+        return (
+            integrate.quad(lambda x: moment(x, load) * moment(x, span / 2), 0, span, points=points)[0]
+            / BEAM.rigidity
+        )
 
     assert BEAM.static_stiffness(s) == pytest.approx(1 / deflection(s), rel=1e-9)
-    assert BEAM.static_stiffness() == pytest.approx(1 / deflection(span / 2), rel=1e-9) == 48 * BEAM.rigidity / span**3
+    assert (
+        BEAM.static_stiffness()
+        == pytest.approx(1 / deflection(span / 2), rel=1e-9)
+        == 48 * BEAM.rigidity / span**3
+    )
 
 
 def test_energy_stiffness_and_masses_by_quadrature() -> None:
@@ -93,9 +102,14 @@ def test_damping_against_the_complex_series(rng) -> None:
     """(k_t + j w c_t) = 1 / (1/(k_b + j w c_b) + 1/k_s) at a low frequency; the error by sampling."""
     k_b, c_b, k_s, w = 2.0e8, 900.0, 1.2e8, 10.0
     total = 1 / (1 / (k_b + 1j * w * c_b) + 1 / k_s)
-    found = damping_without_shaft(Uncertain(total.imag / w, 3.0), Uncertain(total.real, 5e5), Uncertain(k_s, 8e5))
+    found = damping_without_shaft(
+        Uncertain(total.imag / w, 3.0), Uncertain(total.real, 5e5), Uncertain(k_s, 8e5)
+    )
     assert found.value == pytest.approx(c_b, rel=1e-6)
-    draws = [rng.normal(mean, error, 20_000) for mean, error in ((total.imag / w, 3.0), (total.real, 5e5), (k_s, 8e5))]
+    draws = [
+        rng.normal(mean, error, 20_000)
+        for mean, error in ((total.imag / w, 3.0), (total.real, 5e5), (k_s, 8e5))
+    ]
     sampled = draws[0] * (draws[2] / (draws[2] - draws[1])) ** 2
     assert found.std_error == pytest.approx(np.std(sampled), rel=0.05)
 

@@ -1,4 +1,6 @@
-"""A bending shaft in series with its bearing: against compliances added by inversion, the series formula, and a two-body model."""
+"""A bending shaft in series with its bearing: against compliances added by inversion, the series formula, and
+a two-body model.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def test_without_bending_it_is_the_rigid_transfer_matrix() -> None:
 
 
 def test_the_bent_curve_is_that_of_a_massless_node_between_bearing_and_shaft() -> None:
-    """Ten coordinates: five of the shaft's mass and five of the bearing's inner ring, joined by k_s in x and y and stiffly elsewhere."""
+    """Ten coordinates: five of the shaft's mass and five of the bearing's inner ring, joined by k_s in x and
+    y and stiffly elsewhere.
+    """
     frequency, beta, bending = np.array([60.0, 400.0, 900.0]), 2e-5, 1.176e8
     joint = np.diag([bending, bending, 1e14, 1e10, 1e10])
     literal = []

@@ -1,4 +1,6 @@
-"""K_n from geometry: closed forms, an independent quadrature of Hertz's integrals, and the printed constant of the 6208."""
+"""K_n from geometry: closed forms, an independent quadrature of Hertz's integrals, and the printed constant
+of the 6208.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +31,21 @@ def test_two_spheres_in_closed_form() -> None:
 
 @pytest.mark.parametrize("k", [0.9, 0.3, 0.1, 0.03])
 def test_ellipses_against_the_integrals_of_hertz(k: float) -> None:
-    """Pressure on an ellipse b = k a: the potential's integrals over s from 0 to infinity (Johnson 3.57-3.59), by quadrature.
+    """Pressure on an ellipse b = k a: the potential's integrals over s from 0 to infinity (Johnson
+    3.57-3.59), by quadrature.
 
-    Displacement w = p0 a b / (2 E*) int (1 - x^2/(a^2+s) - y^2/(b^2+s)) ds / sqrt((a^2+s)(b^2+s) s); a = 1, E* = 1, p0 = 1.
+    Displacement w = p0 a b / (2 E*) int (1 - x^2/(a^2+s) - y^2/(b^2+s)) ds / sqrt((a^2+s)(b^2+s) s); a = 1,
+    E* = 1, p0 = 1.
     """
 
     def integral(weight) -> float:  # type: ignore[no-untyped-def]
-        inner = integrate.quad(lambda t: 2 * weight(t**2) / math.sqrt((1 + t**2) * (k**2 + t**2)), 0, np.inf, epsabs=0, epsrel=1e-11)
+        inner = integrate.quad(
+            lambda t: 2 * weight(t**2) / math.sqrt((1 + t**2) * (k**2 + t**2)),
+            0,
+            np.inf,
+            epsabs=0,
+            epsrel=1e-11,
+        )
         return inner[0]
 
     approach = k / 2 * integral(lambda s: 1.0)
@@ -48,12 +58,15 @@ def test_ellipses_against_the_integrals_of_hertz(k: float) -> None:
 
 def test_the_order_of_curvatures_and_bodies_does_not_matter() -> None:
     ceramic = Material(310e9, 0.26)
-    assert point_contact(300, 7, STEEL, ceramic) == pytest.approx(point_contact(7, 300, ceramic, STEEL), rel=1e-14)
+    assert point_contact(300, 7, STEEL, ceramic) == pytest.approx(
+        point_contact(7, 300, ceramic, STEEL), rel=1e-14
+    )
 
 
 def test_the_6208_from_its_geometry() -> None:
-    """Ball 15/32 in, pitch 60 mm, conformities .5125 and .5375 give all three constants that Knaapen prints: A0 .5953 mm, r 30.1488 mm,
-    K_n 1.10e10 N/m^1.5 (three digits)."""
+    """Ball 15/32 in, pitch 60 mm, conformities .5125 and .5375 give all three constants that Knaapen prints:
+    A0 .5953 mm, r 30.1488 mm, K_n 1.10e10 N/m^1.5 (three digits).
+    """
     geometry = BallGeometry(11.90625e-3, 60e-3, 0.5125, 0.5375)
     assert geometry.groove_distance == pytest.approx(5.953e-4, rel=1e-4)
     assert geometry.groove_centre_radius == pytest.approx(30.1488e-3, rel=1e-6)
@@ -72,14 +85,20 @@ def test_inner_and_outer_contact_add_their_deflections() -> None:
 def test_stiffer_balls_and_size() -> None:
     """K scales with the modulus and with the square root of the size."""
     geometry, twice = BallGeometry(10e-3, 50e-3), BallGeometry(20e-3, 100e-3)
-    assert twice.stiffness_constant() == pytest.approx(math.sqrt(2) * geometry.stiffness_constant(), rel=1e-12)
+    assert twice.stiffness_constant() == pytest.approx(
+        math.sqrt(2) * geometry.stiffness_constant(), rel=1e-12
+    )
     double = Material(412e9, 0.3)
-    assert geometry.stiffness_constant(double, double) == pytest.approx(2 * geometry.stiffness_constant(), rel=1e-12)
+    assert geometry.stiffness_constant(double, double) == pytest.approx(
+        2 * geometry.stiffness_constant(), rel=1e-12
+    )
     assert geometry.stiffness_constant(balls=Material(310e9, 0.26)) > geometry.stiffness_constant()
 
 
 def test_rollers_after_palmgren() -> None:
-    """1000 N on a 10 mm roller: delta = 3.84e-5 * 1000^0.9 / 10^0.8 mm on one track, twice that between two."""
+    """1000 N on a 10 mm roller: delta = 3.84e-5 * 1000^0.9 / 10^0.8 mm on one track, twice that between
+    two.
+    """
     delta = 3.84e-5 * 1000**0.9 / 10**0.8 * 1e-3
     assert line_contact(10e-3) * delta ** (10 / 9) == pytest.approx(1000, rel=1e-12)
     assert roller_stiffness_constant(10e-3) * (2 * delta) ** (10 / 9) == pytest.approx(1000, rel=1e-12)
@@ -89,7 +108,10 @@ def test_rollers_after_palmgren() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: BallGeometry(60e-3, 50e-3), "the ball diameter must lie between zero and the pitch diameter"),
+        (
+            lambda: BallGeometry(60e-3, 50e-3),
+            "the ball diameter must lie between zero and the pitch diameter",
+        ),
         (lambda: BallGeometry(10e-3, 50e-3, inner_conformity=0.5), "inner_conformity must lie above 0.5"),
         (lambda: Material(-1.0), "Young's modulus above zero"),
         (lambda: point_contact(100, -1), "do not touch in a point"),

@@ -30,7 +30,9 @@ def test_an_axial_load_sees_no_passage(deep_groove: RollingBearing, angular: Rol
 
 
 def test_a_radial_load_swings_between_a_ball_below_and_a_gap_below() -> None:
-    """Closed form with the tilt, y and z held: F = K_n dx^1.5 sum cos^2.5, K = 1.5 F / dx at either position."""
+    """Closed form with the tilt, y and z held: F = K_n dx^1.5 sum cos^2.5, K = 1.5 F / dx at either
+    position.
+    """
     bearing = RollingBearing(7, 1e10, 30e-3, groove_distance=6e-4)
     passage = ball_passage(bearing, load_vector(x=800.0), fixed_dofs=("y", "z", "bx", "by"), positions=2)
     for n, angle in enumerate((0.0, math.pi / 7)):
@@ -43,7 +45,9 @@ def test_a_radial_load_swings_between_a_ball_below_and_a_gap_below() -> None:
 
 def test_the_passage_repeats_after_one_element(deep_groove: RollingBearing) -> None:
     load, step = load_vector(y=-300.0, z=80.0), 2 * math.pi / 9
-    here, next_one = (equilibrium(deep_groove, load, cage_angle=angle).stiffness for angle in (0.1, 0.1 + step))
+    here, next_one = (
+        equilibrium(deep_groove, load, cage_angle=angle).stiffness for angle in (0.1, 0.1 + step)
+    )
     np.testing.assert_allclose(next_one, here, rtol=1e-8, atol=1e-2)
 
 

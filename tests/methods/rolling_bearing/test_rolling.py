@@ -1,4 +1,6 @@
-"""Loads and stiffness of displaced rings: a readable twin, finite differences, frame rotation, closed forms."""
+"""Loads and stiffness of displaced rings: a readable twin, finite differences, frame rotation, closed
+forms.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def test_loads_equal_the_sum_over_elements_written_out(bearing: RollingBearing, 
 def test_one_cage_angle_for_all_equals_the_same_angle_for_each(bearing: RollingBearing, rng) -> None:
     q = displacements(bearing, rng, 20)
     for function in (bearing_loads, bearing_stiffness):
-        np.testing.assert_allclose(function(bearing, q, 0.3), function(bearing, q, np.full(20, 0.3)), rtol=1e-9, atol=1e-3)
+        np.testing.assert_allclose(
+            function(bearing, q, 0.3), function(bearing, q, np.full(20, 0.3)), rtol=1e-9, atol=1e-3
+        )
 
 
 def nearest_opening(bearing: RollingBearing, q: np.ndarray) -> np.ndarray:
@@ -52,7 +56,10 @@ def nearest_opening(bearing: RollingBearing, q: np.ndarray) -> np.ndarray:
 
 
 def difference_quotient(bearing: RollingBearing, q: np.ndarray) -> np.ndarray:
-    """dF/dq by a five-point formula; the step stays within one hundredth of the nearest opening, where F is smooth."""
+    """dF/dq by a five-point formula.
+
+    The step stays within one hundredth of the nearest opening, where F is smooth.
+    """
     step = 0.01 * nearest_opening(bearing, q)[:, None]
     columns = []
     for i in range(5):
@@ -82,8 +89,13 @@ def test_stiffness_is_the_derivative_of_the_loads(bearing: RollingBearing, rng) 
     assert relative_to_diagonal(k - np.swapaxes(k, 1, 2), k).max() < 1e-9
 
 
-def test_stiffness_at_a_thousand_rest_positions_is_the_derivative(bearing: RollingBearing, mixed_loads, rng) -> None:
-    """1 N to 20 kN in every mix of directions; taper rollers with tilts held and the axial load above what the radial one needs."""
+def test_stiffness_at_a_thousand_rest_positions_is_the_derivative(
+    bearing: RollingBearing, mixed_loads, rng
+) -> None:
+    """1 N to 20 kN in every mix of directions.
+
+    Taper rollers with tilts held and the axial load above what the radial one needs.
+    """
     loads = mixed_loads(bearing, rng, 1000)
     if bearing.is_ball:
         state = equilibrium(bearing, loads)
@@ -114,7 +126,9 @@ def test_turning_the_frame_turns_loads_and_stiffness(bearing: RollingBearing, rn
     plain, turned = bearing_loads(bearing, q), bearing_loads(bearing, q @ turn.T, angle)
     np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-9 * np.abs(plain).max())
     k = bearing_stiffness(bearing, q)
-    np.testing.assert_allclose(bearing_stiffness(bearing, q @ turn.T, angle), turn @ k @ turn.T, atol=1e-9 * np.abs(k).max())
+    np.testing.assert_allclose(
+        bearing_stiffness(bearing, q @ turn.T, angle), turn @ k @ turn.T, atol=1e-9 * np.abs(k).max()
+    )
 
 
 def test_axial_load_of_a_deep_groove_bearing_in_closed_form(deep_groove: RollingBearing) -> None:
@@ -122,11 +136,15 @@ def test_axial_load_of_a_deep_groove_bearing_in_closed_form(deep_groove: Rolling
     dz, a0 = 1e-4, 5.953e-4
     distance = math.hypot(a0, dz)
     force = 9 * 1.10e10 * (distance - a0) ** 1.5 * dz / distance
-    np.testing.assert_allclose(bearing_loads(deep_groove, [0, 0, dz, 0, 0])[0], [0, 0, force, 0, 0], rtol=1e-11, atol=1e-10 * force)
+    np.testing.assert_allclose(
+        bearing_loads(deep_groove, [0, 0, dz, 0, 0])[0], [0, 0, force, 0, 0], rtol=1e-11, atol=1e-10 * force
+    )
 
 
 def test_axial_stiffness_of_taper_rollers_in_closed_form(taper: RollingBearing) -> None:
-    """All rollers alike: Kzz = z k sin^2, Kxx = z k cos^2 / 2, Kbx,bx = z k r^2 sin^2 / 2, Kx,by = -z k r sin cos / 2, k = dQ/ddelta."""
+    """All rollers alike: Kzz = z k sin^2, Kxx = z k cos^2 / 2, Kbx,bx = z k r^2 sin^2 / 2, Kx,by = -z k r sin
+    cos / 2, k = dQ/ddelta.
+    """
     dz, a0, r = 2e-5, math.radians(14), 32e-3
     slope = 10 / 9 * 1.0e9 * (dz * math.sin(a0)) ** (1 / 9)
     k = bearing_stiffness(taper, [0, 0, dz, 0, 0])[0]
@@ -139,7 +157,9 @@ def test_axial_stiffness_of_taper_rollers_in_closed_form(taper: RollingBearing) 
 
 def test_nothing_acts_inside_the_clearance() -> None:
     loose = RollingBearing(9, 1.10e10, 30e-3, clearance=2e-5, groove_distance=6e-4)
-    assert np.all(bearing_loads(loose, [1.9e-5, 0, 0, 0, 0]) == 0) and np.all(bearing_stiffness(loose, [1.9e-5, 0, 0, 0, 0]) == 0)
+    assert np.all(bearing_loads(loose, [1.9e-5, 0, 0, 0, 0]) == 0) and np.all(
+        bearing_stiffness(loose, [1.9e-5, 0, 0, 0, 0]) == 0
+    )
     assert bearing_loads(loose, [2.1e-5, 0, 0, 0, 0])[0, 0] == pytest.approx(1.10e10 * 1e-6**1.5, rel=1e-9)
 
 
@@ -163,6 +183,11 @@ def test_interference_loads_all_elements_alike(deep_groove: RollingBearing) -> N
     ],
 )
 def test_impossible_geometry_is_refused(change: dict[str, float], message: str) -> None:
-    geometry = {"elements": 9, "stiffness_constant": 1e10, "pitch_radius": 0.03, "groove_distance": 6e-4} | change
+    geometry = {
+        "elements": 9,
+        "stiffness_constant": 1e10,
+        "pitch_radius": 0.03,
+        "groove_distance": 6e-4,
+    } | change
     with pytest.raises(ConfigError, match=message):
         RollingBearing(**geometry)  # type: ignore[arg-type]

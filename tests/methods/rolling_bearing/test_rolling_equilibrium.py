@@ -18,7 +18,9 @@ HELD_TILT = ("bx", "by")
 def misfit(bearing: RollingBearing, found: np.ndarray, wanted: np.ndarray) -> float:
     """Largest |F - f| relative to the case's load, moments as forces at the pitch radius."""
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
-    return float(np.max(np.linalg.norm((found - wanted) / scale, axis=1) / np.linalg.norm(wanted / scale, axis=1)))
+    return float(
+        np.max(np.linalg.norm((found - wanted) / scale, axis=1) / np.linalg.norm(wanted / scale, axis=1))
+    )
 
 
 @pytest.mark.parametrize("name", ["deep_groove", "angular"])
@@ -40,7 +42,9 @@ def test_clearance_and_interference(clearance: float, mixed_loads, rng) -> None:
 
 
 def test_taper_rollers_carry_what_lies_between_their_normals(taper: RollingBearing, rng) -> None:
-    """A load is carried exactly when it is a sum of pushes along the rollers' normals: an independent linear programme decides."""
+    """A load is carried exactly when it is a sum of pushes along the rollers' normals: an independent linear
+    programme decides.
+    """
     psi, a0 = taper.angles(), taper.contact_angle
     normals = np.array([np.cos(a0) * np.cos(psi), np.cos(a0) * np.sin(psi), np.full_like(psi, np.sin(a0))])
     outcomes = []
@@ -71,7 +75,12 @@ def test_the_solution_does_not_depend_on_the_start(deep_groove: RollingBearing, 
 def test_any_dof_may_be_held_instead_of_loaded(angular: RollingBearing, held: tuple[str, ...], rng) -> None:
     free_loads = load_vector(y=-200.0, x=50.0, z=900.0, mx=4.0)
     whole = equilibrium(angular, free_loads)
-    again = equilibrium(angular, np.where([name in held for name in DOFS], rng.normal(size=5), free_loads), whole.displacement, held)
+    again = equilibrium(
+        angular,
+        np.where([name in held for name in DOFS], rng.normal(size=5), free_loads),
+        whole.displacement,
+        held,
+    )
     np.testing.assert_allclose(again.load, whole.load, rtol=1e-7, atol=1e-6)
     np.testing.assert_allclose(again.stiffness, whole.stiffness, rtol=1e-6, atol=1)
 
@@ -86,11 +95,16 @@ def test_many_cases_at_once_equal_one_by_one(deep_groove: RollingBearing, mixed_
 
 
 def test_a_lighter_bearing_needs_no_luck(deep_groove: RollingBearing) -> None:
-    """1 mN to 20 kN purely axial at contact angle 0, where K vanishes at q = 0; dz by a scalar root finder."""
+    """1 mN to 20 kN purely axial at contact angle 0, where K vanishes at q = 0.
+
+    Dz by a scalar root finder.
+    """
     forces = np.geomspace(1e-3, 2e4, 60)
     state = equilibrium(deep_groove, np.array([load_vector(z=force) for force in forces]))
     for force, dz in zip(forces, state.displacement[:, 2], strict=True):
-        exact = optimize.brentq(lambda s, f=force: bearing_loads(deep_groove, [0, 0, s, 0, 0])[0, 2] - f, 1e-7, 5e-4, xtol=1e-20)
+        exact = optimize.brentq(
+            lambda s, f=force: bearing_loads(deep_groove, [0, 0, s, 0, 0])[0, 2] - f, 1e-7, 5e-4, xtol=1e-20
+        )
         assert dz == pytest.approx(exact, rel=1e-9)
 
 
@@ -128,17 +142,35 @@ def test_reversed_axial_load_gives_the_mirror_and_says_so(angular: RollingBearin
     ("arguments", "kind", "message"),
     [
         ({"loads": load_vector(y=-100)}, ConfigError, "leave the tilt bx without support"),
-        ({"loads": load_vector(z=1.0), "fixed_dofs": ("bx",)}, ConfigError, "leave the tilt by without support"),
+        (
+            {"loads": load_vector(z=1.0), "fixed_dofs": ("bx",)},
+            ConfigError,
+            "leave the tilt by without support",
+        ),
         ({"loads": [1.0, 2.0]}, ConfigError, "has 5 loads and displacements, found 2 and 5"),
         ({"loads": load_vector(y=math.nan)}, ConfigError, "a load is not a finite number"),
         ({"fixed_dofs": ("bz", "bx", "by")}, ConfigError, "no displacement 'bz'"),
-        ({"loads": np.ones((3, 5)), "cage_angle": [0.0, 1.0]}, ConfigError, "3 load cases, 1 of displacements and 2 cage angles"),
-        ({"loads": load_vector(z=-10), "fixed_dofs": HELD_TILT}, FitError, "no rest position: the bearing cannot carry z -10 N"),
+        (
+            {"loads": np.ones((3, 5)), "cage_angle": [0.0, 1.0]},
+            ConfigError,
+            "3 load cases, 1 of displacements and 2 cage angles",
+        ),
+        (
+            {"loads": load_vector(z=-10), "fixed_dofs": HELD_TILT},
+            FitError,
+            "no rest position: the bearing cannot carry z -10 N",
+        ),
         ({"loads": load_vector(z=1e9), "fixed_dofs": HELD_TILT}, FitError, "element 1 is pressed in by"),
-        ({"loads": [load_vector(z=9), load_vector(x=9, z=1)], "fixed_dofs": HELD_TILT}, FitError, "load case 2: no rest position"),
+        (
+            {"loads": [load_vector(z=9), load_vector(x=9, z=1)], "fixed_dofs": HELD_TILT},
+            FitError,
+            "load case 2: no rest position",
+        ),
     ],
 )
-def test_what_cannot_be_carried_is_refused(taper: RollingBearing, arguments: dict, kind: type, message: str) -> None:
+def test_what_cannot_be_carried_is_refused(
+    taper: RollingBearing, arguments: dict, kind: type, message: str
+) -> None:
     with pytest.raises(kind, match=message):
         equilibrium(taper, **arguments)
 
@@ -150,7 +182,9 @@ def test_what_cannot_be_carried_is_refused(taper: RollingBearing, arguments: dic
         (HELD_TILT, {"x": 100.0, "z": 5.0}, "carry no axial load"),
     ],
 )
-def test_cylindrical_rollers_need_z_held(held: tuple[str, ...], loads: dict[str, float], message: str) -> None:
+def test_cylindrical_rollers_need_z_held(
+    held: tuple[str, ...], loads: dict[str, float], message: str
+) -> None:
     rollers = RollingBearing(14, 1.0e9, 32.5e-3)
     with pytest.raises(ConfigError, match=message):
         equilibrium(rollers, load_vector(**loads), fixed_dofs=held)

@@ -1,4 +1,6 @@
-"""From settings to coefficients: sweeps solved together, held dofs, damping, findings, constants from geometry."""
+"""From settings to coefficients: sweeps solved together, held dofs, damping, findings, constants from
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ GIVEN = BallBearingSettings(
     pitch_radius=30.1488e-3,
     loads=Loads(y=-24.0, z=427.0),
 )
-ROLLERS = RollerBearingSettings(kind="roller-bearing", elements=14, pitch_radius=32.5e-3, roller_length=9.6e-3, loads=Loads(y=-100.0))
+ROLLERS = RollerBearingSettings(
+    kind="roller-bearing", elements=14, pitch_radius=32.5e-3, roller_length=9.6e-3, loads=Loads(y=-100.0)
+)
 
 
 def amount(found: BearingCoefficients, name: str) -> float:
@@ -40,13 +44,17 @@ def test_settings_give_what_the_functions_give(deep_groove) -> None:  # type: ig
     (found,) = rolling_coefficients([GIVEN])
     state = equilibrium(deep_groove, load_vector(y=-24.0, z=427.0))
     np.testing.assert_allclose(found.stiffness, state.stiffness[0])
-    assert amount(found, "z") == pytest.approx(state.displacement[0, 2]) and amount(found, "load_y") == pytest.approx(-24)
+    assert amount(found, "z") == pytest.approx(state.displacement[0, 2]) and amount(
+        found, "load_y"
+    ) == pytest.approx(-24)
     np.testing.assert_allclose(found.element_state["element_load"], state.contacts.load[0])
     assert not found.damping.any() and found.findings == ()
 
 
 def test_many_settings_keep_their_order_whatever_differs() -> None:
-    """Loads, clearance (another bearing) and a held dof (another set of unknowns) change from one to the next."""
+    """Loads, clearance (another bearing) and a held dof (another set of unknowns) change from one to the
+    next.
+    """
     settings = [
         GIVEN,
         replace(GIVEN, clearance=1e-5),
@@ -66,18 +74,28 @@ def test_many_settings_keep_their_order_whatever_differs() -> None:
 
 
 def test_geometry_stands_in_for_what_is_not_given() -> None:
-    shape = BallGeometrySettings(ball_diameter=11.90625e-3, pitch_diameter=60e-3, inner_conformity=0.5125, outer_conformity=0.5375)
+    shape = BallGeometrySettings(
+        ball_diameter=11.90625e-3, pitch_diameter=60e-3, inner_conformity=0.5125, outer_conformity=0.5375
+    )
     derived = replace(GIVEN, stiffness_constant=None, groove_distance=None, pitch_radius=None, geometry=shape)
     assert derived.bearing().groove_distance == pytest.approx(5.953e-4, rel=1e-4)
-    assert derived.bearing().stiffness_constant == pytest.approx(1.0976e10, rel=1e-3) == derived.hertz_constant()
+    assert (
+        derived.bearing().stiffness_constant == pytest.approx(1.0976e10, rel=1e-3) == derived.hertz_constant()
+    )
     beside = rolling_coefficients([replace(GIVEN, geometry=shape)])[0]
-    assert [amount(beside, name) for name in ("stiffness_constant", "stiffness_constant_hertz")] == [1.10e10, derived.hertz_constant()]
+    assert [amount(beside, name) for name in ("stiffness_constant", "stiffness_constant_hertz")] == [
+        1.10e10,
+        derived.hertz_constant(),
+    ]
 
 
 def test_ceramic_balls_are_stiffer() -> None:
     shape = BallGeometrySettings(ball_diameter=12e-3, pitch_diameter=60e-3)
     hybrid = replace(shape, ball_youngs_modulus=310e9, ball_poissons_ratio=0.26)
-    steel, ceramic = (replace(GIVEN, stiffness_constant=None, geometry=each).bearing().stiffness_constant for each in (shape, hybrid))
+    steel, ceramic = (
+        replace(GIVEN, stiffness_constant=None, geometry=each).bearing().stiffness_constant
+        for each in (shape, hybrid)
+    )
     assert 1.1 < ceramic / steel < 1.3
 
 
@@ -101,22 +119,33 @@ def test_cylindrical_rollers_in_closed_form() -> None:
     aligned = replace(ROLLERS, loads=Loads(x=100.0))
     (found,) = rolling_coefficients([aligned])
     lobes = np.sum(np.maximum(np.cos(2 * np.pi * np.arange(14) / 14), 0) ** (19 / 9))
-    assert amount(found, "x") == pytest.approx((100 / (amount(found, "stiffness_constant") * lobes)) ** 0.9, rel=1e-9)
+    assert amount(found, "x") == pytest.approx(
+        (100 / (amount(found, "stiffness_constant") * lobes)) ** 0.9, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: replace(GIVEN, stiffness_constant=None), "stiffness_constant: is missing; give it, or geometry"),
+        (
+            lambda: replace(GIVEN, stiffness_constant=None),
+            "stiffness_constant: is missing; give it, or geometry",
+        ),
         (lambda: replace(GIVEN, groove_distance=None), "groove_distance: is missing"),
         (lambda: replace(ROLLERS, pitch_radius=None), "pitch_radius: is missing"),
-        (lambda: replace(GIVEN, displacements=Displacements(y=0.0)), "displacements.y and loads.y are both given"),
+        (
+            lambda: replace(GIVEN, displacements=Displacements(y=0.0)),
+            "displacements.y and loads.y are both given",
+        ),
         (lambda: replace(GIVEN, damping_factor=-1e-5), "damping_factor is negative"),
         (
             lambda: replace(GIVEN, geometry=BallGeometrySettings(ball_diameter=21e-3, pitch_diameter=60e-3)),
             "9 balls of 21 mm do not fit on the pitch circle",
         ),
-        (lambda: BallGeometrySettings(ball_diameter=12e-3, pitch_diameter=60e-3, ball_youngs_modulus=0.0), "Young's modulus above zero"),
+        (
+            lambda: BallGeometrySettings(ball_diameter=12e-3, pitch_diameter=60e-3, ball_youngs_modulus=0.0),
+            "Young's modulus above zero",
+        ),
     ],
 )
 def test_faults_of_the_settings(make, message: str) -> None:  # type: ignore[no-untyped-def]
@@ -146,21 +175,35 @@ def test_a_shaft_has_its_frequencies_and_its_response() -> None:
     settings = replace(GIVEN, shaft=shaft, damping_factor=1e-5)
     (found,) = rolling_coefficients([settings])
     amounts = {each.name: each.value for each in found.shaft}
-    assert amounts["f_1"] == pytest.approx(63.09, abs=0.01) and amounts["zeta_1"] == pytest.approx(np.pi * 1e-5 * amounts["f_1"])
+    assert amounts["f_1"] == pytest.approx(63.09, abs=0.01) and amounts["zeta_1"] == pytest.approx(
+        np.pi * 1e-5 * amounts["f_1"]
+    )
     np.testing.assert_allclose(amounts["sdof_k_z"], sdof_stiffness(shaft.body, found.stiffness)[2])
     response = rolling_response(settings, found)
     np.testing.assert_allclose(response.frequency, np.linspace(10, 110, 11))
     dynamic = np.linalg.inv(response.matrix[3])
     w = 2 * np.pi * 40
-    np.testing.assert_allclose(dynamic, found.stiffness * (1 + 1j * w * 1e-5) - w**2 * np.diag(shaft.body.inertias), rtol=1e-6, atol=1e-2)
+    np.testing.assert_allclose(
+        dynamic,
+        found.stiffness * (1 + 1j * w * 1e-5) - w**2 * np.diag(shaft.body.inertias),
+        rtol=1e-6,
+        atol=1e-2,
+    )
     assert rolling_response(GIVEN, found) is None and rolling_coefficients([GIVEN])[0].shaft == ()
 
 
 def test_units_and_relative_coupling() -> None:
     (found,) = rolling_coefficients([GIVEN])
-    assert [found.unit(0, 0), found.unit(0, 4), found.unit(4, 0), found.unit(3, 3)] == ["N/m", "N/rad", "N/rad", "N.m/rad"]
+    assert [found.unit(0, 0), found.unit(0, 4), found.unit(4, 0), found.unit(3, 3)] == [
+        "N/m",
+        "N/rad",
+        "N/rad",
+        "N.m/rad",
+    ]
     np.testing.assert_allclose(np.diag(found.relative), 1)
-    assert found.relative[0, 4] == pytest.approx(found.stiffness[0, 4] / np.sqrt(found.stiffness[0, 0] * found.stiffness[4, 4]))
+    assert found.relative[0, 4] == pytest.approx(
+        found.stiffness[0, 4] / np.sqrt(found.stiffness[0, 0] * found.stiffness[4, 4])
+    )
     assert np.all(rolling_coefficients([ROLLERS])[0].relative[2:, 2:] == 0)
 
 
@@ -195,8 +238,12 @@ def test_what_follows_from_the_rotor_is_not_given(entries: dict[str, object], wh
 
 
 def test_elements_without_load_are_not_counted() -> None:
-    """Nine elements every 40 deg, pushed in -y with clearance: those at 200 to 320 deg may carry, the one at 0 deg stands across."""
-    pushed = replace(GIVEN, clearance=5e-6, loads=Loads(y=-2000.0), displacements=Displacements(z=0.0, bx=0.0, by=0.0))
+    """Nine elements every 40 deg, pushed in -y with clearance: those at 200 to 320 deg may carry, the one at
+    0 deg stands across.
+    """
+    pushed = replace(
+        GIVEN, clearance=5e-6, loads=Loads(y=-2000.0), displacements=Displacements(z=0.0, bx=0.0, by=0.0)
+    )
     (found,) = rolling_coefficients([pushed])
     carrying = np.flatnonzero(found.element_state["element_load"])
     assert carrying.tolist() == [5, 6, 7, 8] and amount(found, "loaded_elements") == 4

@@ -1,6 +1,7 @@
 """The series correction of a measured radial stiffness over the preloads of Knaapen (1997).
 
-His natural frequencies, one-dof fits and bending stiffness are rows of the validation manual (tests/validation/rolling.py).
+His natural frequencies, one-dof fits and bending stiffness are rows of the validation manual
+(tests/validation/rolling.py).
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The solver's parts: a convex potential whose slope is the residual, steps that descend and stay short, starts that are good."""
+"""The solver's parts: a convex potential whose slope is the residual, steps that descend and stay short,
+starts that are good.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,13 @@ import numpy as np
 import pytest
 
 from labpipe.methods.rolling_bearing import equilibrium as rolling_newton
-from labpipe.methods.rolling_bearing.equilibrium import Problem, line_search, newton_step, solve, starting_point
+from labpipe.methods.rolling_bearing.equilibrium import (
+    Problem,
+    line_search,
+    newton_step,
+    solve,
+    starting_point,
+)
 from labpipe.methods.rolling_bearing.loads import ElementFrame, RollingBearing
 
 KINDS = ("deep_groove", "angular", "taper")
@@ -33,7 +41,9 @@ def positions(rng: np.random.Generator, n_case: int = 40) -> np.ndarray:
 def test_the_residual_is_the_slope_of_the_potential(loaded: Problem, rng) -> None:
     """dPhi/du along a random direction by central differences."""
     u, direction, step = positions(rng), rng.normal(size=(40, 5)), 1e-9
-    slope = (loaded.at(u + step * direction).potential - loaded.at(u - step * direction).potential) / (2 * step)
+    slope = (loaded.at(u + step * direction).potential - loaded.at(u - step * direction).potential) / (
+        2 * step
+    )
     expected = -np.einsum("nf,nf->n", loaded.at(u).residual, direction)
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-2)
 
@@ -55,7 +65,9 @@ def test_steps_descend_and_are_no_longer_than_the_reach(loaded: Problem, rng) ->
 def test_where_nothing_resists_the_step_is_the_reach_along_the_load(deep_groove: RollingBearing) -> None:
     problem = problem_of(deep_groove, np.array([[0.0, 0.0, 30.0, 0.0, 40.0]]))
     step = newton_step(problem, problem.at(np.zeros((1, 5))))
-    np.testing.assert_allclose(step, deep_groove.reach * np.array([[0, 0, 0.6, 0, 0.8]]), rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(
+        step, deep_groove.reach * np.array([[0, 0, 0.6, 0, 0.8]]), rtol=1e-9, atol=1e-18
+    )
 
 
 def test_the_line_search_lowers_the_potential(loaded: Problem, rng) -> None:
@@ -71,24 +83,37 @@ def test_a_step_that_overshoots_is_cut(deep_groove: RollingBearing) -> None:
     trial = problem.at(np.zeros((1, 5)))
     step = np.array([[1e-3, 0.0, 0.0, 0.0, 0.0]])
     landed = line_search(problem, trial, step)[0, 0]
-    exact = (100 / (deep_groove.stiffness_constant * np.sum(np.maximum(np.cos(deep_groove.angles()), 0) ** 2.5))) ** (2 / 3)
+    exact = (
+        100 / (deep_groove.stiffness_constant * np.sum(np.maximum(np.cos(deep_groove.angles()), 0) ** 2.5))
+    ) ** (2 / 3)
     assert 0 < landed < 3 * exact < 1e-3
 
 
 def test_held_dofs_stay_where_they_are(deep_groove: RollingBearing) -> None:
     held = np.array([[0.0, 0.0, 2e-5, 0.0, -1e-5]])
-    problem = Problem(deep_groove, ElementFrame.at(deep_groove.angles(), 1.0), np.array([[300.0, 0, 0, 0, 0]]), np.array([0, 1, 3]))
+    problem = Problem(
+        deep_groove,
+        ElementFrame.at(deep_groove.angles(), 1.0),
+        np.array([[300.0, 0, 0, 0, 0]]),
+        np.array([0, 1, 3]),
+    )
     u, solved = solve(problem, held)
     assert solved.all() and np.all(u[0, [2, 4]] == held[0, [2, 4]]) and u[0, 0] > 0
 
 
 @pytest.mark.parametrize("force", [1e-3, 1.0, 1e3, 2e4])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_axial_start_is_near_the_axial_solution(bearing: RollingBearing, force: float, side: float) -> None:
+def test_the_axial_start_is_near_the_axial_solution(
+    bearing: RollingBearing, force: float, side: float
+) -> None:
     if not bearing.is_ball and side < 0:
         return
     loads = np.array([[0.0, 0.0, side * force, 0.0, 0.0]])
-    problem = problem_of(bearing, loads) if bearing.is_ball else Problem(bearing, problem_of(bearing, loads).frame, loads, np.arange(3))
+    problem = (
+        problem_of(bearing, loads)
+        if bearing.is_ball
+        else Problem(bearing, problem_of(bearing, loads).frame, loads, np.arange(3))
+    )
     start = starting_point(problem, np.zeros((1, 5)))
     u, solved = solve(problem, np.zeros((1, 5)))
     assert solved.all() and start[0, 2] == pytest.approx(u[0, 2], rel=0.12)

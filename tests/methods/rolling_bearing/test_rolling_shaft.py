@@ -1,4 +1,6 @@
-"""The rigid shaft on its bearing: closed forms, modal superposition, reciprocity, and the fit of the theory's own curve."""
+"""The rigid shaft on its bearing: closed forms, modal superposition, reciprocity, and the fit of the theory's
+own curve.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from scipy import optimize
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.equilibrium import equilibrium, load_vector
-from labpipe.methods.rolling_bearing.shaft import RigidShaft, modes, sdof_stiffness, theoretical_response, transfer_matrix
+from labpipe.methods.rolling_bearing.shaft import (
+    RigidShaft,
+    modes,
+    sdof_stiffness,
+    theoretical_response,
+    transfer_matrix,
+)
 
 SHAFT = RigidShaft(2.45, 1.24e-2, 1.1e-2)
 UNCOUPLED = np.diag([2e8, 1e8, 2e7, 8e3, 9e3])
@@ -39,13 +47,17 @@ def test_modes_diagonalise_mass_and_stiffness(stiffness: np.ndarray) -> None:
     found = modes(SHAFT, stiffness)
     np.testing.assert_allclose(found.shape.T @ np.diag(SHAFT.inertias) @ found.shape, np.eye(5), atol=1e-12)
     squares = (2 * np.pi * found.frequency) ** 2
-    np.testing.assert_allclose(found.shape.T @ stiffness @ found.shape, np.diag(squares), atol=1e-9 * squares.max())
+    np.testing.assert_allclose(
+        found.shape.T @ stiffness @ found.shape, np.diag(squares), atol=1e-9 * squares.max()
+    )
     np.testing.assert_allclose(found.share.sum(axis=0), 1)
     np.testing.assert_allclose(found.share.sum(axis=1), 1)
 
 
 def test_transfer_matrix_is_the_sum_of_its_modes(stiffness: np.ndarray) -> None:
-    """H = sum_r phi_r phi_r^T / (w_r^2 - w^2 + 2 j zeta_r w_r w): Rayleigh damping leaves the modes uncoupled."""
+    """H = sum_r phi_r phi_r^T / (w_r^2 - w^2 + 2 j zeta_r w_r w): Rayleigh damping leaves the modes
+    uncoupled.
+    """
     beta, frequency = 2e-6, np.linspace(5, 1500, 40)
     found, w = modes(SHAFT, stiffness), 2 * np.pi * frequency
     w_r, zeta = 2 * np.pi * found.frequency, found.damping_ratio(beta)
@@ -64,13 +76,21 @@ def test_static_limit_and_reciprocity(stiffness: np.ndarray) -> None:
 def test_the_response_can_lie_beside_a_measured_one(stiffness: np.ndarray) -> None:
     frequency = np.arange(10.0, 100.0)
     response = theoretical_response(SHAFT, stiffness, frequency, 1e-5, "6208 theory")
-    assert [port.label for port in response.outputs] == ["x", "y", "z", "bx", "by"] and response.form == "receptance"
+    assert [port.label for port in response.outputs] == [
+        "x",
+        "y",
+        "z",
+        "bx",
+        "by",
+    ] and response.form == "receptance"
     np.testing.assert_array_equal(response.matrix, transfer_matrix(SHAFT, stiffness, frequency, 1e-5))
 
 
 @pytest.mark.parametrize("known_inertia", [False, True])
 def test_one_dof_fit_of_the_coupled_curve(stiffness: np.ndarray, known_inertia: bool) -> None:
-    """An amplitude fit |H_ii| = P / |w0^2 - w^2 + 2 j zeta w0 w| near the peak, by a general optimiser: k = w0^2 / P or M_ii w0^2."""
+    """An amplitude fit |H_ii| = P / |w0^2 - w^2 + 2 j zeta w0 w| near the peak, by a general optimiser: k =
+    w0^2 / P or M_ii w0^2.
+    """
     beta, found = 1e-7, modes(SHAFT, stiffness)
     expected = sdof_stiffness(SHAFT, stiffness, known_inertia)
     for n, dof in enumerate(("x", "y", "z", "bx", "by")):
@@ -82,7 +102,11 @@ def test_one_dof_fit_of_the_coupled_curve(stiffness: np.ndarray, known_inertia: 
         def curve(r: np.ndarray, p: float, place: float, zeta: float) -> np.ndarray:
             return p / np.abs(place**2 - r**2 + 2j * zeta * place * r)
 
-        start = (np.median(amplitude * np.abs(1 - ratio**2)), 1.0, found.damping_ratio(beta)[found.main_mode(dof)])
+        start = (
+            np.median(amplitude * np.abs(1 - ratio**2)),
+            1.0,
+            found.damping_ratio(beta)[found.main_mode(dof)],
+        )
         (p, place, _), _ = optimize.curve_fit(curve, ratio, amplitude, start)
         stiff = SHAFT.inertias[n] * (2 * math.pi * peak * place) ** 2 if known_inertia else place**2 / p
         assert stiff == pytest.approx(expected[n], rel=2e-2)

@@ -1,9 +1,11 @@
-"""The eight theoretical stiffness matrices printed by R. J. W. Knaapen (1997), and what must hold whatever the load.
+"""The eight theoretical stiffness matrices printed by R. J. W. Knaapen (1997), and what must hold whatever
+the load.
 
-Source: Knaapen, Bearing stiffness, appendix A (data) and F (matrices), computed there with the program Lager after Lim and Singh.
-Frame: z along the shaft, x and y radial, tilts about x and y; preload Fz with 24 N of the shaft's weight along -y, clearance 0, free
-tilt. Tolerance: half a digit of the printed 6208, 1e-9 sqrt(Kii Kjj) for the zeros; 0.1 % of every printed entry is a row of the
-validation manual (tests/validation/rolling.py), where the figures stand.
+Source: Knaapen, Bearing stiffness, appendix A (data) and F (matrices), computed there with the program Lager
+after Lim and Singh. Frame: z along the shaft, x and y radial, tilts about x and y; preload Fz with 24 N of
+the shaft's weight along -y, clearance 0, free tilt. Tolerance: half a digit of the printed 6208, 1e-9
+sqrt(Kii Kjj) for the zeros; 0.1 % of every printed entry is a row of the validation manual
+(tests/validation/rolling.py), where the figures stand.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ def preloaded(name: str, force: float, cage_angle: float = 0.0) -> Equilibrium:
 def test_the_6208_to_half_a_printed_digit(name: str, force: float, printed: tuple[float, ...]) -> None:
     k = preloaded(name, force).stiffness[0]
     digits = [10 ** (math.floor(math.log10(abs(value))) - 3) for value in printed]
-    assert np.all(np.abs([k[entry] for entry in ENTRIES.values()] - np.array(printed)) <= 0.55 * np.array(digits))
+    assert np.all(
+        np.abs([k[entry] for entry in ENTRIES.values()] - np.array(printed)) <= 0.55 * np.array(digits)
+    )
 
 
 @pytest.mark.parametrize(("name", "force", "printed"), MATRICES, ids=IDS)
@@ -43,7 +47,9 @@ def test_structural_zeros_and_symmetry(name: str, force: float, printed: tuple[f
 
 
 @pytest.mark.parametrize(("name", "force", "printed"), MATRICES, ids=IDS)
-def test_tilts_together_are_the_axial_stiffness_at_the_pitch_radius(name: str, force: float, printed: tuple[float, ...]) -> None:
+def test_tilts_together_are_the_axial_stiffness_at_the_pitch_radius(
+    name: str, force: float, printed: tuple[float, ...]
+) -> None:
     """K_bx,bx + K_by,by = r^2 K_zz exactly, since sin^2 + cos^2 = 1 for every element."""
     k = preloaded(name, force).stiffness[0]
     assert k[3, 3] + k[4, 4] == pytest.approx(BEARINGS[name].pitch_radius ** 2 * k[2, 2], rel=1e-12)
@@ -57,6 +63,8 @@ def test_the_position_of_the_first_ball_changes_no_printed_digit(name: str) -> N
 
 
 def test_held_tilt_is_not_what_was_printed() -> None:
-    """With the tilt held at zero a coupling term misses by 150 % and more: the printed matrices are those of free tilt."""
+    """With the tilt held at zero a coupling term misses by 150 % and more: the printed matrices are those of
+    free tilt.
+    """
     held = equilibrium(BEARINGS["7208"], load_vector(y=-24.0, z=445.0), fixed_dofs=("bx", "by")).stiffness[0]
     assert abs(held[1, 2] / -0.1764e6 - 1) > 1.5

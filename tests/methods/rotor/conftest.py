@@ -27,8 +27,20 @@ def oil_films() -> tuple[Support, ...]:
 
 @pytest.fixture(scope="session")
 def mendes_rotor() -> Rotor:
-    """The rotor of Mendes et al. (2017), tables 1 and 2; the two steel rings of the actuator's journal as sleeves on elements 9 and 10."""
-    table = {1: (12, 60), 2: (12, 60), 3: (31, 10), 4: (31, 10), 9: (30, 40), 10: (30, 40), 11: (12, 50), 12: (12, 50)}
+    """The rotor of Mendes et al. (2017), tables 1 and 2.
+
+    The two steel rings of the actuator's journal as sleeves on elements 9 and 10.
+    """
+    table = {
+        1: (12, 60),
+        2: (12, 60),
+        3: (31, 10),
+        4: (31, 10),
+        9: (30, 40),
+        10: (30, 40),
+        11: (12, 50),
+        12: (12, 50),
+    }
     table |= {13: (31, 10), 14: (31, 10), 15: (12, 30)} | dict.fromkeys(range(5, 9), (12, 55))
     shaft = tuple(ShaftElement(table[n][1] * MILLIMETRE, table[n][0] * MILLIMETRE) for n in range(1, 16))
     coupling = Disc.of_dimensions(1, 12 * MILLIMETRE, 25 * MILLIMETRE, 20 * MILLIMETRE, ALUMINIUM)

@@ -1,4 +1,6 @@
-"""The rotor of the unbalance tests: two discs on a pinned shaft, bearing coefficients that depend on speed."""
+"""The rotor of the unbalance tests: two discs on a pinned shaft, bearing coefficients that depend on
+speed.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ ROTOR = Rotor(tuple(ShaftElement(0.19, 16.5e-3) for _ in range(4)), (Disc(2, *DI
 PINNED = pinned_rotor(ROTOR, (1, 5))
 UNBALANCE = {2: 5e-5 + 0j, 4: 3e-5 * np.exp(1j * np.pi / 3)}
 LOAD = 0.823 * 4.4482216
-BEARING = JournalBearing(diameter=16.5e-3, length=8.25e-3, clearance=0.2e-3, viscosity=0.55, groove_width=np.deg2rad(20))
+BEARING = JournalBearing(
+    diameter=16.5e-3, length=8.25e-3, clearance=0.2e-3, viscosity=0.55, groove_width=np.deg2rad(20)
+)
 
 
 def film(load: float = LOAD) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:

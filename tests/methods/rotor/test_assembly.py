@@ -45,21 +45,32 @@ def test_moments_of_inertia_of_a_rigid_motion_by_hand(overhung: Rotor) -> None:
     expected = 4.0 * 0.4**2 + 0.02 + 2.0 * 0.2**2 + 0.004
     for number, element in enumerate(overhung.elements):
         mass = element.material.density * element.area * element.length
-        expected += mass * (element.length**2 / 12 + element.outer_diameter**2 / 16 + (0.1 * number + 0.05) ** 2)
+        expected += mass * (
+            element.length**2 / 12 + element.outer_diameter**2 / 16 + (0.1 * number + 0.05) ** 2
+        )
     np.testing.assert_allclose(turning @ free.mass @ turning, expected)
 
 
 def test_gyroscopic_couple_of_a_rigid_motion_is_the_polar_inertia(overhung: Rotor) -> None:
-    """Moment about y from a rotation rate about z: I_p Omega, with discs and m d^2/8 of the shaft; G is skew."""
+    """Moment about y from a rotation rate about z: I_p Omega, with discs and m d^2/8 of the shaft.
+
+    G is skew.
+    """
     free, motions = free_rotor(overhung), rigid_motions(overhung)
-    polar = 0.035 + 0.007 + sum(e.material.density * e.area * e.length * e.outer_diameter**2 / 8 for e in overhung.elements)
+    polar = (
+        0.035
+        + 0.007
+        + sum(e.material.density * e.area * e.length * e.outer_diameter**2 / 8 for e in overhung.elements)
+    )
     np.testing.assert_allclose(free.gyroscopic, -free.gyroscopic.T, atol=1e-15)
     # Motion 3 has a rotation of -1 about y.
     np.testing.assert_allclose(-motions[:, 3] @ free.gyroscopic @ motions[:, 2], polar)
 
 
 def test_plane_matrices_of_a_slender_element_are_the_textbook_ones() -> None:
-    """Phi -> 0: 12 6l 4l2 2l2 times EI/l3, and rho A l / 420 (156 22l 54 -13l 4l2 -3l2), rotary rho I / 30 l (36 3l 4l2 -l2)."""
+    """Phi -> 0: 12 6l 4l2 2l2 times EI/l3, and rho A l / 420 (156 22l 54 -13l 4l2 -3l2), rotary rho I / 30 l
+    (36 3l 4l2 -l2).
+    """
     element = ShaftElement(1.0, 1e-4)
     bending = element.material.elastic_modulus * element.second_moment
     expected = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
@@ -95,7 +106,10 @@ def test_supports_enter_at_their_node(overhung: Rotor) -> None:
 
 
 def test_two_bearings_share_the_load_by_the_lever_law() -> None:
-    """An overhanging disc of 10 kg at .3 m, bearings at 0 and .2 m, a force of 7 N in y at .1 m; the shaft weighs next to nothing."""
+    """An overhanging disc of 10 kg at .3 m, bearings at 0 and .2 m, a force of 7 N in y at .1 m.
+
+    The shaft weighs next to nothing.
+    """
     rotor = Rotor(tuple(ShaftElement(0.1, 1e-3) for _ in range(3)), (Disc(4, 10.0, 0.1, 0.2),))
     loads = bearing_loads(rotor, [1, 3], {2: (7.0, 0.0)}, gravity=10.0)
     shaft = 7800 * np.pi / 4 * 1e-6 * 0.3 * 10

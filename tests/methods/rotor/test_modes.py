@@ -18,7 +18,13 @@ def test_every_mode_solves_its_equation(overhung: Rotor, oil_films: tuple[Suppor
     matrices = supported_rotor(overhung, oil_films)
     roots, vectors = eigenvalues(matrices, 500.0)
     for root, vector in zip(roots, vectors.T, strict=True):
-        terms = np.stack([root**2 * matrices.mass @ vector, root * matrices.at_speed(500.0) @ vector, matrices.stiffness @ vector])
+        terms = np.stack(
+            [
+                root**2 * matrices.mass @ vector,
+                root * matrices.at_speed(500.0) @ vector,
+                matrices.stiffness @ vector,
+            ]
+        )
         assert np.abs(terms.sum(axis=0)).max() < 1e-6 * np.abs(terms).max()
 
 
@@ -37,11 +43,15 @@ def test_shapes_have_a_largest_deflection_of_one(overhung: Rotor, oil_films: tup
     found = modes(overhung, oil_films, 200.0)
     assert found.shapes.shape == (found.eigenvalues.size, 5, 2)
     np.testing.assert_allclose(np.abs(found.shapes).max(axis=(1, 2)), 1)
-    np.testing.assert_allclose(found.natural_frequency * np.sqrt(1 - found.damping_ratio**2), found.damped_frequency)
+    np.testing.assert_allclose(
+        found.natural_frequency * np.sqrt(1 - found.damping_ratio**2), found.damped_frequency
+    )
 
 
 def test_a_rigid_mass_on_a_damped_bearing_rings_as_a_single_degree_of_freedom() -> None:
-    """A stiff shaft between two bearings of 1e4 N/m and 10 N s/m each: w0^2 = 2 k / m, zeta = 2 c / (2 m w0)."""
+    """A stiff shaft between two bearings of 1e4 N/m and 10 N s/m each: w0^2 = 2 k / m, zeta = 2 c / (2 m
+    w0).
+    """
     discs = (Disc(1, 0.5, 0.0, 0.0), Disc(2, 1.0, 0.0, 0.0), Disc(3, 0.5, 0.0, 0.0))
     rotor = Rotor((ShaftElement(0.1, 0.05), ShaftElement(0.1, 0.05)), discs)
     shaft = 7800 * np.pi / 4 * 0.05**2 * 0.2
@@ -60,14 +70,20 @@ def jeffcott(cross: float) -> tuple[Rotor, list[Support]]:
 
 
 def test_cross_coupling_turns_unstable_at_c_times_omega() -> None:
-    """A rigid rotor on equal bearings with k_yz = -k_zy = s Omega: unstable above k_xy = c w0, w0^2 = k / m (textbook)."""
+    """A rigid rotor on equal bearings with k_yz = -k_zy = s Omega: unstable above k_xy = c w0, w0^2 = k / m
+    (textbook).
+    """
     rotor, _ = jeffcott(0.0)
     mass = 10 + 7800 * np.pi / 4 * 0.05**2 * 0.2
     expected = 50 * np.sqrt(2e5 / mass) / 20.0
     found = onset_speed(rotor, lambda speed: jeffcott(20.0 * speed)[1], np.linspace(50, 1000, 20))
     assert found is not None
     np.testing.assert_allclose(found, expected, rtol=0.01)
-    assert growth_rate(rotor, jeffcott(20.0 * 0.9 * found)[1], 0.9 * found) < 0 < growth_rate(rotor, jeffcott(22.0 * found)[1], found)
+    assert (
+        growth_rate(rotor, jeffcott(20.0 * 0.9 * found)[1], 0.9 * found)
+        < 0
+        < growth_rate(rotor, jeffcott(22.0 * found)[1], found)
+    )
 
 
 def test_a_stable_rotor_has_no_onset_speed_and_undamped_modes_do_not_pretend_one(overhung: Rotor) -> None:

@@ -18,7 +18,9 @@ def test_tube_by_hand() -> None:
 def test_shear_coefficients_known_from_tables() -> None:
     """Cowper (1966), nu = .3: solid .8864, thin tube 2 (1 + nu) / (4 + 3 nu) = .5306."""
     np.testing.assert_allclose(ShaftElement(0.1, 0.02).shear_coefficient, 0.8864, atol=1e-4)
-    np.testing.assert_allclose(ShaftElement(0.1, 0.02, inner_diameter=0.02 * (1 - 1e-9)).shear_coefficient, 2.6 / 4.9, atol=1e-6)
+    np.testing.assert_allclose(
+        ShaftElement(0.1, 0.02, inner_diameter=0.02 * (1 - 1e-9)).shear_coefficient, 2.6 / 4.9, atol=1e-6
+    )
 
 
 def test_disc_of_dimensions_by_hand() -> None:
@@ -31,7 +33,12 @@ def test_disc_of_dimensions_by_hand() -> None:
 
 def test_a_sleeve_is_a_tube_around_its_element() -> None:
     tube = Sleeve(1, 0.04, ALUMINIUM).tube(ShaftElement(0.1, 0.03))
-    assert (tube.inner_diameter, tube.outer_diameter, tube.length, tube.material) == (0.03, 0.04, 0.1, ALUMINIUM)
+    assert (tube.inner_diameter, tube.outer_diameter, tube.length, tube.material) == (
+        0.03,
+        0.04,
+        0.1,
+        ALUMINIUM,
+    )
 
 
 def test_dofs_of_nodes_numbered_from_one() -> None:

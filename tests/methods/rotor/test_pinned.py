@@ -1,4 +1,6 @@
-"""A pinned rotor condensed to its bearing: against dense algebra, stiff springs for pins, differences, and time integration."""
+"""A pinned rotor condensed to its bearing: against dense algebra, stiff springs for pins, differences, and
+time integration.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,16 @@ def whole_state(speed: float, stiffness: np.ndarray, damping: np.ndarray) -> np.
     return np.linalg.solve(z, unbalance_forces(PINNED, UNBALANCE, place)[0])
 
 
-def integrated(speed: float, stiffness: np.ndarray, damping: np.ndarray, turns: int, rtol: float = 1e-10) -> np.ndarray:
+def integrated(
+    speed: float, stiffness: np.ndarray, damping: np.ndarray, turns: int, rtol: float = 1e-10
+) -> np.ndarray:
     """Phasors of all dofs from *turns* turns of Runge-Kutta integration that starts on the matched state."""
     matrices = PINNED.with_bearing(3, stiffness, damping)
     n = PINNED.n_dof
     state = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1)
-    motion = -np.linalg.solve(matrices.mass, np.concatenate([matrices.stiffness, matrices.at_speed(speed)], axis=1))
+    motion = -np.linalg.solve(
+        matrices.mass, np.concatenate([matrices.stiffness, matrices.at_speed(speed)], axis=1)
+    )
     push = np.linalg.solve(matrices.mass, unbalance_forces(PINNED, UNBALANCE, np.array([speed]))[0])
     system = np.concatenate([state, motion])
 
@@ -60,21 +66,27 @@ def test_static_deflection_of_a_pinned_beam() -> None:
     second_moment = np.pi / 64 * 16.5e-3**4
     flexibility = np.linalg.inv(PINNED.matrices.stiffness)
     middle = PINNED.dofs(3)[0]
-    np.testing.assert_allclose(flexibility[middle, middle], 0.76**3 / (48 * 2.1e11 * second_moment), rtol=3e-3)
+    np.testing.assert_allclose(
+        flexibility[middle, middle], 0.76**3 / (48 * 2.1e11 * second_moment), rtol=3e-3
+    )
 
 
 def test_condensing_changes_nothing_against_a_dense_solve() -> None:
     stiffness, damping = film()(SPEED)
     found = CONDENSED.response(stiffness, damping)
     dofs = [*PINNED.dofs(2), *PINNED.dofs(3), *PINNED.dofs(4)]
-    expected = np.array([whole_state(one, k, c)[dofs] for one, k, c in zip(SPEED, stiffness, damping, strict=True)])
+    expected = np.array(
+        [whole_state(one, k, c)[dofs] for one, k, c in zip(SPEED, stiffness, damping, strict=True)]
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     journal, _ = CONDENSED.journal(stiffness, damping)
     np.testing.assert_allclose(found[:, 2:4], journal, rtol=1e-12)
 
 
 def test_pins_equal_very_stiff_springs_with_all_dofs_kept() -> None:
-    """20 dofs and springs of 1e11 N/m: what static condensation of the end rotations costs is below a part in ten thousand."""
+    """20 dofs and springs of 1e11 N/m: what static condensation of the end rotations costs is below a part in
+    ten thousand.
+    """
     stiffness, damping = film()(SPEED)
     pins = [Support(node, 1e11 * np.eye(2), np.zeros((2, 2))) for node in (1, 5)]
     expected = [
@@ -93,7 +105,9 @@ def test_slopes_equal_differences_by_every_coefficient() -> None:
         change = np.zeros(8)
         change[number] = 1e-3 * (np.abs(stiffness).mean() if number < 4 else np.abs(damping).mean())
         k, c = change.reshape(2, 2, 2)
-        difference = CONDENSED.response(stiffness + k, damping + c) - CONDENSED.response(stiffness - k, damping - c)
+        difference = CONDENSED.response(stiffness + k, damping + c) - CONDENSED.response(
+            stiffness - k, damping - c
+        )
         expected = difference / (2 * change[number])
         np.testing.assert_allclose(slopes[..., number], expected, atol=1e-4 * np.abs(expected).max())
 
@@ -119,7 +133,10 @@ def test_time_integration_from_the_matched_state_stays_on_it(rpm: float) -> None
 
 
 def test_two_forces_add() -> None:
-    parts = [condensed_rotor(PINNED, 3, SPEED, unbalance_forces(PINNED, {node: size}, SPEED), (2, 4)) for node, size in UNBALANCE.items()]
+    parts = [
+        condensed_rotor(PINNED, 3, SPEED, unbalance_forces(PINNED, {node: size}, SPEED), (2, 4))
+        for node, size in UNBALANCE.items()
+    ]
     stiffness, damping = film()(SPEED)
     both = condensed_rotor(PINNED, 3, SPEED, FORCES, (2, 4)).response(stiffness, damping)
     np.testing.assert_allclose(sum(part.response(stiffness, damping) for part in parts), both, rtol=1e-9)
@@ -139,7 +156,12 @@ def test_closed_inverse(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize(
     ("pins", "said"),
-    [((1,), "two different nodes"), ((1, 1), "two different nodes"), ((1, 9), "node 9"), ((1, 2), "a disc sits on the pin")],
+    [
+        ((1,), "two different nodes"),
+        ((1, 1), "two different nodes"),
+        ((1, 9), "node 9"),
+        ((1, 2), "a disc sits on the pin"),
+    ],
 )
 def test_pins_that_cannot_be_are_refused(pins: tuple[int, ...], said: str) -> None:
     with pytest.raises(ConfigError, match=said):

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.response import eigenvalues, forward_backward_motion, frequency_response, reduced_rotor, unbalance_response
+from labpipe.methods.rotor.response import (
+    eigenvalues,
+    forward_backward_motion,
+    frequency_response,
+    reduced_rotor,
+    unbalance_response,
+)
 from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Support, supported_rotor
 
 LINES = np.linspace(3.0, 300.0, 40)
@@ -14,7 +20,9 @@ SPEED = 400.0
 
 
 def test_reduced_rotor_equals_the_dense_one(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
-    """The Woodbury update against the whole rotor solved with its bearings, every kept node to every other."""
+    """The Woodbury update against the whole rotor solved with its bearings, every kept node to every
+    other.
+    """
     nodes = (1, 4, 5)
     dofs = [dof for node in nodes for dof in overhung.dofs(node)]
     dense = frequency_response(overhung, oil_films, LINES, SPEED, dofs, dofs)
@@ -27,7 +35,9 @@ def test_reduced_rotor_equals_the_dense_one(overhung: Rotor, oil_films: tuple[Su
 
 
 def test_response_is_the_sum_over_the_modes(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
-    """H = sum_r phi_r (left_r) / (j w - lambda_r), from the eigenvectors of the first-order form: an independent route."""
+    """H = sum_r phi_r (left_r) / (j w - lambda_r), from the eigenvectors of the first-order form: an
+    independent route.
+    """
     matrices = supported_rotor(overhung, oil_films)
     roots, vectors = eigenvalues(matrices, SPEED)
     right = np.concatenate([vectors, vectors * roots])
@@ -49,13 +59,17 @@ def test_reciprocity_without_spin_and_cross_coupling(overhung: Rotor) -> None:
     assert np.abs(spinning - spinning.swapaxes(1, 2)).max() > 1e-4 * np.abs(h).max()
 
 
-def test_unbalance_response_is_the_response_to_a_turning_force(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
+def test_unbalance_response_is_the_response_to_a_turning_force(
+    overhung: Rotor, oil_films: tuple[Support, ...]
+) -> None:
     speeds = np.array([100.0, 250.0])
     outputs = overhung.dofs(5)
     amount = 2e-5 * np.exp(0.7j)
     found = unbalance_response(overhung, oil_films, speeds, {3: amount}, outputs)
     for speed, displacement in zip(speeds, found, strict=True):
-        h = frequency_response(overhung, oil_films, np.array([speed / (2 * np.pi)]), speed, outputs, overhung.dofs(3))[0]
+        h = frequency_response(
+            overhung, oil_films, np.array([speed / (2 * np.pi)]), speed, outputs, overhung.dofs(3)
+        )[0]
         np.testing.assert_allclose(displacement, h @ np.array([1, -1j]) * amount * speed**2, rtol=1e-9)
 
 
@@ -95,4 +109,6 @@ def test_zero_hertz_is_refused_for_a_free_rotor(overhung: Rotor) -> None:
 def test_a_singular_line_is_said() -> None:
     rotor = Rotor((ShaftElement(0.1, 0.01),))
     with pytest.raises(FitError, match="resonance without damping"):
-        frequency_response(rotor, [Support(1, np.zeros((2, 2)), np.zeros((2, 2)))], np.array([0.0]), 0.0, [0], [0])
+        frequency_response(
+            rotor, [Support(1, np.zeros((2, 2)), np.zeros((2, 2)))], np.array([0.0]), 0.0, [0], [0]
+        )

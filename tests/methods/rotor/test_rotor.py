@@ -26,7 +26,8 @@ discs:
   - {node: 4, inner_diameter: 20 mm, outer_diameter: 60 mm, length: 10 mm, material: aluminium}
 bearings:
   - {node: 1, kind: journal-bearing, diameter: 20 mm, length: 10 mm, clearance: 50 um, viscosity: 50 mPa.s}
-  - {name: right, node: 5, kind: journal-bearing, diameter: 30 mm, length: 10 mm, clearance: 50 um, viscosity: 50 mPa.s}
+  - {name: right, node: 5, kind: journal-bearing, diameter: 30 mm, length: 10 mm, clearance: 50 um,
+     viscosity: 50 mPa.s}
 loads:
   - {node: 3, y: 5 N, z: -10 N}
   - {node: 3, z: -10 N}
@@ -78,8 +79,12 @@ def test_every_kind_of_entry(small: Path) -> None:
     assert (rig.name, rig.speed, rig.rotor.n_node) == ("Small", pytest.approx(50.0), 5)
     assert rig.rotor.elements[3].material.density == 8500 and rig.rotor.elements[3].inner_diameter == 0.01
     assert rig.rotor.discs[0] == Disc(3, 2.0, 0.002, 0.003)
-    assert [place.name for place in rig.bearings] == ["1", "right"] and rig.bearings[0].bearing.viscosity == 0.05
-    assert rig.unbalances[0].size == pytest.approx(2e-5) and rig.unbalances[0].phase == pytest.approx(np.pi / 2)
+    assert [place.name for place in rig.bearings] == ["1", "right"] and rig.bearings[
+        0
+    ].bearing.viscosity == 0.05
+    assert rig.unbalances[0].size == pytest.approx(2e-5) and rig.unbalances[0].phase == pytest.approx(
+        np.pi / 2
+    )
 
 
 def test_loads_on_one_node_add_up(small: Path) -> None:
@@ -105,24 +110,46 @@ def test_overrides_and_the_rig_with_other_bearings(small: Path) -> None:
     ("line", "replacement", "where", "message"),
     [
         ("length: 50 mm", "length: 50 um/s", 7, "elements.2.length"),
-        ("diameter: 20 mm, length: 100 mm", "diameter: -20 mm, length: 100 mm", 6, "outer diameter of a shaft element is positive"),
+        (
+            "diameter: 20 mm, length: 100 mm",
+            "diameter: -20 mm, length: 100 mm",
+            6,
+            "outer diameter of a shaft element is positive",
+        ),
         ("material: brass", "material: bras", 7, "did you mean 'brass'"),
         ("- {node: 3, mass: 2 kg", "- {node: 9, mass: 2 kg", 1, "nodes 1 to 5"),
         ("mass: 2 kg, polar", "polar", 9, "one of mass and outer_diameter"),
         ("length: 10 mm, material: aluminium", "material: aluminium", 10, "needs its length"),
         ("node: 1, kind", "node: 7, kind", 12, "nodes 1 to 5"),
-        ("kind: journal-bearing, diameter: 20", "kind: journal-baering, diameter: 20", 12, "did you mean 'journal-bearing'"),
-        ("clearance: 50 um, viscosity: 50 mPa.s}\n  - {name", "viscosity: 50 mPa.s}\n  - {name", 12, "bearings.1.clearance: is missing"),
+        (
+            "kind: journal-bearing, diameter: 20",
+            "kind: journal-baering, diameter: 20",
+            12,
+            "did you mean 'journal-bearing'",
+        ),
+        (
+            "clearance: 50 um, viscosity: 50 mPa.s}\n  - {name",
+            "viscosity: 50 mPa.s}\n  - {name",
+            12,
+            "bearings.1.clearance: is missing",
+        ),
         ("{node: 3, z: -10 N}", "{node: 8, z: -10 N}", 16, "nodes 1 to 5"),
         ("size: 20 g.mm", "sise: 20 g.mm", 18, "did you mean 'size'"),
         ("force: 3", "force: 33", 1, "the force sits on node 33"),
         ("speed: 3000 rpm", "speed: 0 rpm", 1, "speed above zero"),
         ("count: 3", "count: 0", 6, "count: from 1"),
-        ("elastic_modulus: 100 GPa", "elastic_modulus: 0 GPa", 4, "elastic modulus of a material is positive"),
+        (
+            "elastic_modulus: 100 GPa",
+            "elastic_modulus: 0 GPa",
+            4,
+            "elastic modulus of a material is positive",
+        ),
         ("name: right, node: 5", "name: right, node: 1", 1, "two bearings have one node"),
     ],
 )
-def test_faults_stand_at_their_place(small: Path, line: str, replacement: str, where: int, message: str) -> None:
+def test_faults_stand_at_their_place(
+    small: Path, line: str, replacement: str, where: int, message: str
+) -> None:
     assert line in SMALL
     small.write_text(SMALL.replace(line, replacement, 1))
     with pytest.raises(ConfigError) as caught:
@@ -154,15 +181,23 @@ def test_what_a_rotor_needs(small: Path, key: str) -> None:
 def test_numbers_of_bearings_may_carry_their_uncertainty(small: Path) -> None:
     """One oil in both bearings is one source; the ends differ in that number alone."""
     text = SMALL.replace("viscosity: 50 mPa.s", 'viscosity: "50 mPa.s +- 3 % (source=oil)"')
-    small.write_text(text.replace("length: 10 mm, clearance: 50 um", "length: 10 mm, clearance: 50 um +- 2 um", 1), encoding="utf-8")
+    small.write_text(
+        text.replace("length: 10 mm, clearance: 50 um", "length: 10 mm, clearance: 50 um +- 2 um", 1),
+        encoding="utf-8",
+    )
     rig = load_rotor(small)
     assert {source.source: (source.std_error, source.unit) for source in rig.sources} == {
         "1: clearance": (pytest.approx(2e-6), "m"),
         "oil": (pytest.approx(1.5e-3), "Pa.s"),
     }
-    for source, name, changed, step in (("oil", "viscosity", (0, 1), 1.5e-3), ("1: clearance", "clearance", (0,), 2e-6)):
+    for source, name, changed, step in (
+        ("oil", "viscosity", (0, 1), 1.5e-3),
+        ("1: clearance", "clearance", (0,), 2e-6),
+    ):
         above, below = rig.ends(source)
-        for number, (place, up, down) in enumerate(zip(rig.bearings, above.bearings, below.bearings, strict=True)):
+        for number, (place, up, down) in enumerate(
+            zip(rig.bearings, above.bearings, below.bearings, strict=True)
+        ):
             value = getattr(place.bearing, name)
             by = step if number in changed else 0.0
             assert getattr(up.bearing, name) == pytest.approx(value + by)

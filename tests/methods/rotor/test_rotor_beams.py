@@ -1,4 +1,7 @@
-"""Whirl directions of a spinning shaft; its frequencies and those of other beams are in the validation manual (validation/rotors.py)."""
+"""Whirl directions of a spinning shaft.
+
+Its frequencies and those of other beams are in the validation manual (validation/rotors.py).
+"""
 
 from __future__ import annotations
 

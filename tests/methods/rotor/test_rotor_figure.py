@@ -45,13 +45,17 @@ def test_shaft_is_drawn_element_by_element_in_mm() -> None:
     """Lengths and diameters of the rotor file; its total of 590 mm is their sum by hand."""
     shaft = boxes("mendes", "shaft")
     assert len(shaft) == 15
-    assert shaft[0] == pytest.approx((0.0, -6.0, 60.0, 12.0)) and shaft[2] == pytest.approx((120.0, -15.5, 10.0, 31.0))
+    assert shaft[0] == pytest.approx((0.0, -6.0, 60.0, 12.0)) and shaft[2] == pytest.approx(
+        (120.0, -15.5, 10.0, 31.0)
+    )
     assert shaft[-1][0] + shaft[-1][2] == pytest.approx(590.0)
 
 
 def test_sleeves_lie_around_their_elements() -> None:
     above, below = boxes("mendes", "sleeve")[:2]
-    assert above == pytest.approx((360.0, 15.0, 40.0, 5.0)) and below == pytest.approx((360.0, -20.0, 40.0, 5.0))
+    assert above == pytest.approx((360.0, 15.0, 40.0, 5.0)) and below == pytest.approx(
+        (360.0, -20.0, 40.0, 5.0)
+    )
 
 
 def test_bearings_are_centred_on_their_nodes_with_their_length() -> None:
@@ -70,8 +74,13 @@ def test_bearings_are_centred_on_their_nodes_with_their_length() -> None:
         ({"settings": {"diameter": None, "length": None}}, (0.02, 0.01)),
     ],
 )
-def test_a_bearing_without_size_is_drawn_round_the_shaft(bearing: dict[str, Any], size: tuple[float, float]) -> None:
-    """On a shaft of 20 mm: its bore, and half of it along the shaft; the entries of kinds other than films stand under settings."""
+def test_a_bearing_without_size_is_drawn_round_the_shaft(
+    bearing: dict[str, Any], size: tuple[float, float]
+) -> None:
+    """On a shaft of 20 mm: its bore, and half of it along the shaft.
+
+    The entries of kinds other than films stand under settings.
+    """
     assert bearing_dimensions(bearing, 0.02) == size
 
 
@@ -95,8 +104,15 @@ def test_every_node_bearing_and_place_of_excitation_is_named() -> None:
     """Nodes 3 and 15 carry the bearings, node 10 at 400 mm the force, as the rotor file says."""
     graphic = rotor_figure(entries("mendes")).graphic
     assert isinstance(graphic, Chart)
-    words = [(text, x) for one in graphic.panels[0].series if one.kind == "text" for text, x in zip(one.texts[0], one.x, strict=True)]
-    assert {"bearing 1", "bearing 2", "force", "response", *map(str, range(1, 17))} == {text for text, _ in words}
+    words = [
+        (text, x)
+        for one in graphic.panels[0].series
+        if one.kind == "text"
+        for text, x in zip(one.texts[0], one.x, strict=True)
+    ]
+    assert {"bearing 1", "bearing 2", "force", "response", *map(str, range(1, 17))} == {
+        text for text, _ in words
+    }
     assert dict(words)["force"] == dict(words)["10"] == pytest.approx(400.0)
 
 
@@ -108,7 +124,12 @@ def test_positions_and_diameters_at_nodes() -> None:
 
 
 def fits(*rigs: dict[str, Any] | None) -> dict[str, Any]:
-    return {"identify": [{"name": str(n), "model_settings": None if rig is None else {"rig": rig}} for n, rig in enumerate(rigs)]}
+    return {
+        "identify": [
+            {"name": str(n), "model_settings": None if rig is None else {"rig": rig}}
+            for n, rig in enumerate(rigs)
+        ]
+    }
 
 
 def test_fits_on_one_rotor_draw_it_once_and_other_fits_none() -> None:
@@ -122,9 +143,15 @@ def test_report_has_a_section_for_the_rotor_only_where_there_is_one() -> None:
     sections = {
         section.heading: section.blocks
         for section in build(
-            Identification((), settings=fits(entries("laval")), sections={"unbalance": UnbalanceRuns("laval", "", 1, (1.0, 2.0), ())})
+            Identification(
+                (),
+                settings=fits(entries("laval")),
+                sections={"unbalance": UnbalanceRuns("laval", "", 1, (1.0, 2.0), ())},
+            )
         ).sections
     }
     (figure,) = sections["Rotor"]
-    assert isinstance(figure, Figure) and figure.caption.startswith("Laval rig after Machado and Cavalca: the rotor")
+    assert isinstance(figure, Figure) and figure.caption.startswith(
+        "Laval rig after Machado and Cavalca: the rotor"
+    )
     assert "Rotor" not in [section.heading for section in build(Identification(())).sections]

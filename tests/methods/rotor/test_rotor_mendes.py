@@ -1,7 +1,9 @@
-"""The rig of Mendes et al. (2017) on healthy bearings at 50 Hz: static loads and modes of an independent calculation.
+"""The rig of Mendes et al. (2017) on healthy bearings at 50 Hz: static loads and modes of an independent
+calculation.
 
-Frame: y horizontal, z up, spin y to z. Loads 35.42 and 58.86 N follow from the source's tables (its text prints 35.38 and 58.82 N);
-modes 82.57 82.71 Hz (zeta .0455 .0496) and 25.20 25.48 Hz (.226 .346) from an independent calculation; they are damped frequencies.
+Frame: y horizontal, z up, spin y to z. Loads 35.42 and 58.86 N follow from the source's tables (its text
+prints 35.38 and 58.82 N); modes 82.57 82.71 Hz (zeta .0455 .0496) and 25.20 25.48 Hz (.226 .346) from an
+independent calculation; they are damped frequencies.
 """
 
 from __future__ import annotations
@@ -21,7 +23,10 @@ SPEED = 2 * np.pi * 50
 def rotor() -> Rotor:
     diameters = [12, 12, 31, 31, 12, 12, 12, 12, 30, 30, 12, 12, 31, 31, 12]
     lengths = [60, 60, 10, 10, 55, 55, 55, 55, 40, 40, 50, 50, 10, 10, 30]
-    shaft = tuple(ShaftElement(length * 1e-3, diameter * 1e-3) for length, diameter in zip(lengths, diameters, strict=True))
+    shaft = tuple(
+        ShaftElement(length * 1e-3, diameter * 1e-3)
+        for length, diameter in zip(lengths, diameters, strict=True)
+    )
     coupling = Disc.of_dimensions(1, 12e-3, 25e-3, 20e-3, ALUMINIUM)
     return Rotor(shaft, (coupling,), (Sleeve(9, 40e-3), Sleeve(10, 40e-3)), beta=1.6e-4)
 
@@ -33,7 +38,10 @@ def test_static_loads(rotor: Rotor) -> None:
 
 
 def test_modes_on_healthy_bearings(rotor: Rotor) -> None:
-    """On a fine film, frequencies within .05 Hz, damping ratios within 2 %; the shipped rig itself is in the validation manual."""
+    """On a fine film, frequencies within .05 Hz, damping ratios within 2 %.
+
+    The shipped rig itself is in the validation manual.
+    """
     bearing = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044)
     supports = []
     for node, load in zip((4, 14), bearing_loads(rotor, [4, 14], {10: (0.0, -80.0)}), strict=True):

@@ -16,7 +16,11 @@ from tests.methods.wear.worn_cases import FINE, RIG, worn_rig
 def test_equilibria_are_those_of_the_bearings_under_their_loads() -> None:
     found = worn_rig(20.0, 5.0).equilibria(FINE)
     for place in RIG.bearings:
-        bearing = replace(place.bearing, wear_depth=20e-6, wear_angle=np.deg2rad(5)) if place.name == "bearing 2" else place.bearing
+        bearing = (
+            replace(place.bearing, wear_depth=20e-6, wear_angle=np.deg2rad(5))
+            if place.name == "bearing 2"
+            else place.bearing
+        )
         own = journal_equilibrium(bearing, RIG.static_loads()[place.name], 2 * np.pi * 50, FINE)
         np.testing.assert_allclose(found[place.name].stiffness, own.stiffness, rtol=1e-9)
     supports = worn_rig(20.0, 5.0).supports(FINE)
@@ -29,12 +33,16 @@ def test_vertical_loads_are_exactly_vertical() -> None:
 
 
 def test_loads_follow_the_lever_rule() -> None:
-    """80 N more at node 10 splits between nodes 4 and 14 by their distances 260 mm and 160 mm + 40 mm - 20 mm of the table."""
+    """80 N more at node 10 splits between nodes 4 and 14 by their distances 260 mm and 160 mm + 40 mm - 20 mm
+    of the table.
+    """
     without = replace(RIG, loads=()).static_loads()
     more = {name: RIG.static_loads()[name][1] - without[name][1] for name in without}
     position = np.cumsum([0, *(piece.length for piece in RIG.rotor.elements)])
     share = (position[9] - position[3]) / (position[13] - position[3])
-    assert more["bearing 2"] == pytest.approx(-80 * share) and more["bearing 1"] == pytest.approx(-80 * (1 - share))
+    assert more["bearing 2"] == pytest.approx(-80 * share) and more["bearing 1"] == pytest.approx(
+        -80 * (1 - share)
+    )
 
 
 def test_other_speed_and_other_bearings_leave_the_rest() -> None:
@@ -50,8 +58,14 @@ def test_other_speed_and_other_bearings_leave_the_rest() -> None:
         ({"speed": 0.0}, "speed above zero"),
         ({"bearings": RIG.bearings[:1]}, "at least two"),
         ({"bearings": (RIG.bearings[0], replace(RIG.bearings[0], name="x"))}, "two bearings have one node"),
-        ({"bearings": (RIG.bearings[0], replace(RIG.bearings[1], name="bearing 1"))}, "two bearings have one name"),
-        ({"bearings": (RIG.bearings[0], BearingPlace("far", 40, RIG.bearings[0].bearing))}, "bearing 'far' sits on node 40"),
+        (
+            {"bearings": (RIG.bearings[0], replace(RIG.bearings[1], name="bearing 1"))},
+            "two bearings have one name",
+        ),
+        (
+            {"bearings": (RIG.bearings[0], BearingPlace("far", 40, RIG.bearings[0].bearing))},
+            "bearing 'far' sits on node 40",
+        ),
         ({"loads": ((17, 0.0, 1.0),)}, "a load sits on node 17"),
         ({"unbalances": (Unbalance(0, 1e-5),)}, "an unbalance sits on node 0"),
         ({"response": 20}, "the response sits on node 20"),

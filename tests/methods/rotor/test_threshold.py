@@ -21,7 +21,10 @@ def test_the_threshold_equals_the_onset_of_the_rotor_on_stiff_springs() -> None:
 
     def supports(speed: float) -> list[Support]:
         stiffness, damping = (found[0] for found in coefficients(np.array([speed])))
-        return [*(Support(node, 1e11 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 5)), Support(3, stiffness, damping)]
+        return [
+            *(Support(node, 1e11 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 5)),
+            Support(3, stiffness, damping),
+        ]
 
     ours = threshold_speed(STABILITY, coefficients, SPEEDS)
     theirs = onset_speed(ROTOR, supports, SPEEDS)
@@ -48,7 +51,10 @@ def test_whirl_at_the_threshold_is_about_half_the_speed() -> None:
 
 
 def test_undamped_antiphase_modes_decide_nothing() -> None:
-    """The whole spectrum has undamped modes (a symmetric rotor never moves its journal in them); the growth rate leaves them out."""
+    """The whole spectrum has undamped modes (a symmetric rotor never moves its journal in them).
+
+    The growth rate leaves them out.
+    """
     place = np.array([1000 * RPM])
     stiffness, damping = film()(place)
     assert np.max(STABILITY.eigenvalues(place, stiffness, damping).real) > -1e-6
@@ -60,7 +66,9 @@ def test_slopes_of_the_growth_rate_equal_differences(number: int) -> None:
     speed = 2800 * RPM
     stiffness, damping = (found[0] for found in film()(np.array([speed])))
     mode = STABILITY.least_stable(speed, stiffness, damping)
-    np.testing.assert_allclose(mode.growth, STABILITY.growth(np.array([speed]), stiffness, damping)[0], rtol=1e-9)
+    np.testing.assert_allclose(
+        mode.growth, STABILITY.growth(np.array([speed]), stiffness, damping)[0], rtol=1e-9
+    )
     change = np.zeros(8)
     change[number] = 1e-4 * (np.abs(stiffness).mean() if number < 4 else np.abs(damping).mean())
     k, c = change.reshape(2, 2, 2)

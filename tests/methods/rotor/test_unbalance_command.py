@@ -74,7 +74,9 @@ def test_a_rule_that_fails_ends_with_1(labpipe, pipeline: Path) -> None:
         ("unbalance.sped=1 Hz", "sped"),
     ],
 )
-def test_faults_are_said_in_plain_words(labpipe, pipeline: Path, tmp_path: Path, override: str, said: str) -> None:
+def test_faults_are_said_in_plain_words(
+    labpipe, pipeline: Path, tmp_path: Path, override: str, said: str
+) -> None:
     ended = labpipe("run", pipeline, "-o", tmp_path / "out", "--set", override)
     assert ended.code not in (0, 1) and said in ended.err + ended.out and "Traceback" not in ended.err
     assert not (tmp_path / "out").exists()

@@ -1,8 +1,9 @@
-"""A rig of four dofs with non-proportional damping and skew stiffness under four white forces, written apart from labpipe's own rigs.
+"""A rig of four dofs with non-proportional damping and skew stiffness under four white forces, written apart
+from labpipe's own rigs.
 
-Without a change in time the motion is exact, line by line of the whole record (the force is periodic in it). With one, it is integrated:
-4 states of displacement and 4 of velocity, the forces between samples by straight lines, the changing part as a force of its own that
-is corrected once per step.
+Without a change in time the motion is exact, line by line of the whole record (the force is periodic in it).
+With one, it is integrated: 4 states of displacement and 4 of velocity, the forces between samples by straight
+lines, the changing part as a force of its own that is corrected once per step.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ FORCE = 10.0
 class FourDofRig:
     """Length of the record [s], rms *force* [N], rms sensor *noise* [m] and what is wrong.
 
-    gain, stiffness: relative change of sensor 1, of K from the beginning to the end of the record, even in time. cubic: stiffness of
-    every spring to ground [N/m^3]. hidden: (frequency [Hz], damping ratio, share) of a mode besides the four.
+    gain, stiffness: relative change of sensor 1, of K from the beginning to the end of the record, even in
+    time. cubic: stiffness of every spring to ground [N/m^3]. hidden: (frequency [Hz], damping ratio, share)
+    of a mode besides the four.
     """
 
     length: float = 200.0
@@ -50,7 +52,9 @@ def true_stiffness() -> np.ndarray:
 
 
 def receptance(rig: FourDofRig, frequency: np.ndarray) -> np.ndarray:
-    """H (n, 4, 4) [m/N] with the hidden mode, whose shape is (1, -1, 1, -1) and whose mass gives 1 / k its *share* of H_11(0)."""
+    """H (n, 4, 4) [m/N] with the hidden mode, whose shape is (1, -1, 1, -1) and whose mass gives 1 / k its
+    *share* of H_11(0).
+    """
     s = 2j * np.pi * frequency[:, None, None]
     h = np.linalg.inv(true_stiffness() + s * DAMPING + s**2 * np.diag(MASS))
     if rig.hidden is not None:
@@ -63,7 +67,10 @@ def receptance(rig: FourDofRig, frequency: np.ndarray) -> np.ndarray:
 
 
 def recordings(rig: FourDofRig, seeds: range) -> list[Recording]:
-    """One recording per seed: forces f1 ... f4 [N] and displacements x1 ... x4 [m], all noise white and independent."""
+    """One recording per seed: forces f1 ... f4 [N] and displacements x1 ...
+
+    x4 [m], all noise white and independent.
+    """
     n = round(rig.length * RATE)
     generators = [np.random.default_rng([7, seed]) for seed in seeds]
     spectra = np.stack([_force_spectrum(rig, rng, n) for rng in generators])
@@ -117,7 +124,9 @@ def _extra_force(rig: FourDofRig, fine: int) -> Callable[[np.ndarray, int], np.n
 
 
 def _steps(dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transposed matrices of one step: state, force at its beginning, force at its end (Franklin, Powell and Workman, sec. 6.3.2)."""
+    """Transposed matrices of one step: state, force at its beginning, force at its end (Franklin, Powell and
+    Workman, sec. 6.3.2).
+    """
     inverse = 1 / MASS[:, None]
     system = np.zeros((16, 16))
     system[:4, 4:8] = np.eye(4)

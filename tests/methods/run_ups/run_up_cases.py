@@ -21,7 +21,9 @@ LOADS = ("load-1", "load-2", "load-3", "load-4")
 @lru_cache(maxsize=8)
 def virtual(truth: str, *further: str) -> VirtualUnbalanceRig:
     """The shipped virtual rig with another truth."""
-    found: VirtualUnbalanceRig = load_virtual_rig(CONFIGS / "virtual-unbalance.yaml", [f"truth={truth}", *further])
+    found: VirtualUnbalanceRig = load_virtual_rig(
+        CONFIGS / "virtual-unbalance.yaml", [f"truth={truth}", *further]
+    )
     return found
 
 

@@ -1,4 +1,6 @@
-"""Coefficients from amplitudes alone: slopes and errors against differences and draws, and what twenty starts show of the method."""
+"""Coefficients from amplitudes alone: slopes and errors against differences and draws, and what twenty starts
+show of the method.
+"""
 
 from __future__ import annotations
 
@@ -56,21 +58,35 @@ def test_errors_of_the_largest_displacement_are_those_of_many_draws(rng: np.rand
     run = trained("outside")[1]
     draws = run.response * (1 + 0.01 * rng.standard_normal((4000, *run.response.shape)))
     draws = draws * np.exp(1j * np.deg2rad(1) * rng.standard_normal(draws.shape))
-    run = dataclasses.replace(run, amplitude_error=0.01 * np.abs(run.response), phase_error=np.full(run.response.shape, np.deg2rad(1)))
+    run = dataclasses.replace(
+        run,
+        amplitude_error=0.01 * np.abs(run.response),
+        phase_error=np.full(run.response.shape, np.deg2rad(1)),
+    )
     stated = Amplitudes.of(runs_by_load(RIG, [run])[0]).error
     spread = np.std(largest_displacement(draws), axis=0)
     np.testing.assert_allclose(stated, spread, rtol=0.06)
     assert abs(np.mean(stated / spread) - 1) < 0.01
 
 
-def test_the_fit_looks_perfect_and_the_coefficients_move_away_from_the_truth(factors: list[AmplitudeFit]) -> None:
-    """Amplitudes within a quarter of a per cent (their own noise is 1 %) at rank 2 of 8; further from the truth than doing nothing."""
+def test_the_fit_looks_perfect_and_the_coefficients_move_away_from_the_truth(
+    factors: list[AmplitudeFit],
+) -> None:
+    """Amplitudes within a quarter of a per cent (their own noise is 1 %) at rank 2 of 8.
+
+    Further from the truth than doing nothing.
+    """
     misfit = np.concatenate([fit.misfit for fit in factors])
     assert np.sqrt(np.mean(misfit**2)) < 0.0025
     truth = virtual("factors")
     true = [as_eight(*true_coefficients(truth, fit.load)(fit.speed)) for fit in factors]
     found, nothing = (
-        np.sqrt(np.mean(np.concatenate([getattr(fit, name) / one - 1 for fit, one in zip(factors, true, strict=True)]) ** 2))
+        np.sqrt(
+            np.mean(
+                np.concatenate([getattr(fit, name) / one - 1 for fit, one in zip(factors, true, strict=True)])
+                ** 2
+            )
+        )
         for name in ("coefficients", "start")
     )
     assert found > 1.2 * nothing
@@ -106,7 +122,9 @@ def test_beyond_its_speeds_stiffness_and_damping_times_speed_are_held(factors: l
     stiffness, damping = fit.at_speed()(np.array([first / 2, last, 2 * last]))
     np.testing.assert_allclose(stiffness[2], stiffness[1])
     np.testing.assert_allclose(damping[2], damping[1] / 2)
-    np.testing.assert_allclose(as_eight(stiffness, damping)[0], fit.coefficients[0] * np.repeat([1.0, 2.0], 4))
+    np.testing.assert_allclose(
+        as_eight(stiffness, damping)[0], fit.coefficients[0] * np.repeat([1.0, 2.0], 4)
+    )
 
 
 def test_the_objective_is_the_sum_of_squares_of_the_amplitudes(factors: list[AmplitudeFit]) -> None:
@@ -123,13 +141,18 @@ def test_twenty_starts_reach_the_data_with_factors_all_over_the_box(twenty: Ampl
     width = np.ptp(twenty.factors, axis=0)
     assert np.median(width) > 0.5
     spread = twenty.spread(9)
-    assert spread.text.startswith("the coefficients are not determined: under 5.88 N at 1300 rpm 20 starts reach the measured amplitudes")
+    assert spread.text.startswith(
+        "the coefficients are not determined: under 5.88 N at 1300 rpm 20 starts "
+        "reach the measured amplitudes"
+    )
     assert "k_xx 0.7" in spread.text
     assert twenty.statement.startswith(f"the coefficients are not determined: at {twenty.speed.size} speeds")
     np.testing.assert_allclose(twenty.objective, twenty.objectives.min(axis=0))
 
 
-def test_one_start_says_nothing_of_a_spread_and_starts_are_repeatable(factors: list[AmplitudeFit], twenty: AmplitudeFit) -> None:
+def test_one_start_says_nothing_of_a_spread_and_starts_are_repeatable(
+    factors: list[AmplitudeFit], twenty: AmplitudeFit
+) -> None:
     assert factors[1].statement == ""
     np.testing.assert_array_equal(factors[1].factors[0], twenty.factors[0])
     few = {"starts": 3, "limits": SearchLimits(most_evaluations=200)}
@@ -138,15 +161,23 @@ def test_one_start_says_nothing_of_a_spread_and_starts_are_repeatable(factors: l
 
 
 def test_with_enough_data_the_starts_would_agree() -> None:
-    """Spread in words where a box so narrow leaves no room: the sentence that says "not determined" can also not be said."""
-    fit = fit_amplitudes(RIG, trained("outside")[1:2], bound=0.004, starts=4, limits=SearchLimits(most_evaluations=400))[0]
+    """Spread in words where a box so narrow leaves no room: the sentence that says "not determined" can also
+    not be said.
+    """
+    fit = fit_amplitudes(
+        RIG, trained("outside")[1:2], bound=0.004, starts=4, limits=SearchLimits(most_evaluations=400)
+    )[0]
     assert "factors that agree within 0.0" in fit.statement
 
 
 def test_all_runs_of_a_load_count() -> None:
-    """A second run-up adds amplitudes of the same vectors: four data per speed, and the way is still blind to most."""
+    """A second run-up adds amplitudes of the same vectors: four data per speed, and the way is still blind to
+    most.
+    """
     rig = virtual("outside", "second_unbalance=true")
-    fit = fit_amplitudes(RIG, run_ups(rig, 1, ["load-2", "load-2-second"]), limits=SearchLimits(most_evaluations=500))[0]
+    fit = fit_amplitudes(
+        RIG, run_ups(rig, 1, ["load-2", "load-2-second"]), limits=SearchLimits(most_evaluations=500)
+    )[0]
     assert fit.n_datum == 4 * fit.speed.size
     assert fit.rank.max() < 8
     assert fit.chi2_per_datum > 0
@@ -157,7 +188,9 @@ def test_cobyqa_meets_the_same_amplitudes() -> None:
     run = trained("outside")[1]
     part = slice(4, 7)
     cut = {name: getattr(run, name)[part] for name in ("speed", "response", "amplitude_error", "phase_error")}
-    fit = fit_amplitudes(RIG, [dataclasses.replace(run, **cut)], method="cobyqa", limits=SearchLimits(most_evaluations=300))[0]
+    fit = fit_amplitudes(
+        RIG, [dataclasses.replace(run, **cut)], method="cobyqa", limits=SearchLimits(most_evaluations=300)
+    )[0]
     assert np.all(fit.misfit < 1e-3) and np.isnan(fit.mesh).all()
 
 

@@ -26,15 +26,21 @@ from labpipe.methods.wear.settings import WearSettings
 
 # An entry of `bearings:` for every kind, without its node.
 ENTRIES = {
-    "journal-bearing": "kind: journal-bearing, diameter: 30 mm, length: 15 mm, clearance: 90 um, viscosity: 0.05 Pa.s",
-    "ball-bearing": "kind: ball-bearing, elements: 9, stiffness_constant: 1.10e10, groove_distance: 0.5953 mm, pitch_radius: 30.1488 mm, "
+    "journal-bearing": "kind: journal-bearing, diameter: 30 mm, length: 15 mm, clearance: 90 um, viscosity: "
+    "0.05 Pa.s",
+    "ball-bearing": "kind: ball-bearing, elements: 9, stiffness_constant: 1.10e10, groove_distance: 0.5953 "
+    "mm, pitch_radius: 30.1488 mm, "
     "damping_factor: 1e-4 s, loads: {z: 427 N}",
-    "roller-bearing": "kind: roller-bearing, elements: 14, stiffness_constant: 8e8, pitch_radius: 32 mm, damping_factor: 1e-4 s",
+    "roller-bearing": "kind: roller-bearing, elements: 14, stiffness_constant: 8e8, pitch_radius: 32 mm, "
+    "damping_factor: 1e-4 s",
     "magnetic-bearing": "kind: magnetic-bearing, mass: 4 kg, negative_stiffness: 20 kN/m, "
     "loop: {proportional: 6 V/V, derivative: 0.004 s, force_per_current: 40 N/A}",
 }
 # The journal bearing of the published run-ups, and one of its loads [N].
-FALAH = "kind: journal-bearing, diameter: 16.5 mm, length: 8.25 mm, clearance: 0.2 mm, viscosity: 0.55 Pa.s, groove_width: 20 deg"
+FALAH = (
+    "kind: journal-bearing, diameter: 16.5 mm, length: 8.25 mm, clearance: 0.2 mm, viscosity: 0.55 "
+    "Pa.s, groove_width: 20 deg"
+)
 LOAD = 5.876
 ROTOR = """speed: 40 Hz
 force: 2
@@ -87,7 +93,10 @@ def test_every_built_in_kind_is_tested_here() -> None:
 
 @pytest.mark.parametrize("kind", sorted(ENTRIES))
 def test_a_rotor_stands_on_any_bearing(kind: str, tmp_path: Path) -> None:
-    """Each carries half the weight, downwards; its coefficients are those asked for at that load, speed and frequency."""
+    """Each carries half the weight, downwards.
+
+    Its coefficients are those asked for at that load, speed and frequency.
+    """
     rig = rotor(kind, tmp_path)
     assert [place.kind for place in rig.bearings] == [kind, kind]
     loads = rig.static_loads()
@@ -102,10 +111,15 @@ def test_a_rotor_stands_on_any_bearing(kind: str, tmp_path: Path) -> None:
 
 
 def test_an_isotropic_bearing_gives_the_circle_of_the_closed_form(tmp_path: Path) -> None:
-    """Equal K and C in y and z without cross terms: no backward circle, and the forward one solves (K + j w C - w^2 M) q = u w^2."""
+    """Equal K and C in y and z without cross terms: no backward circle, and the forward one solves (K + j w C
+    - w^2 M) q = u w^2.
+    """
     rig = rotor("magnetic-bearing", tmp_path)
     support = rig.supports()[0]
-    assert support.stiffness[0, 1] == support.stiffness[1, 0] == 0 and support.stiffness[0, 0] == support.stiffness[1, 1] > 0
+    assert (
+        support.stiffness[0, 1] == support.stiffness[1, 0] == 0
+        and support.stiffness[0, 0] == support.stiffness[1, 1] > 0
+    )
     forward, backward = np.abs(orbit(rig))
     assert backward < 1e-9 * forward
     supports = [Support(node, support.stiffness, support.damping) for node in (1, 3)]
@@ -114,7 +128,9 @@ def test_an_isotropic_bearing_gives_the_circle_of_the_closed_form(tmp_path: Path
 
 
 def test_a_ball_bearing_on_a_rotor_is_that_of_its_file(tmp_path: Path) -> None:
-    """Radially loaded in the rotor's z, with its axial preload: K_yy of the file at that load, the free dofs condensed by hand."""
+    """Radially loaded in the rotor's z, with its axial preload: K_yy of the file at that load, the free dofs
+    condensed by hand.
+    """
     bearing = rotor("ball-bearing", tmp_path).place("left").bearing
     kind: BearingKind = BEARINGS["ball-bearing"]
     settings = BallBearingSettings(
@@ -133,19 +149,28 @@ def test_a_ball_bearing_on_a_rotor_is_that_of_its_file(tmp_path: Path) -> None:
 
 def test_a_magnetic_bearing_answers_at_the_frequency_of_the_motion(tmp_path: Path) -> None:
     bearing = rotor("magnetic-bearing", tmp_path).place("left").bearing
-    slow, fast = (bearing.at(OperatingPoint((0.0, -30.0), 2 * np.pi * 40, 2 * np.pi * f)).stiffness[0, 0] for f in (10.0, 200.0))
+    slow, fast = (
+        bearing.at(OperatingPoint((0.0, -30.0), 2 * np.pi * 40, 2 * np.pi * f)).stiffness[0, 0]
+        for f in (10.0, 200.0)
+    )
     assert slow != fast
 
 
 @pytest.mark.parametrize(
     ("kind", "extra", "said"),
     [
-        ("ball-bearing", "cage_angle: 0 deg, shaft: {mass: 1 kg, inertia_x: 1 kg.m^2}", "bearings.1.shaft: follows from the rotor"),
+        (
+            "ball-bearing",
+            "cage_angle: 0 deg, shaft: {mass: 1 kg, inertia_x: 1 kg.m^2}",
+            "bearings.1.shaft: follows from the rotor",
+        ),
         ("magnetic-bearing", "speed: 50 Hz", "bearings.1.speed: follows from the rotor"),
         ("journal-bearing", "load: 50 N", "bearings.1.load: unknown key"),
     ],
 )
-def test_what_follows_from_the_rotor_is_refused_at_its_place(kind: str, extra: str, said: str, tmp_path: Path) -> None:
+def test_what_follows_from_the_rotor_is_refused_at_its_place(
+    kind: str, extra: str, said: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError) as caught:
         rotor(
             kind,
@@ -178,22 +203,33 @@ def small_run(rig: RunUpRotor, change: float) -> RunUp:
     )
     stiffness, damping = rig.start_coefficients(20.0, speed)
     response = rig.excited(bare).response(change * stiffness, change * damping).reshape(9, 2, 2)
-    return replace(bare, response=response, amplitude_error=0.01 * np.abs(response), phase_error=np.full(response.shape, 0.01))
+    return replace(
+        bare,
+        response=response,
+        amplitude_error=0.01 * np.abs(response),
+        phase_error=np.full(response.shape, 0.01),
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(ENTRIES))
 def test_a_run_up_on_any_bearing(kind: str, tmp_path: Path) -> None:
-    """The start coefficients reproduce the exact responses; point by point the stiffer bearing's responses are met."""
+    """The start coefficients reproduce the exact responses.
+
+    Point by point the stiffer bearing's responses are met.
+    """
     rig = run_up_rotor(kind, tmp_path)
     stiffness, damping = rig.start_coefficients(20.0, np.array([100.0, 150.0]))
     assert stiffness.shape == damping.shape == (2, 2, 2) and np.all(np.isfinite(stiffness))
     (fit,) = fit_points(rig, [small_run(rig, 1.1)])
-    # A ridge of 15 % about the start values holds what is not seen, so that 10 % are no more than two thirds of a deviation away.
+    # A ridge of 15 % about the start values holds what is not seen, so that 10 % are no more than two thirds
+    # of a deviation away.
     assert fit.chi2 / fit.n_datum < 0.1
 
 
 def test_x_lies_along_the_load_and_y_a_quarter_turn_further(tmp_path: Path) -> None:
-    """A ball bearing is stiffest along its load: the first direct coefficient of a run-up, the second of the bearing's frame."""
+    """A ball bearing is stiffest along its load: the first direct coefficient of a run-up, the second of the
+    bearing's frame.
+    """
     rig = run_up_rotor("ball-bearing", tmp_path)
     along, _ = rig.start_coefficients(800.0, np.array([100.0]))
     own = rig.place.bearing.at(OperatingPoint((0.0, -800.0), 100.0, 100.0)).stiffness
@@ -229,4 +265,6 @@ def test_without_speeds_the_run_ups_say_where_to_look(tmp_path: Path) -> None:
     assert over.search.low == run.speed[0] and over.search.high == run.speed[-1]
     assert over.search.highest == 2 * run.speed[-1] and searched_over(over, [run]) is over
     of_file = run_up_rotor("journal-bearing", tmp_path, text)
-    assert over.critical_speed(over.start(LOAD)) == pytest.approx(of_file.critical_speed(rig.start(LOAD)), rel=1e-4)
+    assert over.critical_speed(over.start(LOAD)) == pytest.approx(
+        of_file.critical_speed(rig.start(LOAD)), rel=1e-4
+    )

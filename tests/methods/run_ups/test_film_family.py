@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.methods.run_ups.film_family import PARAMETERS, PRIOR, FilmFamily, as_eight, as_matrices, carried_beyond, coefficient_errors
+from labpipe.methods.run_ups.film_family import (
+    PARAMETERS,
+    PRIOR,
+    FilmFamily,
+    as_eight,
+    as_matrices,
+    carried_beyond,
+    coefficient_errors,
+)
 from tests.methods.run_ups.run_up_cases import RIG
 
 FAMILY = FilmFamily(RIG.place.bearing, 150.0, 6.0)
@@ -18,7 +26,10 @@ SPEED = np.array([80.0, 150.0, 260.0])
 
 def test_all_zero_is_the_rotor_file_s_bearing() -> None:
     found = FAMILY.coefficients(np.zeros(12), LOAD, SPEED)
-    expected = [as_eight(*RIG.start_coefficients(load, np.array([speed])))[0] for load, speed in zip(LOAD, SPEED, strict=True)]
+    expected = [
+        as_eight(*RIG.start_coefficients(load, np.array([speed])))[0]
+        for load, speed in zip(LOAD, SPEED, strict=True)
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -28,7 +39,9 @@ def test_slopes_equal_differences(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(own, FAMILY.coefficients(values, LOAD, SPEED))
     for n in range(len(PARAMETERS)):
         step = 1e-5 * np.eye(12)[n]
-        difference = (FAMILY.coefficients(values + step, LOAD, SPEED) - FAMILY.coefficients(values - step, LOAD, SPEED)) / 2e-5
+        difference = (
+            FAMILY.coefficients(values + step, LOAD, SPEED) - FAMILY.coefficients(values - step, LOAD, SPEED)
+        ) / 2e-5
         np.testing.assert_allclose(slopes[..., n], difference, rtol=1e-5, atol=1e-6 * np.abs(own).max())
 
 
@@ -36,15 +49,21 @@ def test_viscosity_and_clearance_are_those_of_another_bearing() -> None:
     """exp(.2) times the viscosity and exp(.1) times the clearance, tabulated as such."""
     values = np.array([0.2, 0, 0, 0.1, *[0.0] * 8])
     own = RIG.place.bearing
-    bearing = dataclasses.replace(own, viscosity=own.viscosity * np.exp(0.2), clearance=own.clearance * np.exp(0.1))
+    bearing = dataclasses.replace(
+        own, viscosity=own.viscosity * np.exp(0.2), clearance=own.clearance * np.exp(0.1)
+    )
     other = dataclasses.replace(RIG, place=dataclasses.replace(RIG.place, bearing=bearing))
-    np.testing.assert_allclose(FAMILY.coefficients(values, 5.0, SPEED), as_eight(*other.start_coefficients(5.0, SPEED)), rtol=1e-10)
+    np.testing.assert_allclose(
+        FAMILY.coefficients(values, 5.0, SPEED), as_eight(*other.start_coefficients(5.0, SPEED)), rtol=1e-10
+    )
 
 
 def test_clearance_with_viscosity_and_all_factors_changes_nothing() -> None:
     """mu / c^2 and factor / c kept: the reason why the data have rank 11 of 12."""
     values = np.array([0.2, 0, 0, 0.1, *[0.1] * 8])
-    np.testing.assert_allclose(FAMILY.coefficients(values, LOAD, SPEED), FAMILY.coefficients(np.zeros(12), LOAD, SPEED), rtol=1e-12)
+    np.testing.assert_allclose(
+        FAMILY.coefficients(values, LOAD, SPEED), FAMILY.coefficients(np.zeros(12), LOAD, SPEED), rtol=1e-12
+    )
 
 
 def test_at_a_load_it_is_a_function_of_speed() -> None:
@@ -72,7 +91,9 @@ def test_far_from_the_table_nothing_is_guessed() -> None:
 
 
 def test_a_threshold_beyond_the_known_speeds_is_near_the_film_s() -> None:
-    """Coefficients known up to 300 rad/s, threshold at some 347: with K and Omega C held within 2 %, with C itself held there is none."""
+    """Coefficients known up to 300 rad/s, threshold at some 347: with K and Omega C held within 2 %, with C
+    itself held there is none.
+    """
     film = RIG.start(10.3)
 
     def known(speed: np.ndarray) -> np.ndarray:
@@ -89,5 +110,7 @@ def test_within_the_known_speeds_nothing_changes_and_beyond_k_and_omega_c_are_he
     film = RIG.start(6.0)
     carried = carried_beyond(lambda one: as_eight(*film(one)), 50.0, 300.0)
     speed = np.array([80.0, 250.0, 25.0, 400.0])
-    expected = as_eight(*film(np.clip(speed, 50, 300))) * np.where(np.arange(8) < 4, 1.0, [[1.0], [1.0], [2.0], [0.75]])
+    expected = as_eight(*film(np.clip(speed, 50, 300))) * np.where(
+        np.arange(8) < 4, 1.0, [[1.0], [1.0], [2.0], [0.75]]
+    )
     np.testing.assert_allclose(as_eight(*carried(speed)), expected)

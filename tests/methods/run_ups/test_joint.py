@@ -1,4 +1,6 @@
-"""The joint fit: slopes, recovery inside its family, priors, bounds, and chi-square where the truth lies outside."""
+"""The joint fit: slopes, recovery inside its family, priors, bounds, and chi-square where the truth lies
+outside.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,16 @@ def inside() -> JointFit:
 
 
 def test_slopes_of_everything_equal_differences(rng: np.random.Generator) -> None:
-    """Responses by analytic slopes, thresholds by left and right eigenvectors, against central differences."""
+    """Responses by analytic slopes, thresholds by left and right eigenvectors, against central
+    differences.
+    """
     groups = tuple(runs_by_load(RIG, trained("inside")))
-    measured = tuple((group.load, run.run.threshold) for group in groups for run in group.runs if run.run.threshold is not None)
+    measured = tuple(
+        (group.load, run.run.threshold)
+        for group in groups
+        for run in group.runs
+        if run.run.threshold is not None
+    )
     problem = RunUpProblem.of(RIG, FAMILY, groups, measured, PRIOR)
     values = 0.3 * PRIOR * rng.standard_normal(12)
     slopes = problem.jacobian(values)
@@ -44,24 +53,32 @@ def test_newton_s_threshold_is_the_search_s() -> None:
     found, by_speed = nearby_threshold(RIG, coefficients, 1.1 * searched)
     np.testing.assert_allclose(found, searched, rtol=1e-6)
     assert by_speed > 0
-    assert threshold_row(RIG, FAMILY, np.zeros(12), 6.0, Uncertain(found, 1.0))[0] == pytest.approx(0, abs=1e-3)
+    assert threshold_row(RIG, FAMILY, np.zeros(12), 6.0, Uncertain(found, 1.0))[0] == pytest.approx(
+        0, abs=1e-3
+    )
 
 
 def test_a_threshold_that_is_nowhere_near_is_refused() -> None:
     stiff = (np.eye(2) * 1e6, np.eye(2) * 1e3)
     with pytest.raises(FitError, match="far from the measured one"):
-        nearby_threshold(RIG, lambda speed: tuple(np.broadcast_to(one, (np.size(speed), 2, 2)) for one in stiff), 290.0)  # type: ignore[return-value]
+        nearby_threshold(
+            RIG, lambda speed: tuple(np.broadcast_to(one, (np.size(speed), 2, 2)) for one in stiff), 290.0
+        )  # type: ignore[return-value]
 
 
 def test_inside_its_family_it_finds_what_can_be_found(inside: JointFit) -> None:
-    """Slopes of the viscosity within three standard errors; level, clearance and factors up to the combination that nothing sees."""
+    """Slopes of the viscosity within three standard errors.
+
+    Level, clearance and factors up to the combination that nothing sees.
+    """
     assert not inside.rejected
     assert 0.85 < inside.chi2_per_datum < 1.15
     assert inside.rank == 11
     error = inside.std_error
     for name in ("viscosity_speed", "viscosity_load"):
         n = PARAMETERS.index(name)
-        # The reference load of the virtual rig is that of the fit: the mean of the logarithms of the trained loads.
+        # The reference load of the virtual rig is that of the fit: the mean of the logarithms of the trained
+        # loads.
         assert abs(inside.values[n] - INSIDE[n]) < 3.5 * error[n]
     seen = inside.values[0] - 2 * inside.values[3], np.mean(inside.values[4:]) - inside.values[3]
     true = INSIDE[0] - 2 * INSIDE[3], np.mean(INSIDE[4:]) - INSIDE[3]
@@ -76,7 +93,9 @@ def test_the_priors_hold_clearance_viscosity_and_the_common_factor(inside: Joint
 
 
 def test_intervals_of_predictions_cover_the_truth(inside: JointFit) -> None:
-    """At the load that no fit saw: critical speed, threshold and coefficients within three standard errors."""
+    """At the load that no fit saw: critical speed, threshold and coefficients within three standard
+    errors.
+    """
     truth = virtual("inside")
     held_out = true_coefficients(truth, truth.held_out)
     critical, threshold = inside.critical_speed(truth.held_out), inside.threshold(truth.held_out)
@@ -126,7 +145,12 @@ def test_without_thresholds_the_trained_ones_are_less_certain(inside: JointFit) 
 def with_second_disc(factor: complex) -> list[RunUp]:
     """The run-ups with a mistaken unbalance of disc 2."""
     return [
-        dataclasses.replace(run, unbalance={name: size * (factor if name == "disc 2" else 1) for name, size in run.unbalance.items()})
+        dataclasses.replace(
+            run,
+            unbalance={
+                name: size * (factor if name == "disc 2" else 1) for name, size in run.unbalance.items()
+            },
+        )
         for run in trained("inside")
     ]
 

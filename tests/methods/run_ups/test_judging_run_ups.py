@@ -19,12 +19,26 @@ def run(name: str, role: str, critical: float | None) -> MeasuredRun:
     return MeasuredRun(name, 10.0, role, excitation="unbalance", speed=(), motions=(), critical_speed=speed)
 
 
-RUNS = (run("none", TRAINED, None), run("first", TRAINED, 30.0), run("second", HELD_OUT, 20.0), run("third", TRAINED, 31.0))
+RUNS = (
+    run("none", TRAINED, None),
+    run("first", TRAINED, 30.0),
+    run("second", HELD_OUT, 20.0),
+    run("third", TRAINED, 31.0),
+)
 RESULT = RunUpResult("rotor", "disc", "journal", runs=RUNS, methods=())
 
 
 def rule(item: str, kind: str, bound: str) -> Rule:
-    return Rule(section="accept", address=f"run_ups.{item}", fit="run_ups", which="", item=item, kind=kind, bound=bound, place="p.yaml:1:1")
+    return Rule(
+        section="accept",
+        address=f"run_ups.{item}",
+        fit="run_ups",
+        which="",
+        item=item,
+        kind=kind,
+        bound=bound,
+        place="p.yaml:1:1",
+    )
 
 
 @pytest.mark.parametrize(
@@ -38,13 +52,17 @@ def rule(item: str, kind: str, bound: str) -> Rule:
         ("measured[second].critical_speed.covers", "=", "20.3 Hz", "19.804 Hz to 20.196 Hz", False),
     ],
 )
-def test_a_rule_without_a_run_shows_the_first_that_fails(item: str, kind: str, bound: str, shown: str, passed: bool) -> None:
+def test_a_rule_without_a_run_shows_the_first_that_fails(
+    item: str, kind: str, bound: str, shown: str, passed: bool
+) -> None:
     outcome = run_up_outcome(rule(item, kind, bound), RESULT, compare_number)
     assert (outcome.shown, outcome.passed) == (shown, passed)
 
 
 def test_a_run_without_a_value_meets_no_rule() -> None:
-    assert not run_up_outcome(rule("measured[none].critical_speed", ">=", "1 Hz"), RESULT, compare_number).passed
+    assert not run_up_outcome(
+        rule("measured[none].critical_speed", ">=", "1 Hz"), RESULT, compare_number
+    ).passed
 
 
 def test_a_run_that_is_not_there() -> None:

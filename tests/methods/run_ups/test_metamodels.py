@@ -1,4 +1,6 @@
-"""Metamodels over load and speed: against closed forms and other codes, saved and read back, and with one load left out."""
+"""Metamodels over load and speed: against closed forms and other codes, saved and read back, and with one
+load left out.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,22 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups import metamodels_learned
 from labpipe.methods.run_ups.film_family import as_eight, coefficient_errors
 from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.metamodel_kinds import TERMS, Extent, Grid, PhysicalFit, fit_surface, physical_without
-from labpipe.methods.run_ups.metamodels import METAMODELS, Metamodel, caution, fit_metamodel, from_entries, leave_one_load_out
+from labpipe.methods.run_ups.metamodel_kinds import (
+    TERMS,
+    Extent,
+    Grid,
+    PhysicalFit,
+    fit_surface,
+    physical_without,
+)
+from labpipe.methods.run_ups.metamodels import (
+    METAMODELS,
+    Metamodel,
+    caution,
+    fit_metamodel,
+    from_entries,
+    leave_one_load_out,
+)
 from labpipe.methods.run_ups.metamodels_learned import GaussianProcess, fit_network, fit_process
 from labpipe.methods.run_ups.points import fit_points
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
@@ -58,7 +74,11 @@ def test_a_second_order_surface_is_met_exactly() -> None:
     """Its coefficients are those of the polynomial in coded load and speed, and it holds beyond the grid."""
     model = fit_surface(grid_of(quadratic))
     np.testing.assert_allclose(model.beta[:, 0], [2000, 300, -500, 80, 40, -90], rtol=1e-9)
-    np.testing.assert_allclose(model.predict(17.0, np.array([350.0]))[0, 2], 3 * quadratic(np.array(17.0), np.array(350.0)), rtol=1e-9)
+    np.testing.assert_allclose(
+        model.predict(17.0, np.array([350.0]))[0, 2],
+        3 * quadratic(np.array(17.0), np.array(350.0)),
+        rtol=1e-9,
+    )
     np.testing.assert_allclose(model.r2, 1)
     np.testing.assert_allclose(model.spread, 0, atol=1e-6)
 
@@ -91,9 +111,9 @@ def test_errors_of_the_surface_cover_new_points(rng: np.random.Generator) -> Non
     """New noisy points within one standard error as often as a normal distribution has it."""
     grid = grid_of(quadratic)
     model = fit_surface(Grid(grid.load, grid.speed, grid.eight + 30 * rng.standard_normal(grid.eight.shape)))
-    missed = (grid.eight + 30 * rng.standard_normal(grid.eight.shape) - model.predict(grid.load, grid.speed)) / model.std_error(
-        grid.load, grid.speed
-    )
+    missed = (
+        grid.eight + 30 * rng.standard_normal(grid.eight.shape) - model.predict(grid.load, grid.speed)
+    ) / model.std_error(grid.load, grid.speed)
     assert np.mean(np.abs(missed) < 1) == pytest.approx(0.683, abs=0.08)
 
 
@@ -105,7 +125,9 @@ def test_two_loads_do_not_determine_a_square() -> None:
 
 
 def test_the_process_predicts_what_the_textbook_does(rng: np.random.Generator) -> None:
-    """k^T (K + n^2)^-1 y and its variance, with all hyperparameters given (Rasmussen and Williams, 2.25 and 2.26)."""
+    """k^T (K + n^2)^-1 y and its variance, with all hyperparameters given (Rasmussen and Williams, 2.25 and
+    2.26).
+    """
     grid = grid_of(smooth)
     hyper = np.tile([0.8, 0.9, 0.5, 0.1], (8, 1))
     model = GaussianProcess.of(grid, hyper)
@@ -136,7 +158,9 @@ def test_its_hyperparameters_are_at_a_maximum(rng: np.random.Generator) -> None:
 
     def density(hyper: np.ndarray) -> float:
         square = np.sum(((x[:, None] - x[None]) / hyper[1:3]) ** 2, axis=-1)
-        covariance = 9 * (1 + x @ x.T) + hyper[0] ** 2 * np.exp(-square / 2) + (hyper[3] ** 2 + 1e-9) * np.eye(y.size)
+        covariance = (
+            9 * (1 + x @ x.T) + hyper[0] ** 2 * np.exp(-square / 2) + (hyper[3] ** 2 + 1e-9) * np.eye(y.size)
+        )
         prior = stats.norm.logpdf(np.log(hyper / median) / deviation).sum()
         return float(stats.multivariate_normal.logpdf(y, cov=covariance) + prior)
 
@@ -178,11 +202,15 @@ def test_a_network_is_what_scikit_learn_predicts() -> None:
         hidden_layer_sizes=(8,), activation="tanh", solver="lbfgs", alpha=1e-3, max_iter=4000, random_state=7
     ).fit(x, y)
     ours = fit_network(grid, 7, repeats=1).predict(grid.load, grid.speed)
-    np.testing.assert_allclose(ours, grid.eight.mean(axis=0) + grid.eight.std(axis=0) * theirs.predict(x), rtol=1e-9)
+    np.testing.assert_allclose(
+        ours, grid.eight.mean(axis=0) + grid.eight.std(axis=0) * theirs.predict(x), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("kind", "module"), [("network", "neural_network"), ("process", "gaussian_process")])
-def test_without_scikit_learn_it_is_said_what_to_install(kind: str, module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_scikit_learn_it_is_said_what_to_install(
+    kind: str, module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, f"sklearn.{module}", None)
     with pytest.raises(ConfigError, match="scikit-learn, which is not installed") as caught:
         fit_metamodel(kind, grid_of(smooth))
@@ -195,7 +223,9 @@ def test_every_metamodel_is_read_back_as_it_was(any_model: Metamodel) -> None:
     again = from_entries(entries)
     for load in (5.0, 12.0):
         np.testing.assert_allclose(again.predict(load, SPEEDS), any_model.predict(load, SPEEDS), rtol=1e-9)
-        np.testing.assert_allclose(again.std_error(load, SPEEDS), any_model.std_error(load, SPEEDS), rtol=1e-6)
+        np.testing.assert_allclose(
+            again.std_error(load, SPEEDS), any_model.std_error(load, SPEEDS), rtol=1e-6
+        )
     assert (again.kind, again.extent, again.speeds) == (any_model.kind, any_model.extent, any_model.speeds)
     assert again.to_entries() == entries
     assert again.predict(5.0, SPEEDS).shape == again.std_error(5.0, SPEEDS).shape == (SPEEDS.size, 8)
@@ -205,7 +235,8 @@ def test_every_metamodel_says_how_it_was_made(any_model: Metamodel) -> None:
     words = {
         "surface": "36 points, over the eight coefficients R² 0.9",
         "process": "correlated over",
-        "network": "10 repeats of 2 inputs, 8 hidden units and 8 outputs, seeds from 3 on; the training of all of them converged",
+        "network": "10 repeats of 2 inputs, 8 hidden units and 8 outputs, seeds from 3 on; the training of "
+        "all of them converged",
         "physical": "parameters of the joint fit",
     }
     assert words[any_model.kind] in any_model.statement
@@ -223,7 +254,18 @@ def test_a_load_beyond_those_of_the_fit_is_cautioned(any_model: Metamodel) -> No
         ({}, "kind 'None'"),
         ({"kind": "surfaces"}, "kind 'surfaces'"),
         ({"kind": "surface"}, "damaged"),
-        ({"kind": "process", "loads": [1, 2], "speeds": [1, 2], "load": [1], "speed": [1], "eight": [[1] * 8], "hyper": [[1]]}, "damaged"),
+        (
+            {
+                "kind": "process",
+                "loads": [1, 2],
+                "speeds": [1, 2],
+                "load": [1],
+                "speed": [1],
+                "eight": [[1] * 8],
+                "hyper": [[1]],
+            },
+            "damaged",
+        ),
         ([1, 2], "kind 'None'"),
     ],
 )
@@ -259,17 +301,25 @@ def test_the_grid_of_fits_and_of_a_joint_fit() -> None:
     np.testing.assert_array_equal(grid.only(runs[1].load).eight, fits[1].coefficients)
     assert grid.without(runs[1].load).loads == (runs[0].load,)
     sampled = Grid.sampled(joint, joint.loads, SPEEDS)
-    np.testing.assert_array_equal(sampled.only(runs[0].load).eight, joint.coefficients(runs[0].load, SPEEDS)[0])
+    np.testing.assert_array_equal(
+        sampled.only(runs[0].load).eight, joint.coefficients(runs[0].load, SPEEDS)[0]
+    )
 
 
 def test_one_load_left_out_of_a_known_field() -> None:
-    """A quadratic is predicted at every load by the surface; a wavy field is predicted better by the process than by the surface."""
+    """A quadratic is predicted at every load by the surface.
+
+    A wavy field is predicted better by the process than by the surface.
+    """
     exact = leave_one_load_out(grid_of(quadratic), ["surface"])
     assert [row.load for row in exact] == list(LOADS)
     assert [row.beyond for row in exact] == [True, False, False, True]
     assert max(row.rms for row in exact) < 1e-9
     wavy = leave_one_load_out(grid_of(smooth), ["surface", "process"])
-    inner = {kind: max(row.rms for row in wavy if row.kind == kind and not row.beyond) for kind in ("surface", "process")}
+    inner = {
+        kind: max(row.rms for row in wavy if row.kind == kind and not row.beyond)
+        for kind in ("surface", "process")
+    }
     assert inner["process"] < 0.01 < inner["surface"]
 
 
@@ -281,12 +331,16 @@ def test_a_kind_that_cannot_do_without_a_load_says_so() -> None:
 
 
 def test_the_physical_fit_predicts_a_load_it_never_saw_best() -> None:
-    """On the rig outside its family: against the coefficients of the joint fit of all loads, and at the held-out load against the truth."""
+    """On the rig outside its family: against the coefficients of the joint fit of all loads, and at the
+    held-out load against the truth.
+    """
     truth, runs = virtual("outside"), trained("outside")
     joint = fit_jointly(RIG, runs)
     grid = Grid.sampled(joint, joint.loads, truth.omega)
     rows = leave_one_load_out(grid, ["surface", "process"], physical_without(RIG, runs))
-    worst = {kind: max(row.rms for row in rows if row.kind == kind) for kind in ("surface", "process", "physical")}
+    worst = {
+        kind: max(row.rms for row in rows if row.kind == kind) for kind in ("surface", "process", "physical")
+    }
     assert worst["physical"] < 0.06 < worst["process"] < worst["surface"]
     true = as_eight(*true_coefficients(truth, truth.held_out)(truth.omega))
     model = PhysicalFit.of(joint, (truth.omega[0], truth.omega[-1]))

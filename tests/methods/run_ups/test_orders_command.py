@@ -20,7 +20,10 @@ FORWARD, BACKWARD = 30.0 * np.exp(0.4j), 10.0 * np.exp(-1.1j)
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A run-up from 20 to 40 Hz in 20 s with a constant elliptic orbit, um; a pulse at every whole revolution."""
+    """A run-up from 20 to 40 Hz in 20 s with a constant elliptic orbit, um.
+
+    A pulse at every whole revolution.
+    """
     t = np.arange(40_000) / 2000
     revolutions = 20 * t + 0.5 * t**2
     turn = np.exp(2j * np.pi * revolutions)
@@ -28,7 +31,9 @@ def project(tmp_path: Path) -> Path:
     noise = np.random.default_rng(1).normal(size=(2, t.size)) * 0.5
     pulse = np.where(revolutions % 1.0 < 0.3, 5.0, 0.0)
     table = np.column_stack([x + noise[0], y + noise[1], pulse])
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.6g")
+    np.savetxt(
+        tmp_path / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.6g"
+    )
     (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
     return tmp_path
 
@@ -44,7 +49,8 @@ def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
     assert ended.code == 0 and "segments of 20 revolutions" in ended.out, ended
     found = rows(out)
     assert found[0]["speed_hz"] < 22 and found[-1]["speed_hz"] > 38
-    # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2 of it.
+    # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2
+    # of it.
     for name, truth in (("f", FORWARD), ("b", BACKWARD)):
         sizes = np.array([row[f"{name}:amplitude"] for row in found]) * 1e6
         assert np.mean(sizes) == pytest.approx(abs(truth), abs=0.05)
@@ -60,8 +66,19 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
     t = np.arange(20_000) / 2000
     x = 12 * np.cos(2 * np.pi * 50 * t + 0.3)
     table = np.column_stack([x, 0.1 * x, 0 * x + np.arange(t.size) % 7])
-    np.savetxt(project / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.8g")
-    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--speed", "3000 rpm", "-o", project / "out")
+    np.savetxt(
+        project / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.8g"
+    )
+    ended = labpipe(
+        "orders",
+        project / "run.csv",
+        "-r",
+        project / "rig.yaml",
+        "--speed",
+        "3000 rpm",
+        "-o",
+        project / "out",
+    )
     assert ended.code == 0, ended
     found = rows(project / "out")
     assert [row["x:amplitude"] * 1e6 for row in found] == pytest.approx([12.0] * len(found), rel=1e-6)
@@ -79,8 +96,12 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "n", "--revolutions", "5000"), "shorter than 5000 revolutions"),
     ],
 )
-def test_what_cannot_be_tracked_is_said(project: Path, labpipe, arguments: tuple[str, ...], message: str) -> None:
-    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "-o", project / "out", *arguments)
+def test_what_cannot_be_tracked_is_said(
+    project: Path, labpipe, arguments: tuple[str, ...], message: str
+) -> None:
+    ended = labpipe(
+        "orders", project / "run.csv", "-r", project / "rig.yaml", "-o", project / "out", *arguments
+    )
     assert ended.code == 2 and message in ended.err, ended
     assert not (project / "out").exists()
 
@@ -91,10 +112,17 @@ def test_a_raw_file_needs_its_rig(project: Path, labpipe) -> None:
 
 
 def test_the_axes_say_the_unit_of_what_was_measured(project: Path, labpipe) -> None:
-    text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2").replace("[um]", "[m/s^2]")
+    text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2").replace(
+        "[um]", "[m/s^2]"
+    )
     (project / "rig.yaml").write_text(text, encoding="utf-8")
     run = project / "run.csv"
     run.write_text(run.read_text("utf-8").replace("[um]", "[m/s^2]"), encoding="utf-8")
-    assert labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out").code == 0
+    assert (
+        labpipe(
+            "orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out"
+        ).code
+        == 0
+    )
     drawn = (project / "out/orders.svg").read_text("utf-8")
     assert "amplitude [m/s^2]" in drawn and "[um]" not in drawn

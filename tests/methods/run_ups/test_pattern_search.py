@@ -1,4 +1,6 @@
-"""Compass search: minima known in closed form, bounds, its own mesh and counts against a plain twin, and COBYQA beside it."""
+"""Compass search: minima known in closed form, bounds, its own mesh and counts against a plain twin, and
+COBYQA beside it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ import pytest
 import scipy
 
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.amplitudes import SEARCHES, SearchLimits, cobyqa_search, compass_search, search_named
+from labpipe.methods.run_ups.amplitudes import (
+    SEARCHES,
+    SearchLimits,
+    cobyqa_search,
+    compass_search,
+    search_named,
+)
 
 CENTRES = np.array([[0.2, -0.4], [0.7, 0.1], [-0.3, 0.6]])
 WEIGHTS = np.array([1.0, 7.0])
@@ -38,7 +46,9 @@ def plain_compass(objective, x: np.ndarray, low: np.ndarray, high: np.ndarray, l
         for sign in (1, -1):
             for axis in range(x.size):
                 neighbour = x.copy()
-                neighbour[axis] = min(max(x[axis] + sign * mesh * (high[axis] - low[axis]), low[axis]), high[axis])
+                neighbour[axis] = min(
+                    max(x[axis] + sign * mesh * (high[axis] - low[axis]), low[axis]), high[axis]
+                )
                 polled.append((objective(neighbour), neighbour))
         count += len(polled)
         lowest, where = min(polled, key=lambda one: one[0])
@@ -71,22 +81,34 @@ def test_it_is_the_search_of_the_books() -> None:
     limits = SearchLimits(smallest_mesh=1e-3, target_share=0.0)
     found = compass_search(bowls, start, LOW, HIGH, limits)
     for n in range(3):
-        x, rows = plain_compass(lambda one, n=n: float(bowls(one[None, None], np.array([n]))[0, 0]), start[n], LOW[n], HIGH[n], limits)
+        x, rows = plain_compass(
+            lambda one, n=n: float(bowls(one[None, None], np.array([n]))[0, 0]),
+            start[n],
+            LOW[n],
+            HIGH[n],
+            limits,
+        )
         np.testing.assert_allclose(found.values[n], x, rtol=1e-14)
         own = found.history.of(n)
-        np.testing.assert_allclose(np.stack([own.evaluations[:, 0], own.objective[:, 0], own.mesh[:, 0]], axis=-1), rows, rtol=1e-12)
+        np.testing.assert_allclose(
+            np.stack([own.evaluations[:, 0], own.objective[:, 0], own.mesh[:, 0]], axis=-1), rows, rtol=1e-12
+        )
         assert found.evaluations[n] == rows[-1][0]
         assert found.mesh[n] == rows[-1][2] < limits.smallest_mesh
 
 
 def test_in_a_curved_valley_it_creeps_and_says_that_it_hit_the_cap() -> None:
-    """From (-1.2, 1) of Rosenbrock's valley: 200 evaluations do not do, and the point is still the lowest so far."""
+    """From (-1.2, 1) of Rosenbrock's valley: 200 evaluations do not do, and the point is still the lowest so
+    far.
+    """
     low, high = np.full((1, 2), -2.0), np.full((1, 2), 2.0)
     start = np.array([[-1.2, 1.0]])
     short = compass_search(valley, start, low, high, SearchLimits(most_evaluations=200))
     assert short.capped.all() and short.evaluations[0] in range(200, 205)
     assert 0 < short.objective[0] < valley(start, np.zeros(1, np.intp))[0]
-    long = compass_search(valley, start, low, high, SearchLimits(most_evaluations=200_000, smallest_mesh=1e-9, target_share=0.0))
+    long = compass_search(
+        valley, start, low, high, SearchLimits(most_evaluations=200_000, smallest_mesh=1e-9, target_share=0.0)
+    )
     np.testing.assert_allclose(long.values, 1, atol=1e-3)
 
 
@@ -94,11 +116,15 @@ def test_low_enough_is_enough() -> None:
     found = compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(target_share=1e-2))
     first = bowls(np.zeros((3, 2)), np.arange(3))
     assert np.all(found.objective <= 1e-2 * first) and not found.capped.any()
-    assert found.evaluations.max() < compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, FINE).evaluations.min()
+    assert (
+        found.evaluations.max() < compass_search(bowls, np.zeros((3, 2)), LOW, HIGH, FINE).evaluations.min()
+    )
 
 
 def test_the_objective_never_rises_and_the_mesh_halves_or_doubles() -> None:
-    history = compass_search(valley, np.array([[-1.2, 1.0]]), np.full((1, 2), -2.0), np.full((1, 2), 2.0)).history
+    history = compass_search(
+        valley, np.array([[-1.2, 1.0]]), np.full((1, 2), -2.0), np.full((1, 2), 2.0)
+    ).history
     assert np.all(np.diff(history.objective[:, 0]) <= 0)
     ratio = history.mesh[1:, 0] / history.mesh[:-1, 0]
     assert set(ratio[history.mesh[:-1, 0] < 0.5].tolist()) == {0.5, 2.0}
@@ -125,7 +151,13 @@ def test_cobyqa_keeps_its_trace() -> None:
     np.testing.assert_allclose(found.history.objective[-1], found.objective)
     np.testing.assert_array_equal(found.history.evaluations[-1], found.evaluations)
     assert np.isnan(found.mesh).all()
-    short = cobyqa_search(valley, np.array([[-1.2, 1.0]]), np.full((1, 2), -2.0), np.full((1, 2), 2.0), SearchLimits(most_evaluations=15))
+    short = cobyqa_search(
+        valley,
+        np.array([[-1.2, 1.0]]),
+        np.full((1, 2), -2.0),
+        np.full((1, 2), 2.0),
+        SearchLimits(most_evaluations=15),
+    )
     assert short.capped.all() and short.evaluations[0] <= 16
 
 

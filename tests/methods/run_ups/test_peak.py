@@ -1,4 +1,6 @@
-"""Measured critical speeds: against closed forms, against the virtual rig's truth with its noise, and their standard errors."""
+"""Measured critical speeds: against closed forms, against the virtual rig's truth with its noise, and their
+standard errors.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,16 @@ def jeffcott(step: float, zeta: float = 0.1, natural: float = 150.0) -> RunUp:
     response = np.stack([radius, -1j * radius], axis=-1)[:, None]
     amplitude, phase = 1e-4 * np.abs(response), np.full(response.shape, 1e-4)
     unbalance = {"disc": 1e-5 + 0j}
-    return RunUp("jeffcott", 5.0, speed, ("disc",), response, amplitude_error=amplitude, phase_error=phase, unbalance=unbalance)
+    return RunUp(
+        "jeffcott",
+        5.0,
+        speed,
+        ("disc",),
+        response,
+        amplitude_error=amplitude,
+        phase_error=phase,
+        unbalance=unbalance,
+    )
 
 
 @pytest.mark.parametrize("step", [5.0, 10.0])
@@ -63,14 +74,19 @@ def test_the_same_run_gives_the_same_error() -> None:
 
 def test_more_noise_is_less_certain() -> None:
     run = trained("outside")[1]
-    louder = dataclasses.replace(run, amplitude_error=5 * run.amplitude_error, phase_error=5 * run.phase_error)
+    louder = dataclasses.replace(
+        run, amplitude_error=5 * run.amplitude_error, phase_error=5 * run.phase_error
+    )
     assert measured_critical_speed(louder).std_error > 2 * measured_critical_speed(run).std_error
 
 
 def test_a_run_without_a_peak_is_refused() -> None:
     run = jeffcott(10.0)
     low = run.speed < 120
-    below = dataclasses.replace(run, **{name: getattr(run, name)[low] for name in ("speed", "response", "amplitude_error", "phase_error")})
+    below = dataclasses.replace(
+        run,
+        **{name: getattr(run, name)[low] for name in ("speed", "response", "amplitude_error", "phase_error")},
+    )
     with pytest.raises(DataError, match="no critical speed within its speeds"):
         measured_critical_speed(below)
     with pytest.raises(DataError, match="no plane 'disk'"):

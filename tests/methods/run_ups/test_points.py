@@ -1,4 +1,6 @@
-"""Coefficients per load and speed: against scipy's bounded least squares, with a shaker against the truth, ridge and bounds."""
+"""Coefficients per load and speed: against scipy's bounded least squares, with a shaker against the truth,
+ridge and bounds.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,19 @@ from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 
 
 def test_every_point_is_the_minimum_that_scipy_finds() -> None:
-    """The trust-region reflective method of scipy on the same sum of squares, point by point, with bounds that some points meet."""
+    """The trust-region reflective method of scipy on the same sum of squares, point by point, with bounds
+    that some points meet.
+    """
     run = trained("outside")[1]
     found = fit_points(RIG, [run], bound=0.04)[0]
     assert 0.05 < found.share_at_bound < 0.8
     for n in (0, 9, 20):
         part = dataclasses.replace(
             run,
-            **{name: getattr(run, name)[n : n + 1] for name in ("speed", "response", "amplitude_error", "phase_error")},
+            **{
+                name: getattr(run, name)[n : n + 1]
+                for name in ("speed", "response", "amplitude_error", "phase_error")
+            },
         )
         excited, start = ExcitedRun.of(RIG, part), found.start[n]
         unit = scales(start)
@@ -32,27 +39,36 @@ def test_every_point_is_the_minimum_that_scipy_finds() -> None:
         def residual(parts: np.ndarray, excited=excited, start=start, unit=unit) -> np.ndarray:  # type: ignore[no-untyped-def]
             return np.concatenate([excited.residual((start + unit * parts)[None])[0], parts / 0.15])
 
-        expected = least_squares(residual, np.zeros(8), bounds=(-0.04, 0.04), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        expected = least_squares(
+            residual, np.zeros(8), bounds=(-0.04, 0.04), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
         ours = (found.coefficients[n] - start) / unit
         assert np.sum(residual(ours) ** 2) <= 2 * expected.cost * (1 + 1e-6)
         np.testing.assert_allclose(ours, expected.x, atol=2e-4)
 
 
 def test_the_fit_is_perfect_and_the_coefficients_are_not_determined() -> None:
-    """Rank 4 at every point and chi-square near one, while the standard deviations say that the start values decide."""
+    """Rank 4 at every point and chi-square near one, while the standard deviations say that the start values
+    decide.
+    """
     truth = virtual("factors")
     for found in fit_points(RIG, trained("factors")):
         assert set(found.rank.tolist()) == {4}
         assert 0.6 < found.chi2_per_datum < 1.5
         true = as_eight(*true_coefficients(truth, found.load)(found.speed))
-        better, before = (np.sqrt(np.mean(((one - true) / scales(found.start)) ** 2)) for one in (found.coefficients, found.start))
+        better, before = (
+            np.sqrt(np.mean(((one - true) / scales(found.start)) ** 2))
+            for one in (found.coefficients, found.start)
+        )
         assert better < before < 0.15
         parts = found.std_error / scales(found.start)
         assert np.nanmedian(parts) > 0.05
 
 
 def test_standard_deviations_cover_the_truth_within_the_ridge() -> None:
-    """Factors of .72 to 1.27 have a standard deviation of about the ridge: two standard deviations hold the truth nearly always."""
+    """Factors of .72 to 1.27 have a standard deviation of about the ridge: two standard deviations hold the
+    truth nearly always.
+    """
     truth = virtual("factors")
     inside = []
     for found in fit_points(RIG, trained("factors")):
@@ -101,7 +117,11 @@ def test_runs_of_one_load_meet_at_the_speeds_they_share() -> None:
     first, second = trained("outside")[:1] * 2
     part = slice(3, 9)
     second = dataclasses.replace(
-        second, **{name: getattr(second, name)[part] for name in ("speed", "response", "amplitude_error", "phase_error")}
+        second,
+        **{
+            name: getattr(second, name)[part]
+            for name in ("speed", "response", "amplitude_error", "phase_error")
+        },
     )
     group = runs_by_load(RIG, [first, second])[0]
     np.testing.assert_allclose(group.speed, first.speed[part])

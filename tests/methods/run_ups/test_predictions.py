@@ -1,4 +1,6 @@
-"""What a method says of one run: intervals where it has them, words where it has nothing, curves that end at the threshold."""
+"""What a method says of one run: intervals where it has them, words where it has nothing, curves that end at
+the threshold.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,13 @@ def at_load(**more: object) -> AtLoad:
 
 
 def test_a_method_with_intervals_keeps_them() -> None:
-    found = at_load(critical=lambda: Uncertain(150.0, 0.5), threshold=lambda: Uncertain(280.0, 2.0), notes=("beyond",))
+    found = at_load(
+        critical=lambda: Uncertain(150.0, 0.5), threshold=lambda: Uncertain(280.0, 2.0), notes=("beyond",)
+    )
     told = predict(RIG, RUN, found, "")
-    assert told.critical_speed is not None and told.critical_speed.ci95 == pytest.approx((150 - 0.979982, 150 + 0.979982))
+    assert told.critical_speed is not None and told.critical_speed.ci95 == pytest.approx(
+        (150 - 0.979982, 150 + 0.979982)
+    )
     assert told.threshold is not None and told.threshold.std_error == 2.0 and told.notes == ("beyond",)
     assert told.speed[-1] == pytest.approx(280.0) and told.speed[0] == pytest.approx(RUN.speed[0])
 
@@ -66,7 +72,9 @@ def test_a_shaker_run_has_a_curve_but_no_critical_speed() -> None:
     assert told.critical_speed is None and told.notes == () and told.threshold is not None
     # Twice the force, twice the motion: the curve is that of the shaker, not of an unbalance.
     harder = predict(RIG, replace(shaken, shaker=Shaker("disc 1", 4.0, 0.0, 0.95)), at_load(), "")
-    np.testing.assert_allclose(harder.motions[0].real, 2 * np.array(told.motions[0].real), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        harder.motions[0].real, 2 * np.array(told.motions[0].real), rtol=1e-6, atol=1e-12
+    )
     assert len(told.motions) == 4
 
 
@@ -77,5 +85,7 @@ def test_the_rotor_takes_the_runs_unbalance() -> None:
     assert own.known_unbalance == {"disc 2": pytest.approx(1e-5 * np.exp(1j))}
     np.testing.assert_allclose(
         own.response(RUN.speed, RIG.start(RUN.load)).reshape(RUN.n_speed, -1),
-        RIG.under_unbalance(RUN.speed, other.unbalance).response(*RIG.start_coefficients(RUN.load, RUN.speed)),
+        RIG.under_unbalance(RUN.speed, other.unbalance).response(
+            *RIG.start_coefficients(RUN.load, RUN.speed)
+        ),
     )

@@ -1,5 +1,5 @@
-"""Smooth factors on the joint fit: the process against textbook formulas, and a bearing with arbitrary factors recovered with its
-uncertainty.
+"""Smooth factors on the joint fit: the process against textbook formulas, and a bearing with arbitrary
+factors recovered with its uncertainty.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def test_what_the_basis_says_and_what_it_leaves_are_the_whole_covariance(rng: np
     places, elsewhere = some_places(rng), some_places(rng, 7)
     field = SmoothField.of(KERNEL, places)
     basis = field.basis(elsewhere)
-    np.testing.assert_allclose(basis @ basis.T + field.unexplained(elsewhere), KERNEL.covariance(elsewhere, elsewhere), atol=1e-12)
+    np.testing.assert_allclose(
+        basis @ basis.T + field.unexplained(elsewhere), KERNEL.covariance(elsewhere, elsewhere), atol=1e-12
+    )
     assert np.all(np.diagonal(field.unexplained(places)) < 1e-5 * KERNEL.size**2)
     far = np.array([[60.0, 100.0]])
     np.testing.assert_allclose(field.unexplained(far), KERNEL.size**2, rtol=1e-6)
@@ -79,13 +81,18 @@ def test_the_posterior_of_the_basis_is_the_textbook_s(rng: np.random.Generator) 
 
 def test_slopes_of_the_coefficients_equal_differences(rng: np.random.Generator) -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, some_places(rng, 10)))
-    values = np.concatenate([0.2 * PRIOR * rng.standard_normal(12), 0.5 * rng.standard_normal(family.n_parameter - 12)])
+    values = np.concatenate(
+        [0.2 * PRIOR * rng.standard_normal(12), 0.5 * rng.standard_normal(family.n_parameter - 12)]
+    )
     load, speed = np.array([4.0, 9.0]), np.array([80.0, 240.0])
     eight, slopes = family.coefficients_and_slopes(values, load, speed)
     np.testing.assert_allclose(eight, family.coefficients(values, load, speed))
     assert slopes.shape == (2, 8, family.n_parameter)
     direction = 1e-6 * rng.standard_normal(values.size)
-    change = (family.coefficients(values + direction, load, speed) - family.coefficients(values - direction, load, speed)) / 2
+    change = (
+        family.coefficients(values + direction, load, speed)
+        - family.coefficients(values - direction, load, speed)
+    ) / 2
     np.testing.assert_allclose(slopes @ direction, change, rtol=1e-5)
 
 
@@ -93,13 +100,17 @@ def test_without_factors_it_is_the_family(rng: np.random.Generator) -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, some_places(rng, 6)))
     values = np.concatenate([0.2 * PRIOR, np.zeros(family.n_parameter - 12)])
     speed = np.array([60.0, 200.0])
-    np.testing.assert_allclose(family.coefficients(values, 5.0, speed), FAMILY.coefficients(0.2 * PRIOR, 5.0, speed))
+    np.testing.assert_allclose(
+        family.coefficients(values, 5.0, speed), FAMILY.coefficients(0.2 * PRIOR, 5.0, speed)
+    )
 
 
 def small_problem(kernel: SquaredExponential) -> tuple[RunUpProblem[ProcessFamily], np.ndarray]:
     """One load, six speeds, no threshold."""
     run = trained("factors")[1]
-    cut = {name: getattr(run, name)[4:22:3] for name in ("speed", "response", "amplitude_error", "phase_error")}
+    cut = {
+        name: getattr(run, name)[4:22:3] for name in ("speed", "response", "amplitude_error", "phase_error")
+    }
     part = dataclasses.replace(run, **cut)
     groups = tuple(runs_by_load(RIG, [part]))
     places = places_of(part.load, part.speed)
@@ -124,10 +135,14 @@ def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
 
     def density(kernel: SquaredExponential) -> float:
         prior = np.kron(kernel.covariance(places, places), np.eye(8)) + by_family @ by_family.T
-        return float(stats.multivariate_normal.logpdf(measured, cov=slopes @ prior @ slopes.T + np.eye(n * m)))
+        return float(
+            stats.multivariate_normal.logpdf(measured, cov=slopes @ prior @ slopes.T + np.eye(n * m))
+        )
 
     other = SquaredExponential(0.3, 4.0, 50.0)
-    ours = data.log_likelihood(SmoothField.of(other, places)) - data.log_likelihood(SmoothField.of(KERNEL, places))
+    ours = data.log_likelihood(SmoothField.of(other, places)) - data.log_likelihood(
+        SmoothField.of(KERNEL, places)
+    )
     assert ours == pytest.approx(density(other) - density(KERNEL), abs=0.02)
     assert abs(ours) > 1
 
@@ -141,7 +156,9 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
     family = ProcessFamily(FAMILY, SmoothField.of(KERNEL, places))
     problem = dataclasses.replace(problem, family=family, thresholds=((load, Uncertain(speed, 0.5)),))
     values = np.zeros(family.n_parameter)
-    residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[-1]
+    residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[
+        -1
+    ]
     at_load = family.at_load(values, load)
 
     def scaled(change: np.ndarray) -> float:
@@ -153,15 +170,22 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
     assert residual == pytest.approx((scaled(np.zeros(8)) - speed) / 0.5, abs=1e-3)
     for n in range(8):
         step = 1e-4 * np.eye(8)[n]
-        assert row[0, n] == pytest.approx((scaled(step) - scaled(-step)) / 2e-4 / 0.5, rel=0.02, abs=0.02 * np.abs(row).max())
+        assert row[0, n] == pytest.approx(
+            (scaled(step) - scaled(-step)) / 2e-4 / 0.5, rel=0.02, abs=0.02 * np.abs(row).max()
+        )
 
 
 def test_outside_the_family_its_held_out_interval_holds_where_the_joint_fit_s_does_not() -> None:
-    """Other grooves, clearance and oil: chi-square accepts the joint fit, whose threshold at the held-out load misses by 2.8 errors."""
+    """Other grooves, clearance and oil: chi-square accepts the joint fit, whose threshold at the held-out
+    load misses by 2.8 errors.
+    """
     truth, runs = virtual("outside"), trained("outside")
     joint = fit_jointly(RIG, runs)
     true = RIG.threshold(true_coefficients(truth, truth.held_out))
-    alone, ours = joint.threshold(truth.held_out), fit_with_process(RIG, runs, joint).threshold(truth.held_out)
+    alone, ours = (
+        joint.threshold(truth.held_out),
+        fit_with_process(RIG, runs, joint).threshold(truth.held_out),
+    )
     assert true is not None and alone is not None and ours is not None
     assert not joint.rejected
     assert abs(alone.value - true) > 2 * alone.std_error
@@ -184,12 +208,18 @@ def test_trained_critical_speeds_within_three_in_a_thousand(joint: JointFit, fou
         assert abs(ours.value / true - 1) < 0.003
         assert abs(ours.value - true) < 3 * ours.std_error < 0.006 * true
     assert (
-        max(abs(joint.critical_speed(load).value / RIG.critical_speed(true_coefficients(truth, load)) - 1) for load in joint.loads) > 0.01
+        max(
+            abs(joint.critical_speed(load).value / RIG.critical_speed(true_coefficients(truth, load)) - 1)
+            for load in joint.loads
+        )
+        > 0.01
     )
 
 
 def test_intervals_of_thresholds_hold_the_truth(found: ProcessFit) -> None:
-    """At trained loads within seconds of rpm, at the load that no fit saw within an interval that says how little is known there."""
+    """At trained loads within seconds of rpm, at the load that no fit saw within an interval that says how
+    little is known there.
+    """
     truth = virtual("factors")
     for load in (*found.loads, truth.held_out):
         true, ours = RIG.threshold(true_coefficients(truth, load)), found.threshold(load)
@@ -198,7 +228,9 @@ def test_intervals_of_thresholds_hold_the_truth(found: ProcessFit) -> None:
         assert (ours.std_error < 0.005 * true) == (load <= max(found.loads))
 
 
-def test_coefficients_are_nearer_to_the_truth_and_their_errors_say_how_near(joint: JointFit, found: ProcessFit) -> None:
+def test_coefficients_are_nearer_to_the_truth_and_their_errors_say_how_near(
+    joint: JointFit, found: ProcessFit
+) -> None:
     truth, missed, better, worse = virtual("factors"), [], [], []
     for load in found.loads:
         true = as_eight(*true_coefficients(truth, load)(truth.omega))
@@ -210,22 +242,40 @@ def test_coefficients_are_nearer_to_the_truth_and_their_errors_say_how_near(join
     assert np.sqrt(np.mean(np.square(better))) < 0.6 * np.sqrt(np.mean(np.square(worse)))
 
 
-def test_errors_of_predictions_are_those_of_drawn_parameters(found: ProcessFit, rng: np.random.Generator) -> None:
-    """120 draws from the covariance at a trained load, so close to the fit that all is linear; 20 % agreement."""
+def test_errors_of_predictions_are_those_of_drawn_parameters(
+    found: ProcessFit, rng: np.random.Generator
+) -> None:
+    """120 draws from the covariance at a trained load, so close to the fit that all is linear.
+
+    20 % agreement.
+    """
     load, part = found.loads[1], 0.05
-    draws = found.values + part * rng.standard_normal((120, found.values.size)) @ np.linalg.cholesky(found.covariance).T
+    draws = (
+        found.values
+        + part * rng.standard_normal((120, found.values.size)) @ np.linalg.cholesky(found.covariance).T
+    )
     critical = [RIG.critical_speed(found.family.at_load(one, load)) for one in draws]
     threshold = [RIG.threshold(found.family.at_load(one, load)) for one in draws]
     stated = found.threshold(load)
     assert stated is not None
-    assert np.std(critical) / part * found.widening == pytest.approx(found.critical_speed(load).std_error, rel=0.2)
-    assert np.std(np.array(threshold, np.float64)) / part * found.widening == pytest.approx(stated.std_error, rel=0.2)
+    assert np.std(critical) / part * found.widening == pytest.approx(
+        found.critical_speed(load).std_error, rel=0.2
+    )
+    assert np.std(np.array(threshold, np.float64)) / part * found.widening == pytest.approx(
+        stated.std_error, rel=0.2
+    )
 
 
 def test_what_it_says_of_itself(found: ProcessFit) -> None:
     assert found.caution(found.loads[0]) == ""
-    assert "16.9 N lies outside the loads of the fit (3.66 to 10.3 N): the smooth factors are extrapolated" in found.caution(16.94)
-    assert f"of {found.values.size} parameters the data determine {found.n_determined} combinations" in found.statement
+    assert (
+        "16.9 N lies outside the loads of the fit (3.66 to 10.3 N): the smooth factors are extrapolated"
+        in found.caution(16.94)
+    )
+    assert (
+        f"of {found.values.size} parameters the data determine {found.n_determined} combinations"
+        in found.statement
+    )
     assert found.n_determined < found.rank <= found.values.size
     factors = found.factors(6.0, np.array([100.0, 200.0]))
     assert factors.shape == (2, 8) and np.all((factors > 0.4) & (factors < 1.8))

@@ -1,4 +1,6 @@
-"""Rank statements: 2, 4, 4, 8 for four data sets, the advice, and combinations that truly change nothing measured."""
+"""Rank statements: 2, 4, 4, 8 for four data sets, the advice, and combinations that truly change nothing
+measured.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,14 @@ import pytest
 
 from labpipe.estimation.statistics import combination_text
 from labpipe.methods.run_ups.film_family import as_eight
-from labpipe.methods.run_ups.misfit import ADVICE, measured_statement, rank_of, rank_statements, scales, unseen_combinations
+from labpipe.methods.run_ups.misfit import (
+    ADVICE,
+    measured_statement,
+    rank_of,
+    rank_statements,
+    scales,
+    unseen_combinations,
+)
 from labpipe.methods.run_ups.virtual_rig import run_ups
 from tests.methods.run_ups.run_up_cases import RIG, virtual
 
@@ -30,13 +39,21 @@ def test_about_other_coefficients_the_ranks_stay(rng: np.random.Generator) -> No
 
 
 def test_a_change_that_is_not_seen_changes_no_response(rng: np.random.Generator) -> None:
-    """Any dK + j Omega dC with (dK + j Omega dC) x_b = 0, also under another unbalance, and finite rather than small."""
+    """Any dK + j Omega dC with (dK + j Omega dC) x_b = 0, also under another unbalance, and finite rather
+    than small.
+    """
     speed = np.array([150.0])
     stiffness, damping = RIG.start_coefficients(5.0, speed)
     condensed = RIG.under_unbalance(speed, RIG.known_unbalance)
     journal, _ = condensed.journal(stiffness, damping)
     across = np.array([-journal[0, 1], journal[0, 0]])
-    rows = 0.1 * stiffness[0, 0, 0] * (rng.standard_normal((2, 1)) + 1j * rng.standard_normal((2, 1))) * across / np.abs(across).max()
+    rows = (
+        0.1
+        * stiffness[0, 0, 0]
+        * (rng.standard_normal((2, 1)) + 1j * rng.standard_normal((2, 1)))
+        * across
+        / np.abs(across).max()
+    )
     changed = stiffness + rows.real, damping + rows.imag / speed
     for unbalance in (RIG.known_unbalance, {"disc 2": 5e-5j}):
         there = RIG.under_unbalance(speed, unbalance)
@@ -52,7 +69,10 @@ def test_the_runs_at_hand_get_the_advice_when_only_the_unbalance_differs() -> No
         return measured_statement(RIG, [runs[name] for name in names], 5.9, 150.0)
 
     assert (statement("load-2").rank, statement("load-2").advice) == (4, "")
-    assert (statement("load-2", "load-2-second").rank, statement("load-2", "load-2-second").advice) == (4, ADVICE)
+    assert (statement("load-2", "load-2-second").rank, statement("load-2", "load-2-second").advice) == (
+        4,
+        ADVICE,
+    )
     assert (statement("load-2", "load-2-shaker").rank, statement("load-2", "load-2-shaker").advice) == (8, "")
 
 
@@ -64,7 +84,10 @@ def test_rank_and_condition_of_matrices_by_hand() -> None:
 
 def test_combinations_in_words() -> None:
     assert combination_text(("a", "b", "c"), np.array([1.0, -2.0, 0.1])) == "b +1.00, a -0.50"
-    assert unseen_combinations(np.array([[1.0, 1.0]]), ("a", "b")) in (("a +1.00, b -1.00",), ("b +1.00, a -1.00",))
+    assert unseen_combinations(np.array([[1.0, 1.0]]), ("a", "b")) in (
+        ("a +1.00, b -1.00",),
+        ("b +1.00, a -1.00",),
+    )
 
 
 def test_a_coefficient_near_zero_is_measured_against_the_direct_ones() -> None:
@@ -74,4 +97,7 @@ def test_a_coefficient_near_zero_is_measured_against_the_direct_ones() -> None:
 
 def test_parts_that_look_alike_stand_in_the_order_of_the_names() -> None:
     """Whatever their last digits, which differ from machine to machine."""
-    assert combination_text(("a", "b", "c"), np.array([0.25, 0.25 * (1 + 1e-12), -0.5])) == "c +1.00, a -0.50, b -0.50"
+    assert (
+        combination_text(("a", "b", "c"), np.array([0.25, 0.25 * (1 + 1e-12), -0.5]))
+        == "c +1.00, a -0.50, b -0.50"
+    )

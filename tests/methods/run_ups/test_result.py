@@ -1,4 +1,6 @@
-"""A result of run-ups as a whole: a rejected fit has no interval, a rotor file without unbalances takes those of the run-ups."""
+"""A result of run-ups as a whole: a rejected fit has no interval, a rotor file without unbalances takes those
+of the run-ups.
+"""
 
 from __future__ import annotations
 
@@ -49,24 +51,41 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
     speeds = (prediction.critical_speed, prediction.threshold)
     assert all(speed is not None and speed.std_error is None and speed.ci95 is None for speed in speeds)
     assert any("no interval is given" in note for note in prediction.notes)
-    assert "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval" in prediction.notes
+    assert (
+        "chi-square rejects the fit: critical speed, threshold and coefficients are values without an "
+        "interval"
+    ) in prediction.notes
     trusted = predict(RIG, runs[0], _joint_at(joint, rejected=False)(RIG, runs[0]), "", curves=False)
     assert prediction.critical_speed.value == pytest.approx(trusted.critical_speed.value, rel=1e-9)
 
 
 def test_every_speed_of_a_rejected_method_says_so(runs: list[RunUp]) -> None:
     """Run-ups with three hundredths of their errors: the joint fit, its metamodels, and the tables."""
-    sharp = [replace(run, amplitude_error=0.03 * run.amplitude_error, phase_error=0.03 * run.phase_error) for run in runs]
+    sharp = [
+        replace(run, amplitude_error=0.03 * run.amplitude_error, phase_error=0.03 * run.phase_error)
+        for run in runs
+    ]
     entries = tuple(RunSettings(file=f"{run.name}.csv") for run in sharp)
-    settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("joint",), metamodels=("physical",), starts=1)
-    result = run_up_result(settings, RIG, [ReadRun(entry, run) for entry, run in zip(entries, sharp, strict=True)])
+    settings = RunUpSettings(
+        rotor="falah.yaml", runs=entries, methods=("joint",), metamodels=("physical",), starts=1
+    )
+    result = run_up_result(
+        settings, RIG, [ReadRun(entry, run) for entry, run in zip(entries, sharp, strict=True)]
+    )
     start, joint = result.methods
     assert joint.verdict == "rejected"
     for prediction in joint.predictions:
         assert any("chi-square rejects the fit" in note for note in prediction.notes)
-        assert prediction.critical_speed is not None and prediction.critical_speed.ci95 is None and not prediction.std_errors
+        assert (
+            prediction.critical_speed is not None
+            and prediction.critical_speed.ci95 is None
+            and not prediction.std_errors
+        )
     for prediction in result.metamodels[0].predictions:
-        assert "of a fit that chi-square rejects, (c) joint physical fit" in prediction.notes and not prediction.std_errors
+        assert (
+            "of a fit that chi-square rejects, (c) joint physical fit" in prediction.notes
+            and not prediction.std_errors
+        )
     assert not any("rejects" in note for prediction in start.predictions for note in prediction.notes)
     assert "joint rejected" in next(line for line in run_up_lines(result) if "load [N]" in line)
     headings = [block.header for block in speed_blocks(result) if isinstance(block, Table)]

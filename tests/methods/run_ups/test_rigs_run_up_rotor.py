@@ -24,7 +24,10 @@ PRINTED = {0.823: 1450, 1.321: 1510, 1.817: 1570, 2.316: 1650, 3.808: 1700}
 
 @pytest.mark.parametrize("pounds", list(PRINTED))
 def test_critical_speeds_are_within_six_per_cent_of_the_printed_ones(pounds: float) -> None:
-    """The printed bearing and shaft with our discs; displacement in y at disc 2, as in the source's figure 9."""
+    """The printed bearing and shaft with our discs.
+
+    Displacement in y at disc 2, as in the source's figure 9.
+    """
     found = RIG.critical_speed(RIG.start(pounds * POUND), direction="y") / RPM
     assert abs(found / PRINTED[pounds] - 1) < 0.06
 
@@ -60,7 +63,9 @@ def test_largest_displacement_is_that_of_the_orbit(rng: np.random.Generator) -> 
 def test_the_start_is_the_film_s_own_equilibrium() -> None:
     """Against one equilibrium on twice the cells of the curve's mesh each way."""
     speed, load = 170.0, 5.0
-    film = journal_equilibrium(RIG.place.bearing, (0.0, -load), speed, FilmMesh(2 * CURVE_MESH.around, 2 * CURVE_MESH.across))
+    film = journal_equilibrium(
+        RIG.place.bearing, (0.0, -load), speed, FilmMesh(2 * CURVE_MESH.around, 2 * CURVE_MESH.across)
+    )
     stiffness, damping = RIG.start_coefficients(load, np.array([speed]))
     expected = TO_LOAD_FRAME @ film.stiffness @ TO_LOAD_FRAME.T
     np.testing.assert_allclose(stiffness[0], expected, atol=1e-3 * np.abs(expected).max())
@@ -72,18 +77,43 @@ def test_a_static_force_that_does_not_turn_moves_the_journal_otherwise() -> None
     ones = np.ones(shape)
     speed = np.array([120.0, 150.0])
     force = RunUp(
-        "s", 5.0, speed, RIG.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, shaker=Shaker("disc 1", 1.0, 0.0, 0.9)
+        "s",
+        5.0,
+        speed,
+        RIG.plane_names,
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        shaker=Shaker("disc 1", 1.0, 0.0, 0.9),
     )
-    turning = RunUp("u", 5.0, speed, RIG.plane_names, ones + 0j, amplitude_error=ones, phase_error=ones, unbalance={"disc 1": 1e-5 + 0j})
+    turning = RunUp(
+        "u",
+        5.0,
+        speed,
+        RIG.plane_names,
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        unbalance={"disc 1": 1e-5 + 0j},
+    )
     assert np.allclose(RIG.excited(force).speed, 0.9 * speed)
-    np.testing.assert_allclose(RIG.excited(turning).force[:, 1] / RIG.excited(turning).force[:, 0], -1j, atol=1e-9)
+    np.testing.assert_allclose(
+        RIG.excited(turning).force[:, 1] / RIG.excited(turning).force[:, 0], -1j, atol=1e-9
+    )
     assert np.max(np.abs(RIG.excited(force).force[:, 1] / RIG.excited(force).force[:, 0])) < 1e-2
 
 
 def test_a_run_of_other_planes_is_refused() -> None:
     ones = np.ones((1, 1, 2))
     run = RunUp(
-        "r", 5.0, np.array([100.0]), ("disc 2",), ones + 0j, amplitude_error=ones, phase_error=ones, unbalance={"disc 2": 1e-5 + 0j}
+        "r",
+        5.0,
+        np.array([100.0]),
+        ("disc 2",),
+        ones + 0j,
+        amplitude_error=ones,
+        phase_error=ones,
+        unbalance={"disc 2": 1e-5 + 0j},
     )
     with pytest.raises(DataError, match="was measured at disc 2, the rotor has disc 1, disc 2"):
         RIG.excited(run)
@@ -115,7 +145,10 @@ def test_unbalances_on_one_node_add() -> None:
 
 
 def test_both_rules_of_the_difference() -> None:
-    """1570 against a measured 1312: 19.7 % of the measurement; the source divides by the larger and prints 16.43 %."""
+    """1570 against a measured 1312: 19.7 % of the measurement.
+
+    The source divides by the larger and prints 16.43 %.
+    """
     ours, theirs = relative_difference(1570, 1312)
     assert ours == pytest.approx(0.19665, abs=1e-5)
     assert theirs == pytest.approx(0.16433, abs=1e-5)

@@ -56,4 +56,13 @@ def test_what_does_not_fit_together_is_refused(changes: dict[str, object], said:
 def test_two_planes_of_one_name_are_refused() -> None:
     both = np.ones((2, 2, 2))
     with pytest.raises(DataError, match="different names"):
-        RunUp("run", 5.0, RUN.speed, ("disc", "disc"), both + 0j, amplitude_error=both, phase_error=both, unbalance={"disc": 1e-5 + 0j})
+        RunUp(
+            "run",
+            5.0,
+            RUN.speed,
+            ("disc", "disc"),
+            both + 0j,
+            amplitude_error=both,
+            phase_error=both,
+            unbalance={"disc": 1e-5 + 0j},
+        )

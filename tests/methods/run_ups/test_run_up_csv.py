@@ -48,7 +48,9 @@ def same(found: RunUp, run: RunUp) -> None:
     for name in ("speed", "response", "amplitude_error", "phase_error"):
         np.testing.assert_allclose(getattr(found, name), getattr(run, name), rtol=2e-5)
     assert found.unbalance.keys() == run.unbalance.keys()
-    np.testing.assert_allclose(list(found.unbalance.values()), list(run.unbalance.values()), rtol=1e-7, atol=1e-15)
+    np.testing.assert_allclose(
+        list(found.unbalance.values()), list(run.unbalance.values()), rtol=1e-7, atol=1e-15
+    )
 
 
 def test_what_is_written_is_read(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -62,7 +64,9 @@ def test_what_is_written_is_read(tmp_path: Path, rng: np.random.Generator) -> No
 
 def test_errors_that_are_one_value_stand_above_the_table(tmp_path: Path, rng: np.random.Generator) -> None:
     run = made(rng)
-    run = dataclasses.replace(run, amplitude_error=0.01 * np.abs(run.response), phase_error=np.full((5, 2, 2), np.deg2rad(1)))
+    run = dataclasses.replace(
+        run, amplitude_error=0.01 * np.abs(run.response), phase_error=np.full((5, 2, 2), np.deg2rad(1))
+    )
     write_run_up_csv(tmp_path / "run.csv", run)
     text = (tmp_path / "run.csv").read_text()
     assert "# amplitude error: 1 %" in text and "# phase error: 1 deg" in text and "error [" not in text
@@ -78,7 +82,10 @@ def test_a_run_under_a_shaker_is_written_and_read(tmp_path: Path, rng: np.random
 
 
 def test_a_table_by_hand(tmp_path: Path) -> None:
-    """600 rpm = 20 pi rad/s; 10 um at 90 deg = 10j um; 1 % of 30 um; the logger's own remark is passed over."""
+    """600 rpm = 20 pi rad/s; 10 um at 90 deg = 10j um; 1 % of 30 um.
+
+    The logger's own remark is passed over.
+    """
     path = tmp_path / "by-hand.csv"
     path.write_text(TABLE)
     run = read_run_up_csv(path)
@@ -92,7 +99,9 @@ def test_a_table_by_hand(tmp_path: Path) -> None:
 
 def test_other_units_of_the_lab(tmp_path: Path) -> None:
     path = tmp_path / "mils.csv"
-    path.write_text(TABLE.replace("[um]", "[mil]").replace("[rpm]", "[Hz]").replace("600,", "10,").replace("1200,", "20,"))
+    path.write_text(
+        TABLE.replace("[um]", "[mil]").replace("[rpm]", "[Hz]").replace("600,", "10,").replace("1200,", "20,")
+    )
     run = read_run_up_csv(path)
     np.testing.assert_allclose(run.speed, [20 * np.pi, 40 * np.pi])
     np.testing.assert_allclose(run.response[0, 0, 0], 254e-6j, atol=1e-15)
@@ -119,7 +128,11 @@ def test_other_units_of_the_lab(tmp_path: Path) -> None:
         ("1200,30", "1200,ten", "is not a number"),
         ("1200,", "500,", "must rise"),
         ("amplitude error: 1 %", "amplitude error: 0 %", "not positive everywhere"),
-        (",disc 1 y phase [deg]\n600,10,90,20,0\n1200,30,-90,40,180", "\n600,10,90,20\n1200,30,-90,40", "no column 'disc 1 y phase'"),
+        (
+            ",disc 1 y phase [deg]\n600,10,90,20,0\n1200,30,-90,40,180",
+            "\n600,10,90,20\n1200,30,-90,40",
+            "no column 'disc 1 y phase'",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_plain_words(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -155,7 +168,9 @@ def test_shakers_that_cannot_be_are_refused(tmp_path: Path, line: str, said: str
         read_run_up_csv(path)
 
 
-@pytest.mark.parametrize(("text", "said"), [("", "the file is empty"), ("# load: 1 N\n", "no row of numbers")])
+@pytest.mark.parametrize(
+    ("text", "said"), [("", "the file is empty"), ("# load: 1 N\n", "no row of numbers")]
+)
 def test_files_without_a_table(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "nothing.csv"
     path.write_text(text)

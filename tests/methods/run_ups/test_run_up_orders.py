@@ -20,7 +20,10 @@ X, Y = 2e-5 * np.exp(0.3j), 1e-5 * np.exp(-1.2j)
 
 
 def sweep(seconds: float = 30.0, rng: np.random.Generator | None = None, turned: float = 0.0) -> Recording:
-    """A shaft from 10 to 40 Hz; x and y of one plane, read by probes at *turned* and a quarter turn further; phasors X, Y at all speeds."""
+    """A shaft from 10 to 40 Hz; x and y of one plane, read by probes at *turned* and a quarter turn further.
+
+    Phasors X, Y at all speeds.
+    """
     time = np.arange(round(seconds * RATE)) / RATE
     revolutions = 10 * time + 15 * time**2 / seconds
     turn = np.exp(2j * np.pi * revolutions)
@@ -29,18 +32,28 @@ def sweep(seconds: float = 30.0, rng: np.random.Generator | None = None, turned:
     noise = np.zeros((2, time.size)) if rng is None else 1e-6 * rng.standard_normal((2, time.size))
     tacho = np.where(revolutions % 1.0 < 0.5, 5.0, 0.0)
     channels = (
-        Channel("a", "displacement", "output", "disc 1.x" if turned == 0 else "45 deg", 0.0 if turned == 0 else turned),
+        Channel(
+            "a",
+            "displacement",
+            "output",
+            "disc 1.x" if turned == 0 else "45 deg",
+            0.0 if turned == 0 else turned,
+        ),
         Channel("b", "displacement", "output", "disc 1.y" if turned == 0 else "135 deg", np.pi / 2 + turned),
         Channel("tacho", "voltage", "reference", "tacho"),
     )
     if turned == 0:
         channels = (replace(channels[0], angle=None), replace(channels[1], angle=None), channels[2])
-    return Recording(channels, np.column_stack([probes[0] + noise[0], probes[1] + noise[1], tacho]), RATE, "sweep")
+    return Recording(
+        channels, np.column_stack([probes[0] + noise[0], probes[1] + noise[1], tacho]), RATE, "sweep"
+    )
 
 
 @pytest.mark.parametrize("turned", [0.0, np.pi / 4])
 def test_a_sweep_gives_its_phasors_in_x_and_y(turned: float) -> None:
-    run = run_up_of(track_order(sweep(turned=turned), LINES), "sweep", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1",))
+    run = run_up_of(
+        track_order(sweep(turned=turned), LINES), "sweep", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1",)
+    )
     assert run.planes == ("disc 1",) and run.n_speed > 20 and np.all(np.diff(run.speed) > 0)
     # Pulses are known to a part of a sample, which is some degrees of a revolution.
     np.testing.assert_allclose(np.abs(run.response[:, 0, 0]), abs(X), rtol=0.01)
@@ -63,14 +76,18 @@ def test_a_steady_recording_is_no_run_up() -> None:
     time = np.arange(20_000) / RATE
     turn = np.exp(2j * np.pi * 25 * time)
     tacho = np.where((25 * time) % 1.0 < 0.5, 5.0, 0.0)
-    steady = Recording(sweep(1.0).channels, np.column_stack([np.real(X * turn), np.real(Y * turn), tacho]), RATE, "steady")
+    steady = Recording(
+        sweep(1.0).channels, np.column_stack([np.real(X * turn), np.real(Y * turn), tacho]), RATE, "steady"
+    )
     track = track_order(steady, ShaftLines(speed=25.0))
     with pytest.raises(DataError, match="constant speed"):
         run_up_of(track, "steady", 5.0, {"disc 1": 1e-5 + 0j})
     with pytest.raises(DataError, match="no plane"):
         run_up_of(replace(track, planes=()), "steady", 5.0, {"disc 1": 1e-5 + 0j})
     with pytest.raises(DataError, match="1 planes, 2 are named"):
-        run_up_of(replace(track, speed=25 + track.time), "steady", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1", "disc 2"))
+        run_up_of(
+            replace(track, speed=25 + track.time), "steady", 5.0, {"disc 1": 1e-5 + 0j}, ("disc 1", "disc 2")
+        )
 
 
 def test_stretches_of_one_speed_are_one_point(rng: np.random.Generator) -> None:
@@ -85,7 +102,13 @@ def test_stretches_of_one_speed_are_one_point(rng: np.random.Generator) -> None:
     assert found.amplitude_error[0, 0, 0] == pytest.approx(weight.sum() ** -0.5)
 
 
-def run(speed: np.ndarray, response: np.ndarray, unbalance: dict[str, complex], error: float = 1e-7, phase: float = 0.01) -> RunUp:
+def run(
+    speed: np.ndarray,
+    response: np.ndarray,
+    unbalance: dict[str, complex],
+    error: float = 1e-7,
+    phase: float = 0.01,
+) -> RunUp:
     return RunUp(
         "run",
         5.0,
@@ -156,7 +179,9 @@ def test_runs_that_cannot_be_subtracted_are_refused(change: dict[str, object], m
 
 
 def test_a_cascade_has_its_peaks_on_the_shaft_line() -> None:
-    """A sine keeps its amplitude under the window (a Hann window's coherent gain), but for what the sweep smears: half a line at most."""
+    """A sine keeps its amplitude under the window (a Hann window's coherent gain), but for what the sweep
+    smears: half a line at most.
+    """
     found = cascade_spectra(sweep(120.0), LINES, resolution=2.0)
     assert found.amplitude.shape == (found.speed.size, found.frequency.size, 2) and found.labels == ("a", "b")
     assert found.frequency[-1] <= 4 * found.speed.max()

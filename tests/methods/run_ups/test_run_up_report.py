@@ -1,4 +1,6 @@
-"""Run-ups in the report: both differences of the source's tables, uncertainty beside every method, figures with the numbers they show."""
+"""Run-ups in the report: both differences of the source's tables, uncertainty beside every method, figures
+with the numbers they show.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,10 @@ SPEED = tuple(float(one) for one in np.arange(800.0, 2001.0, 200.0) * RPM)
 
 
 def motions(scale: float, measured: bool) -> tuple[Motion, ...]:
-    """Two planes, two directions; amplitudes 1, 2, 3, 4 um times *scale*, a phase that falls by 30 deg from speed to speed."""
+    """Two planes, two directions.
+
+    Amplitudes 1, 2, 3, 4 um times *scale*, a phase that falls by 30 deg from speed to speed.
+    """
     turn = np.exp(-1j * np.radians(30.0) * np.arange(len(SPEED)))
     found = []
     for number, (plane, direction) in enumerate((p, d) for p in ("disc 1", "disc 2") for d in ("x", "y")):
@@ -99,19 +104,39 @@ def told(name: str, factor: float, error: float | None, notes: tuple[str, ...] =
 
 OUTSIDE = "16.9 N lies outside the loads of the fit (3.66 to 10.3 N)"
 RUNS = (run("load-1", 3.66), run("held-out", 16.9, "held-out"))
-START = RunUpMethod("start", "original (start)", "not fitted", predictions=tuple(told(one.name, 1.03, None) for one in RUNS), unknowns=0)
+START = RunUpMethod(
+    "start",
+    "original (start)",
+    "not fitted",
+    predictions=tuple(told(one.name, 1.03, None) for one in RUNS),
+    unknowns=0,
+)
 AMPLITUDES = RunUpMethod(
     "amplitudes",
     "(a) amplitudes, pattern search",
     "not determined",
-    predictions=(told("load-1", 0.99, None), RunPrediction("held-out", None, None, notes=("at the fitted loads only",))),
+    predictions=(
+        told("load-1", 0.99, None),
+        RunPrediction("held-out", None, None, notes=("at the fitted loads only",)),
+    ),
     rank=2,
     condition=120.0,
     share_at_bound=0.25,
     n_datum=14,
     n_effective=14,
-    convergence=(Convergence("3.66 N, 1400 rpm", (1e-12, 1e-14, 1e-15), (0.25, 0.25, 0.125), (1.0, 16.0, 16.0), True, (1.1,) * 8),),
-    spreads=(StartSpread("3.66 N, 1400 rpm", tuple((0.7 + 0.03 * n,) * 8 for n in range(20)), (0.001,) * 20),),
+    convergence=(
+        Convergence(
+            "3.66 N, 1400 rpm",
+            (1e-12, 1e-14, 1e-15),
+            (0.25, 0.25, 0.125),
+            (1.0, 16.0, 16.0),
+            True,
+            (1.1,) * 8,
+        ),
+    ),
+    spreads=(
+        StartSpread("3.66 N, 1400 rpm", tuple((0.7 + 0.03 * n,) * 8 for n in range(20)), (0.001,) * 20),
+    ),
 )
 JOINT = RunUpMethod(
     "joint",
@@ -132,7 +157,9 @@ JOINT = RunUpMethod(
         Parameter("clearance", 1.5, "1", at_bound=True),
     ),
 )
-SURFACE = Surface((3.0, 6.0, 9.0), (50.0, 100.0), tuple(((1e5, 2e5), (1e5, 3e5), (1e5, 4e5)) for _ in range(8)))
+SURFACE = Surface(
+    (3.0, 6.0, 9.0), (50.0, 100.0), tuple(((1e5, 2e5), (1e5, 3e5), (1e5, 4e5)) for _ in range(8))
+)
 MODEL = MetamodelResult(
     "response-surface",
     "second-order response surface",
@@ -143,7 +170,14 @@ MODEL = MetamodelResult(
 )
 RANKS = (
     RankRow("amplitudes at the planes", 2, 100.0, "one number per plane is seen", ("k_xx +1.00",)),
-    RankRow("the same, with a second unbalance run", 4, 7.0, "one vector", (), "a second unbalance run adds no rank"),
+    RankRow(
+        "the same, with a second unbalance run",
+        4,
+        7.0,
+        "one vector",
+        (),
+        "a second unbalance run adds no rank",
+    ),
 )
 RESULT = RunUpResult(
     "Two-disc rotor",
@@ -174,8 +208,13 @@ RESULT = RunUpResult(
         (2955, 2838.37, 3.95),
     ],
 )
-def test_the_sources_rule_gives_its_printed_percentages(predicted: float, measured: float, rule: float) -> None:
-    """Falah and Khorshid, tables 2 and 3: 9.150, 9.205, 16.43, 17.86, 16.47, 12.8, 3.95 %; they round the first, second and fourth down."""
+def test_the_sources_rule_gives_its_printed_percentages(
+    predicted: float, measured: float, rule: float
+) -> None:
+    """Falah and Khorshid, tables 2 and 3: 9.150, 9.205, 16.43, 17.86, 16.47, 12.8, 3.95 %.
+
+    They round the first, second and fourth down.
+    """
     own = 100 * (predicted - measured) / measured
     assert both_differences(predicted, measured) == f"{own:+.2f} % ({rule:.2f} %)"
 
@@ -197,25 +236,44 @@ def test_all_methods_stand_beside_the_measurement() -> None:
         "1400.14 ± 0.30: +0.01 % (0.01 %)",
     )
     assert held[3] == "none" and held[4] == "1386.00 ± 0.80*: -1.00 % (1.00 %)"
-    printed = [block for block in blocks if isinstance(block, Table) and "for reference, measured on another rig" in block.caption]
+    printed = [
+        block
+        for block in blocks
+        if isinstance(block, Table) and "for reference, measured on another rig" in block.caption
+    ]
     assert [text_of(table)[0][1:] for table in printed] == [
         ("1317", "1450: +10.10 % (9.17 %)", "1317: +0.00 % (0.00 %)"),
         ("2838.37", "2475: -12.80 % (12.80 %)", "2955: +4.11 % (3.95 %)"),
     ]
-    # A second run under the same load and one under a shaker: neither has a threshold of its own, the latter no critical speed.
+    # A second run under the same load and one under a shaker: neither has a threshold of its own, the latter
+    # no critical speed.
     nothing = RunPrediction("shaken", None, Amount(2800 * RPM))
-    more = (replace(RUNS[0], name="again", threshold=None), replace(RUNS[0], name="shaken", critical_speed=None, threshold=None))
+    more = (
+        replace(RUNS[0], name="again", threshold=None),
+        replace(RUNS[0], name="shaken", critical_speed=None, threshold=None),
+    )
     methods = (replace(START, predictions=(*START.predictions, told("again", 1.0, None), nothing)),)
-    tables = [block for block in speed_blocks(replace(RESULT, runs=(*RUNS, *more), methods=methods)) if isinstance(block, Table)]
+    tables = [
+        block
+        for block in speed_blocks(replace(RESULT, runs=(*RUNS, *more), methods=methods))
+        if isinstance(block, Table)
+    ]
     assert [row[0].split(",")[0] for row in text_of(tables[0])] == ["load-1", "held-out", "again"]
     assert [row[0].split(",")[0] for row in text_of(tables[2])] == ["load-1", "held-out"]
-    bare = replace(RESULT, runs=tuple(replace(one, printed_critical_speed=(), printed_threshold=()) for one in RUNS), metamodels=())
+    bare = replace(
+        RESULT,
+        runs=tuple(replace(one, printed_critical_speed=(), printed_threshold=()) for one in RUNS),
+        metamodels=(),
+    )
     assert sum(isinstance(block, Table) for block in speed_blocks(bare)) == 2
 
 
 def test_a_speed_is_rounded_to_its_error() -> None:
     assert rpm_text(None) == "none" and rpm_text(Amount(100.0)) == "954.9"
-    assert rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 100" and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
+    assert (
+        rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 100"
+        and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
+    )
 
 
 def test_uncertainty_is_told_for_every_method() -> None:
@@ -225,7 +283,11 @@ def test_uncertainty_is_told_for_every_method() -> None:
     assert table.rows[0][5:] == ("14", "14", "no redundant datum")
     assert text_of(table)[1][2] == "11 of 12" and table.rows[1][7] == "1.09 (p = 0.04)"
     words = " ".join(block.text for block in blocks if isinstance(block, Paragraph))
-    assert "viscosity +1.00, clearance +0.50" in words and "second unbalance run adds no rank" in words and "shaker" in words
+    assert (
+        "viscosity +1.00, clearance +0.50" in words
+        and "second unbalance run adds no rank" in words
+        and "shaker" in words
+    )
 
 
 def test_coefficients_carry_their_deviation_or_their_bound() -> None:
@@ -289,7 +351,10 @@ def test_searches_are_shown_with_what_they_do_not_say() -> None:
     (search,), (spread,) = AMPLITUDES.convergence, AMPLITUDES.spreads
     figure = convergence_figure(AMPLITUDES, search)
     assert "33 evaluations, ended by the limit on evaluations" in figure.caption
-    assert figure.graphic.panels[0].series[0].y == pytest.approx([1.0, 0.01, 0.001]) and figure.graphic.panels[0].y.logarithmic
+    assert (
+        figure.graphic.panels[0].series[0].y == pytest.approx([1.0, 0.01, 0.001])
+        and figure.graphic.panels[0].y.logarithmic
+    )
     drawn = spread_figure(AMPLITUDES, spread)
     assert "the coefficients are not determined" in drawn.caption and "0.57 (median)" in drawn.caption
     alike = replace(spread, factors=((1.0,) * 8,) * 20)
@@ -300,11 +365,20 @@ def test_surfaces_stand_as_drawings_with_a_text() -> None:
     stiffness, damping = surface_figures(MODEL)
     assert isinstance(stiffness.graphic, Drawing) and stiffness.graphic.subject.titles[1] == "k_xy [kN/m]"
     np.testing.assert_allclose(stiffness.graphic.subject.values[0], [[100, 200], [100, 300], [100, 400]])
-    assert "stiffness" in stiffness.caption and "3.66 to 3.66 N extrapolated" in damping.caption and "damping" in damping.alternative
+    assert (
+        "stiffness" in stiffness.caption
+        and "3.66 to 3.66 N extrapolated" in damping.caption
+        and "damping" in damping.alternative
+    )
 
 
 def test_a_cascade_raises_every_spectrum_by_its_speed() -> None:
-    cascade = Cascade("disc 1.x", (10.0, 20.0, 30.0), (0.0, 10.0, 20.0, 30.0), ((0, 2e-6, 0, 0), (0, 0, 4e-6, 0), (0, 0, 0, 1e-6)))
+    cascade = Cascade(
+        "disc 1.x",
+        (10.0, 20.0, 30.0),
+        (0.0, 10.0, 20.0, 30.0),
+        ((0, 2e-6, 0, 0), (0, 0, 4e-6, 0), (0, 0, 0, 1e-6)),
+    )
     figure = cascade_figure(RUNS[0], cascade)
     drawn = figure.graphic
     spectra = [one for one in drawn.panels[0].series if one.x.size == 4]
@@ -326,16 +400,24 @@ def test_the_best_method_follows_chi_square() -> None:
 
 def test_the_whole_report_reads_and_warns() -> None:
     settings = {"run_ups": {"rotor": "falah.yaml"}}
-    identification = Identification((), "Run-ups", version="0.1.0", sections={"run_ups": RESULT}, settings=settings)
+    identification = Identification(
+        (), "Run-ups", version="0.1.0", sections={"run_ups": RESULT}, settings=settings
+    )
     document = build(identification)
     headings = [section.heading for section in document.sections]
     assert headings[:4] == ["Verdict", "Warnings", "Run-ups: Two-disc rotor", "Critical speed and threshold"]
     assert ("rig", "Two-disc rotor") in document.cover
-    cautions = [block for block in document.sections[3].blocks if isinstance(block, Paragraph) and block.kind == "warning"]
+    cautions = [
+        block
+        for block in document.sections[3].blocks
+        if isinstance(block, Paragraph) and block.kind == "warning"
+    ]
     assert len(cautions) == 1 and OUTSIDE in cautions[0].text
     text = render.markdown_report(identification).decode()
     assert "collinear: run-ups" in text and "no rig file was named" not in text and "falah.yaml" in text
     page = render.html_report(identification).decode()
     assert page.count("<figure") == sum(
-        isinstance(block, Figure) for section in run_up_sections(RESULT, Identification(())) for block in section.blocks
+        isinstance(block, Figure)
+        for section in run_up_sections(RESULT, Identification(()))
+        for block in section.blocks
     )

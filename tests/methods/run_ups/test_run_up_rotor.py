@@ -28,7 +28,12 @@ def test_the_shipped_rotor(root: Path) -> None:
     assert (rig.place.name, rig.place.node) == ("journal", 3)
     assert sum(element.length for element in rig.rotor.elements) == pytest.approx(0.76)
     bearing = rig.place.bearing
-    assert (bearing.diameter, bearing.length, bearing.clearance, bearing.viscosity) == (0.0165, 0.00825, 0.0002, 0.55)
+    assert (bearing.diameter, bearing.length, bearing.clearance, bearing.viscosity) == (
+        0.0165,
+        0.00825,
+        0.0002,
+        0.55,
+    )
     assert np.degrees(bearing.groove_width) == pytest.approx(20)
     assert rig.known_unbalance["disc 2"] == pytest.approx(30e-6 * np.exp(1j * np.pi / 3))
 
@@ -62,7 +67,9 @@ def test_faults_are_named_with_their_place(tmp_path: Path, text: str, old: str, 
     assert f"{path}:" in str(caught.value)
 
 
-def with_coefficients(tmp_path: Path, text: str, entries: object, named: str = "identification.json#surface") -> Path:
+def with_coefficients(
+    tmp_path: Path, text: str, entries: object, named: str = "identification.json#surface"
+) -> Path:
     """A rotor file that names a metamodel in a file of these entries."""
     (tmp_path / "identification.json").write_text(json.dumps(entries))
     path = tmp_path / "rotor.yaml"
@@ -78,7 +85,9 @@ def surface() -> tuple[ResponseSurface, dict[str, object]]:
     return model, {"run_ups": {"metamodels": [{"name": "surface", "model": model.to_entries()}]}}
 
 
-def test_coefficients_identified_before_take_the_place_of_the_film(tmp_path: Path, text: str, root: Path) -> None:
+def test_coefficients_identified_before_take_the_place_of_the_film(
+    tmp_path: Path, text: str, root: Path
+) -> None:
     model, entries = surface()
     path = with_coefficients(tmp_path, text, entries)
     rig = load_run_up_rotor(path)
@@ -101,8 +110,16 @@ def test_coefficients_identified_before_take_the_place_of_the_film(tmp_path: Pat
         ({}, "identification.json", "is not FILE#NAME"),
         ({}, "identification.json#surface", "holds no metamodels"),
         ([1], "identification.json#surface", "is not a readable identification.json"),
-        ({"run_ups": {"metamodels": [{"name": "surface", "model": {"kind": "surface"}}]}}, "identification.json#surface", "are damaged"),
-        ({"run_ups": {"metamodels": [{"name": "surface", "model": {}}]}}, "identification.json#surfaces", "did you mean 'surface'"),
+        (
+            {"run_ups": {"metamodels": [{"name": "surface", "model": {"kind": "surface"}}]}},
+            "identification.json#surface",
+            "are damaged",
+        ),
+        (
+            {"run_ups": {"metamodels": [{"name": "surface", "model": {}}]}},
+            "identification.json#surfaces",
+            "did you mean 'surface'",
+        ),
     ],
 )
 def test_coefficients_that_cannot_be_read_are_faults_at_their_place(
@@ -165,6 +182,8 @@ def test_a_rotor_without_unbalances_makes_no_run_up(tmp_path: Path, text: str, r
 
 
 def test_run_ups_do_not_take_the_uncertainty_of_a_film(text: str, tmp_path: Path) -> None:
-    (tmp_path / "rotor.yaml").write_text(re.sub(r"(clearance: [^,}]*)", r"\1 +- 2 %", text, count=1), encoding="utf-8")
+    (tmp_path / "rotor.yaml").write_text(
+        re.sub(r"(clearance: [^,}]*)", r"\1 +- 2 %", text, count=1), encoding="utf-8"
+    )
     with pytest.raises(ConfigError, match="the uncertainty of journal: clearance is not used by run-ups"):
         load_run_up_rotor(tmp_path / "rotor.yaml")

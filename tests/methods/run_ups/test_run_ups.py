@@ -31,7 +31,10 @@ def refused(tmp_path: Path, text: str) -> str:
 
 
 def test_defaults_and_files(tmp_path: Path) -> None:
-    run = "    - {{file: {root}/sample_data/falah/held-out.csv, role: held-out, load: 17 N, threshold: 4000 rpm +- 8 rpm}}\n"
+    run = (
+        "    - {{file: {root}/sample_data/falah/held-out.csv, role: held-out, load: 17 N, threshold: 4000 "
+        "rpm +- 8 rpm}}\n"
+    )
     pipeline = read(tmp_path, HEAD + RUNS + run)
     section = pipeline.sections["run_ups"]
     assert section.methods == ("points", "joint") and section.metamodels == () and section.bound == 0.3
@@ -45,7 +48,9 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
     text = HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 g.mm at 60 deg, disc 2: 30 g.mm}}}}")
     section = read(tmp_path, text).sections["run_ups"]
     known = dict(section.runs[0].unbalance)
-    assert known["disc 1"] == pytest.approx(5e-5 * np.exp(1j * np.pi / 3)) and known["disc 2"] == pytest.approx(3e-5)
+    assert known["disc 1"] == pytest.approx(5e-5 * np.exp(1j * np.pi / 3)) and known[
+        "disc 2"
+    ] == pytest.approx(3e-5)
     entry = entry_of(section)
     assert entry["runs"][0]["unbalance"][1] == ["disc 2", {"re": pytest.approx(3e-5), "im": 0.0}]
     assert "path" not in entry["runs"][0]
@@ -69,13 +74,27 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
         (HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 mm}}}}"), "run_ups.runs.1.unbalance: disc 1: "),
         (HEAD + RUNS.replace("}}", ", unbalence: 3}}"), "unbalence: unknown key"),
         (HEAD + "  methods: [jiont]\n" + RUNS, "unknown name 'jiont'; did you mean 'joint'"),
-        (HEAD + "  metamodels: [physical]\n  methods: [points]\n" + RUNS, "metamodels need the method 'joint'"),
+        (
+            HEAD + "  metamodels: [physical]\n  methods: [points]\n" + RUNS,
+            "metamodels need the method 'joint'",
+        ),
         (HEAD + "  plane: disc 3\n" + RUNS, "no plane 'disc 3'"),
         (HEAD + "  bound: 120 %\n" + RUNS, "'bound' lies between 0 and 100 %"),
         (HEAD.replace("falah.yaml", "none.yaml") + RUNS, "run_ups.rotor: no such file"),
-        (HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n, load: 3 N}}\n", "unbalance: is missing"),
-        (HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, load: 3 N}}\n", "'tacho' is missing"),
-        (HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n}}\n", "'load' is missing"),
+        (
+            HEAD
+            + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n, load: 3 "
+            "N}}\n",
+            "unbalance: is missing",
+        ),
+        (
+            HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, load: 3 N}}\n",
+            "'tacho' is missing",
+        ),
+        (
+            HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n}}\n",
+            "'load' is missing",
+        ),
         (HEAD + RUNS + "expect: {{run_up.joint.rank: 4}}\n", "there is no fit 'run_up'"),
     ],
 )
@@ -85,5 +104,7 @@ def test_faults_are_said_at_their_place(tmp_path: Path, text: str, said: str) ->
 
 
 def test_all_faults_in_one_pass(tmp_path: Path) -> None:
-    message = refused(tmp_path, HEAD + "  bound: 3\n  runs:\n    - {{file: none.csv}}\n    - {{file: no.csv, role: x}}\n")
+    message = refused(
+        tmp_path, HEAD + "  bound: 3\n  runs:\n    - {{file: none.csv}}\n    - {{file: no.csv, role: x}}\n"
+    )
     assert all(part in message for part in ("'bound'", "none.csv", "unknown choice 'x'")), message

@@ -1,4 +1,7 @@
-"""A pipeline with run_ups: by the command line: run, fresh results, report, rules, faults; and a run-up table from a recording."""
+"""A pipeline with run_ups: by the command line: run, fresh results, report, rules, faults.
+
+And a run-up table from a recording.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
     ended = labpipe("run", pipeline, "-o", tmp_path / "out", "--set", "report.formats=[md]")
     assert ended.code == 0, ended
     assert "run_ups.joint[held-out].critical_speed 1740.03 rpm +- .3 %: passed" in ended.out
-    assert "(b) complex, point by point: not determined, rank 4 of 8" in ended.out and "warning collinear" in ended.out
+    assert (
+        "(b) complex, point by point: not determined, rank 4 of 8" in ended.out
+        and "warning collinear" in ended.out
+    )
     path = tmp_path / "out/identification.json"
     found = read_identification(path)
     assert "run_ups" in found.sections and [Path(one["path"]).name for one in found.sources] == [
@@ -58,7 +64,9 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
     again = labpipe("run", pipeline, "-o", tmp_path / "out", "-v")
     assert again.code == 0 and "run-ups   joint" not in again.out + again.err
     table = tmp_path / "load-1.csv"
-    table.write_text(table.read_text("utf-8").replace("# load: 3.66088639 N", "# load: 3.7 N"), encoding="utf-8")
+    table.write_text(
+        table.read_text("utf-8").replace("# load: 3.66088639 N", "# load: 3.7 N"), encoding="utf-8"
+    )
     changed = labpipe("run", pipeline, "-o", tmp_path / "out", "-v")
     assert "run-ups   joint" in changed.out + changed.err
 
@@ -73,8 +81,12 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
         ("run_ups.plane=disc 9", 2, "no plane 'disc 9'"),
     ],
 )
-def test_rules_and_faults(labpipe, pipeline: Path, tmp_path: Path, override: str, code: int, said: str) -> None:
-    ended = labpipe("run", pipeline, "-o", tmp_path / "out", "--set", override, "--set", "run_ups.methods=points")
+def test_rules_and_faults(
+    labpipe, pipeline: Path, tmp_path: Path, override: str, code: int, said: str
+) -> None:
+    ended = labpipe(
+        "run", pipeline, "-o", tmp_path / "out", "--set", override, "--set", "run_ups.methods=points"
+    )
     assert ended.code == code and said in ended.out + ended.err and "Traceback" not in ended.err, ended
     assert (tmp_path / "out").exists() is (code == 1)
 
@@ -83,7 +95,10 @@ def test_schema_knows_the_section(labpipe) -> None:
     section = json.loads(labpipe("schema", "pipeline").out)["properties"]["run_ups"]
     assert {"rotor", "runs"} <= set(section["required"]) and "metamodels" in section["properties"]
     run = section["properties"]["runs"]["items"]["properties"]
-    assert run["role"] == {"enum": ["trained", "held-out"], "description": "fits see trained runs only"} and "unbalance" in run
+    assert (
+        run["role"] == {"enum": ["trained", "held-out"], "description": "fits see trained runs only"}
+        and "unbalance" in run
+    )
 
 
 @pytest.fixture
@@ -95,11 +110,22 @@ def labpipe(labpipe_without_report):
 @pytest.fixture
 def command(tmp_path: Path) -> list[object]:
     files = [ROOT / "sample_data/hmb-loop/run-up.parquet", "-r", ROOT / "configs/hmb-run-up.yaml"]
-    return ["orders", *files, "--tacho", "n", "-o", tmp_path / "out", "--save-run-up", tmp_path / "run-up.csv"]
+    return [
+        "orders",
+        *files,
+        "--tacho",
+        "n",
+        "-o",
+        tmp_path / "out",
+        "--save-run-up",
+        tmp_path / "run-up.csv",
+    ]
 
 
 def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Path, labpipe) -> None:
-    ended = labpipe(*command, "--load", "3 N", "--unbalance", "front=1 g.mm at 30 deg", "--unbalance", "rear=2 g.mm")
+    ended = labpipe(
+        *command, "--load", "3 N", "--unbalance", "front=1 g.mm at 30 deg", "--unbalance", "rear=2 g.mm"
+    )
     assert ended.code == 0 and "run-up.csv, 38 speeds" in ended.out, ended
     run = read_run_up_csv(tmp_path / "run-up.csv")
     assert run.planes == ("front", "rear") and run.load == 3 and run.n_speed == 38
@@ -116,7 +142,10 @@ def test_a_recording_becomes_a_run_up_table(command: list[object], tmp_path: Pat
         (("--load", "3 N"), "--save-run-up needs --load and --unbalance"),
         (("--load", "3 m", "--unbalance", "front=1 g.mm"), "--load: 'm' has the wrong dimension"),
         (("--load", "3 N", "--unbalance", "front=1 g"), "--unbalance front=1 g: 'g' has the wrong dimension"),
-        (("--load", "3 N", "--unbalance", "middle=1 g.mm"), "excited at 'middle', which is not among its planes"),
+        (
+            ("--load", "3 N", "--unbalance", "middle=1 g.mm"),
+            "excited at 'middle', which is not among its planes",
+        ),
         (("--load", "3 N", "--unbalance", "front=1 g.mm", "--order", "2"), "a run-up is of order 1, not 2"),
     ],
 )

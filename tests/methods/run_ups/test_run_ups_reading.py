@@ -1,4 +1,6 @@
-"""Run-ups of a pipeline before anything is fitted: what was known to act on a recorded run, and on its residual."""
+"""Run-ups of a pipeline before anything is fitted: what was known to act on a recorded run, and on its
+residual.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ class Anything:
 
 
 def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run is tracked at 100 to 300 rad/s, the residual at 150 to 400: the difference is that of the weight, where both are known."""
+    """The run is tracked at 100 to 300 rad/s, the residual at 150 to 400: the difference is that of the
+    weight, where both are known.
+    """
 
     def tracked(path: Path, _lines: object, settings: RunSettings, unbalance: dict[str, complex]) -> RunUp:
         is_residual = path.name == "left.parquet"
@@ -32,13 +36,23 @@ def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.Monke
         response = np.broadcast_to(1e-5 if is_residual else 3e-5 + 1e-5j, (speed.size, 2, 2)).astype(complex)
         error = np.full(response.shape, 1e-7)
         planes = ("disc 1", "disc 2")
-        return RunUp(path.name, 8.0, speed, planes, response, amplitude_error=error, phase_error=error / 1e-5, unbalance=unbalance)
+        return RunUp(
+            path.name,
+            8.0,
+            speed,
+            planes,
+            response,
+            amplitude_error=error,
+            phase_error=error / 1e-5,
+            unbalance=unbalance,
+        )
 
     monkeypatch.setattr(run_ups_reading, "_opened", lambda path, *_: path)
     monkeypatch.setattr(run_ups_reading, "_tracked", tracked)
     monkeypatch.setattr(run_ups_reading, "_cascades", lambda *_: ())
     settings = RunSettings(
-        recording="run.parquet", tacho="n", load=8.0, unbalance=(("disc 2", 2e-5 + 0j),), path=Path("run.parquet"),
+        recording="run.parquet", tacho="n", load=8.0, unbalance=(("disc 2", 2e-5 + 0j),),
+        path=Path("run.parquet"),
         subtract="left.parquet", subtracted=Path("left.parquet"), recorded_by=Rig("", ()),
     )  # fmt: skip
     run = read_run(settings, cast("RunUpRotor", Anything()), cast("OutputFolder", None), Path()).run

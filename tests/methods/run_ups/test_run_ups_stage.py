@@ -1,4 +1,6 @@
-"""Run-ups of a pipeline: read from tables and recordings, residuals subtracted, every method held against every run, rules on them."""
+"""Run-ups of a pipeline: read from tables and recordings, residuals subtracted, every method held against
+every run, rules on them.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ RPM = np.pi / 30
 def identified(folder: Path, runs: str, methods: str = "[points]", further: str = "") -> RunUpResult:
     """The result of a section with these runs."""
     path = folder / "p.yaml"
-    section = f"run_ups:\n  rotor: {ROOT}/configs/rotors/falah.yaml\n  methods: {methods}\n{further}  runs:\n{runs}"
+    section = (
+        f"run_ups:\n  rotor: {ROOT}/configs/rotors/falah.yaml\n  methods: {methods}\n{further}  runs:\n{runs}"
+    )
     path.write_text(section, encoding="utf-8")
     settings = load_pipeline(path).sections["run_ups"]
     assert settings is not None
@@ -60,7 +64,12 @@ def test_every_method_speaks_of_every_run(whole: RunUpResult) -> None:
     assert points is not None and joint is not None
     held = points.prediction("held-out")
     assert held is not None and held.critical_speed is None and "fitted loads only" in held.notes[0]
-    assert points.rank == 4 and points.verdict == "not determined" and joint.verdict == "not rejected" and len(joint.parameters) == 12
+    assert (
+        points.rank == 4
+        and points.verdict == "not determined"
+        and joint.verdict == "not rejected"
+        and len(joint.parameters) == 12
+    )
     told = joint.prediction("held-out")
     assert told is not None and told.critical_speed is not None and told.critical_speed.std_error is not None
     assert {finding.code for finding in whole.findings} == {"collinear", "extrapolated", "experiment"}
@@ -85,22 +94,43 @@ def test_the_search_shows_its_convergence_and_its_spread(whole: RunUpResult) -> 
     amplitudes = whole.method("amplitudes")
     assert amplitudes is not None and amplitudes.rank == 2 and amplitudes.chi2_per_datum is None
     (search,) = amplitudes.convergence
-    assert np.all(np.diff(search.objective) <= 0) and len(search.mesh) == len(search.evaluations) and len(search.best) == 8
+    assert (
+        np.all(np.diff(search.objective) <= 0)
+        and len(search.mesh) == len(search.evaluations)
+        and len(search.best) == 8
+    )
     for spread in amplitudes.spreads:
         factors = np.array(spread.factors)
-        assert factors.shape == (3, 8) and np.all(np.abs(factors - 1) <= 0.3 + 1e-9) and max(spread.objective) < 0.05
+        assert (
+            factors.shape == (3, 8)
+            and np.all(np.abs(factors - 1) <= 0.3 + 1e-9)
+            and max(spread.objective) < 0.05
+        )
 
 
 def test_metamodels_of_the_joint_fit(whole: RunUpResult) -> None:
     surface, physical = whole.metamodels
-    assert surface.name == "response-surface" and len(surface.left_out) == 4 and [one.outside for one in surface.left_out] == [1, 0, 0, 1]
+    assert (
+        surface.name == "response-surface"
+        and len(surface.left_out) == 4
+        and [one.outside for one in surface.left_out] == [1, 0, 0, 1]
+    )
     joint = whole.method("joint")
     assert joint is not None
     for run in whole.runs:
         own, same = physical.prediction(run.name), joint.prediction(run.name)
-        assert own is not None and same is not None and own.critical_speed is not None and same.critical_speed is not None
+        assert (
+            own is not None
+            and same is not None
+            and own.critical_speed is not None
+            and same.critical_speed is not None
+        )
         assert own.critical_speed.value == pytest.approx(same.critical_speed.value, rel=1e-9)
-    assert np.array(surface.surface.values).shape == (8, len(surface.surface.load), len(surface.surface.speed))
+    assert np.array(surface.surface.values).shape == (
+        8,
+        len(surface.surface.load),
+        len(surface.surface.speed),
+    )
     assert surface.model["kind"] == "surface" and "PRESS" in surface.remarks[0]
 
 
@@ -120,11 +150,19 @@ def ruled(result: RunUpResult, address: str, text: str) -> tuple[object, bool]:
 
 def test_a_speed_and_its_interval_are_shown_in_the_unit_of_the_rule(whole: RunUpResult) -> None:
     """The records hold angular speeds: Omega 30 / pi is in rpm."""
-    amount = next(method for method in whole.methods if method.name == "joint").prediction("held-out").critical_speed
+    amount = (
+        next(method for method in whole.methods if method.name == "joint")
+        .prediction("held-out")
+        .critical_speed
+    )
     rules = read_rules(
         "expect",
         Marked(
-            {f"run_ups.joint[held-out].critical_speed{end}": Marked("1740 rpm", "here", text="1740 rpm") for end in ("", ".covers")}, "here"
+            {
+                f"run_ups.joint[held-out].critical_speed{end}": Marked("1740 rpm", "here", text="1740 rpm")
+                for end in ("", ".covers")
+            },
+            "here",
         ),
         Faults(),
         ("run_ups",),
@@ -184,7 +222,9 @@ def test_rules_on_what_there_is_not(whole: RunUpResult, address: str, said: str)
 
 
 def test_a_second_unbalance_adds_no_rank_and_a_residual_is_subtracted(tmp_path: Path) -> None:
-    """Two runs with weights on either disc, of which one carries the other's as its residual: their difference is the first alone."""
+    """Two runs with weights on either disc, of which one carries the other's as its residual: their
+    difference is the first alone.
+    """
     first, coefficients = read_run_up_csv(SAMPLES / "load-2.csv"), RIG.start(5.87610075)
     both = {"disc 1": 5e-5 + 0j, "disc 2": 3e-5j}
     residual = made(first, {"disc 2": 3e-5j}, coefficients)
@@ -197,7 +237,11 @@ def test_a_second_unbalance_adds_no_rank_and_a_residual_is_subtracted(tmp_path: 
     net = result.runs[0]
     assert net.subtracted == "residual.csv" and "disc 1: 50 g mm at 0 deg" in net.excitation
     np.testing.assert_allclose(net.motions[0].real, alone.response[:, 0, 0].real, rtol=1e-4, atol=1e-10)
-    assert result.measured_rank is not None and result.measured_rank.rank == 4 and "adds no rank" in result.measured_rank.advice
+    assert (
+        result.measured_rank is not None
+        and result.measured_rank.rank == 4
+        and "adds no rank" in result.measured_rank.advice
+    )
     told = result.methods[0].prediction("both")
     own = with_unbalance_of(RIG, alone)
     assert told is not None and told.critical_speed is not None
@@ -209,16 +253,25 @@ def made(like: RunUp, unbalance: dict[str, complex], coefficients: object) -> Ru
     """A run without noise, at the speeds of another."""
     bare = replace(like, unbalance=unbalance, threshold=None)
     response = RIG.excited(bare).response(*coefficients(like.speed)).reshape(like.response.shape)  # type: ignore[operator]
-    return replace(bare, response=response, amplitude_error=0.01 * np.abs(response), phase_error=np.full(response.shape, 0.02))
+    return replace(
+        bare,
+        response=response,
+        amplitude_error=0.01 * np.abs(response),
+        phase_error=np.full(response.shape, 0.02),
+    )
 
 
 def test_a_table_without_unbalance_takes_the_pipelines(tmp_path: Path) -> None:
     lines = (SAMPLES / "load-1.csv").read_text("utf-8").splitlines(keepends=True)
-    (tmp_path / "bare.csv").write_text("".join(line for line in lines if "unbalance" not in line), encoding="utf-8")
+    (tmp_path / "bare.csv").write_text(
+        "".join(line for line in lines if "unbalance" not in line), encoding="utf-8"
+    )
     with pytest.raises(DataError, match="either an unbalance or a shaker"):
         identified(tmp_path, "    - {file: bare.csv}\n")
     stated = "unbalance: {disc 1: 50 g.mm, disc 2: 30 g.mm at 60 deg}"
-    result = identified(tmp_path, f"    - {{file: bare.csv, {stated}, load: 4 N, threshold: 2800 rpm +- 5 rpm}}\n")
+    result = identified(
+        tmp_path, f"    - {{file: bare.csv, {stated}, load: 4 N, threshold: 2800 rpm +- 5 rpm}}\n"
+    )
     run = result.runs[0]
     assert run.load == 4 and run.threshold is not None and run.threshold.value == pytest.approx(2800 * RPM)
     assert run.excitation == "disc 1: 50 g mm at 0 deg; disc 2: 30 g mm at 60 deg"
@@ -246,13 +299,17 @@ LOAD = 8.0
 
 
 def recorded(path: Path, unbalance: dict[str, complex]) -> None:
-    """A slow sweep from 900 to 2100 rpm: at every instant the steady motion of that speed, the rotor file's bearing under LOAD."""
+    """A slow sweep from 900 to 2100 rpm: at every instant the steady motion of that speed, the rotor file's
+    bearing under LOAD.
+    """
     time = np.arange(0, 100, 1 / 2000)
     speed = np.linspace(900, 2100, time.size) * RPM
     revolutions = np.cumsum(speed) / 2000 / (2 * np.pi)
     grid = np.arange(880.0, 2121.0, 10.0) * RPM
     phasors = RIG.under_unbalance(grid, unbalance).response(*RIG.start_coefficients(LOAD, grid))
-    there = np.stack([np.interp(speed, grid, one.real) + 1j * np.interp(speed, grid, one.imag) for one in phasors.T])
+    there = np.stack(
+        [np.interp(speed, grid, one.real) + 1j * np.interp(speed, grid, one.imag) for one in phasors.T]
+    )
     motion = 1e6 * np.real(there * np.exp(2j * np.pi * revolutions))
     noise = 0.05 * np.random.default_rng(3).standard_normal(motion.shape)
     columns = dict(zip(("ax", "ay", "bx", "by"), motion + noise, strict=True))
@@ -262,15 +319,22 @@ def recorded(path: Path, unbalance: dict[str, complex]) -> None:
 def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: Path) -> None:
     known = RIG.known_unbalance
     left = {"disc 2": 2e-5j}
-    recorded(tmp_path / "run.parquet", {"disc 1": known["disc 1"], "disc 2": known["disc 2"] + left["disc 2"]})
+    recorded(
+        tmp_path / "run.parquet", {"disc 1": known["disc 1"], "disc 2": known["disc 2"] + left["disc 2"]}
+    )
     recorded(tmp_path / "left.parquet", left)
     (tmp_path / "rig.yaml").write_text(RECORDED, encoding="utf-8")
-    what = "rig: rig.yaml, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm, disc 2: 30 g.mm at 60 deg}, revolutions: 15"
+    what = (
+        "rig: rig.yaml, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm, disc 2: 30 g.mm at 60 deg}, "
+        "revolutions: 15"
+    )
     result = identified(tmp_path, f"    - {{recording: run.parquet, {what}, subtract: left.parquet}}\n")
     (run,) = result.runs
-    assert run.critical_speed is not None and run.critical_speed.value == pytest.approx(RIG.critical_speed(RIG.start(LOAD)), rel=3e-3)
-    # The tracked motion, less the residual's, is that of the known unbalance; pulses are known to half a sample of
-    # 2000 a second, some 3 deg each.
+    assert run.critical_speed is not None and run.critical_speed.value == pytest.approx(
+        RIG.critical_speed(RIG.start(LOAD)), rel=3e-3
+    )
+    # The tracked motion, less the residual's, is that of the known unbalance; pulses are known to half a
+    # sample of 2000 a second, some 3 deg each.
     exact = RIG.response(np.array(run.speed), RIG.start(LOAD)).reshape(len(run.speed), 4)
     for number, motion in enumerate(run.motions):
         found = np.array(motion.real) + 1j * np.array(motion.imag)
@@ -285,4 +349,6 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
 def test_a_raw_recording_needs_its_rig(tmp_path: Path) -> None:
     pd.DataFrame({"ax": [1.0, 2.0]}).to_parquet(tmp_path / "raw.parquet")
     with pytest.raises(DataError, match="a raw file needs its rig file"):
-        identified(tmp_path, "    - {recording: raw.parquet, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm}}\n")
+        identified(
+            tmp_path, "    - {recording: raw.parquet, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm}}\n"
+        )

@@ -36,7 +36,9 @@ def test_truth_json_holds_speeds_and_coefficients(root: Path) -> None:
 
 def test_one_run_alone_and_a_run_that_is_not_there(labpipe, root: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     config = root / "configs/virtual-unbalance.yaml"
-    ended: Ended = labpipe("simulate", config, "-o", tmp_path / "one", "--run", "load-2-shaker", "--set", "shaker=true")
+    ended: Ended = labpipe(
+        "simulate", config, "-o", tmp_path / "one", "--run", "load-2-shaker", "--set", "shaker=true"
+    )
     assert ended.code == 0, ended.err
     run = read_run_up_csv(tmp_path / "one/load-2-shaker.csv")
     assert run.shaker is not None and run.shaker.frequency_ratio == 0.95

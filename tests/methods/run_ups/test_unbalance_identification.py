@@ -1,8 +1,9 @@
-"""What identification from unbalance run-ups must reach: the truth lies outside the joint fit's family, eight seeds of the noise.
+"""What identification from unbalance run-ups must reach: the truth lies outside the joint fit's family, eight
+seeds of the noise.
 
-The truth (configs/virtual-unbalance.yaml): grooves of 30 deg instead of 20, 5 % more clearance, 15 % thinner oil that loses another 10 %
-with the square of the speed. Targets: held-out critical speed .2 %, threshold 2 % rms and 4 % at most, coefficients 6 % rms; trained
-critical speeds .1 %, thresholds .5 %.
+The truth (configs/virtual-unbalance.yaml): grooves of 30 deg instead of 20, 5 % more clearance, 15 % thinner
+oil that loses another 10 % with the square of the speed. Targets: held-out critical speed .2 %, threshold 2 %
+rms and 4 % at most, coefficients 6 % rms; trained critical speeds .1 %, thresholds .5 %.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ def test_the_held_out_load_is_predicted(fits: list[JointFit], capsys: pytest.Cap
     errors = [coefficient_errors(fit.coefficients(TRUTH.held_out, TRUTH.omega)[0], true) for fit in fits]
     each = 100 * np.sqrt(np.mean(np.square(errors), axis=1))
     with capsys.disabled():
-        print(f"\nheld-out load: critical speed {per_cent_rms(critical):.2f} % rms, threshold {per_cent_rms(threshold):.2f} % rms,")
+        print(
+            f"\nheld-out load: critical speed {per_cent_rms(critical):.2f} % rms, threshold "
+            f"{per_cent_rms(threshold):.2f} % rms,"
+        )
         print(f"coefficients {each.min():.1f} to {each.max():.1f} % rms over the eight seeds")
     assert 100 * np.max(np.abs(critical)) < 0.2
     assert per_cent_rms(threshold) < 2
@@ -55,7 +59,9 @@ def test_the_trained_loads_are_met(fits: list[JointFit]) -> None:
 
 
 def test_the_original_model_is_far_off() -> None:
-    """What the fit is worth: the rotor file's own bearing misses the held-out critical speed by over 3 %, the threshold by over 5 %."""
+    """What the fit is worth: the rotor file's own bearing misses the held-out critical speed by over 3 %, the
+    threshold by over 5 %.
+    """
     true, start = true_coefficients(TRUTH, TRUTH.held_out), RIG.start(TRUTH.held_out)
     assert abs(RIG.critical_speed(start) / RIG.critical_speed(true) - 1) > 0.03
     assert abs((RIG.threshold(start) or 0) / (RIG.threshold(true) or 1) - 1) > 0.05

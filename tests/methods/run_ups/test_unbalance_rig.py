@@ -29,7 +29,9 @@ RIG: VirtualUnbalanceRig = load_virtual_rig(CONFIG)
 
 def test_the_shipped_rig_is_that_of_the_source() -> None:
     """Printed loads in pounds, 400 to 3000 rpm; 27 speeds are our own."""
-    np.testing.assert_allclose([*RIG.loads, RIG.held_out], 4.4482216 * np.array([0.823, 1.321, 1.817, 2.316, 3.808]), rtol=1e-7)
+    np.testing.assert_allclose(
+        [*RIG.loads, RIG.held_out], 4.4482216 * np.array([0.823, 1.321, 1.817, 2.316, 3.808]), rtol=1e-7
+    )
     np.testing.assert_allclose(RIG.omega * 30 / np.pi, np.arange(400, 3001, 100))
     assert list(RIG.load_of_run) == ["load-1", "load-2", "load-3", "load-4", "held-out"]
     assert RIG.nominal.pinned.n_dof == 12
@@ -66,7 +68,9 @@ def test_a_seed_makes_the_same_noise_whichever_runs_are_asked_for() -> None:
 def test_measured_thresholds_scatter_by_their_uncertainty() -> None:
     thresholds = [run_ups(RIG, seed, ["load-1"])[0].threshold for seed in range(30)]
     exact = RIG.nominal.threshold(true_coefficients(RIG, RIG.loads[0]))
-    missed = [(one.value - exact) / one.std_error for one in thresholds if one is not None and exact is not None]
+    missed = [
+        (one.value - exact) / one.std_error for one in thresholds if one is not None and exact is not None
+    ]
     assert len(missed) == 30
     assert 0.7 < np.std(missed) < 1.35
 
@@ -74,7 +78,9 @@ def test_measured_thresholds_scatter_by_their_uncertainty() -> None:
 def test_factors_are_smooth_and_within_their_limits() -> None:
     speed = np.linspace(RIG.omega[0], RIG.omega[-1], 200)
     loads = np.linspace(RIG.loads[0], RIG.held_out, 50)
-    found = np.array([smooth_factors(load, speed, (RIG.loads[0], RIG.held_out), (speed[0], speed[-1])) for load in loads])
+    found = np.array(
+        [smooth_factors(load, speed, (RIG.loads[0], RIG.held_out), (speed[0], speed[-1])) for load in loads]
+    )
     assert LOWEST_FACTOR <= found.min() < 0.78 and 1.21 < found.max() <= HIGHEST_FACTOR
     assert np.max(np.abs(np.diff(found, axis=1))) < 0.01
     correlation = np.corrcoef(found.reshape(-1, 8).T)
@@ -95,18 +101,29 @@ def test_every_truth_differs_from_the_rotor_file_and_says_how(kind: str) -> None
 
 
 def test_without_errors_the_outside_truth_is_the_rotor_file_s() -> None:
-    rig = dataclasses.replace(RIG, viscosity_error=0.0, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20))
-    ours, start = (as_eight(*one) for one in (true_coefficients(rig, 5.0)(rig.omega), rig.nominal.start_coefficients(5.0, rig.omega)))
+    rig = dataclasses.replace(
+        RIG, viscosity_error=0.0, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20)
+    )
+    ours, start = (
+        as_eight(*one)
+        for one in (true_coefficients(rig, 5.0)(rig.omega), rig.nominal.start_coefficients(5.0, rig.omega))
+    )
     np.testing.assert_allclose(ours, start, rtol=1e-10)
 
 
 def test_thinner_oil_is_a_bearing_of_lower_viscosity() -> None:
     """Without heating: the same as a rotor file with that viscosity."""
-    rig = dataclasses.replace(RIG, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20), viscosity_error=-0.2)
+    rig = dataclasses.replace(
+        RIG, clearance_error=0.0, heating=0.0, groove_width=np.deg2rad(20), viscosity_error=-0.2
+    )
     place = rig.nominal.place
-    thin = dataclasses.replace(place, bearing=dataclasses.replace(place.bearing, viscosity=0.8 * place.bearing.viscosity))
+    thin = dataclasses.replace(
+        place, bearing=dataclasses.replace(place.bearing, viscosity=0.8 * place.bearing.viscosity)
+    )
     expected = dataclasses.replace(rig.nominal, place=thin).start_coefficients(5.0, rig.omega)
-    np.testing.assert_allclose(as_eight(*true_coefficients(rig, 5.0)(rig.omega)), as_eight(*expected), rtol=1e-10)
+    np.testing.assert_allclose(
+        as_eight(*true_coefficients(rig, 5.0)(rig.omega)), as_eight(*expected), rtol=1e-10
+    )
 
 
 def test_further_runs_for_what_a_load_alone_cannot_tell() -> None:

@@ -19,12 +19,17 @@ GAIN = Uncertainty("y.sensitivity", 0.02, "1")
 
 
 def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
-    """A gain of 2 %, so that its change stands above the error of the films' mesh (23 nm and 0.008 rad), which a refit moves through.
+    """A gain of 2 %, so that its change stands above the error of the films' mesh (23 nm and 0.008 rad),
+    which a refit moves through.
 
-    A deep wear: at 22 um, where it divides the film, the slope over 2 um of the budget is 5 % off that over the .07 um of the refits.
+    A deep wear: at 22 um, where it divides the film, the slope over 2 um of the budget is 5 % off that over
+    the .07 um of the refits.
     """
     response = measured(worn_rig(40.19, 8.0), 2e-3)
-    outputs = (replace(response.outputs[0], uncertainties=(ChannelUncertainty("gain", GAIN),)), response.outputs[1])
+    outputs = (
+        replace(response.outputs[0], uncertainties=(ChannelUncertainty("gain", GAIN),)),
+        response.outputs[1],
+    )
     settings = fit_settings()
     (fit,) = identify(replace(response, outputs=outputs), settings)
     budget = fit.budget
@@ -41,7 +46,9 @@ def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
 
 
 def test_a_direction_turns_the_frame() -> None:
-    """A sensor at a + d reads what one at a reads, and d times the motion at right angles: R(-d) H to first order."""
+    """A sensor at a + d reads what one at a reads, and d times the motion at right angles: R(-d) H to first
+    order.
+    """
     angles = 0.3, 0.3 + np.pi / 2
     uncertainty = ChannelUncertainty("direction", Uncertainty("y.dof", 0.01, "rad"))
     ports = tuple(Port(f"s{n}", f"s{n}", f"{angle}", angle, (uncertainty,)) for n, angle in enumerate(angles))
@@ -60,12 +67,21 @@ def test_a_direction_turns_the_frame() -> None:
 def test_the_change_by_a_bearing_s_number_is_that_of_refits() -> None:
     """The clearance of the bearing that is not worn, 4 % of it, against refits on rotors with that clearance.
 
-    The one step is 11 % short in depth and 5 % in angle, at 8 % as at 4 %: it knows the films at the minimum only.
+    The one step is 11 % short in depth and 5 % in angle, at 8 % as at 4 %: it knows the films at the minimum
+    only.
     """
     healthy = RIG.bearings[0]
-    above, below = (replace(healthy.bearing, clearance=healthy.bearing.clearance * factor) for factor in (1.04, 0.96))
+    above, below = (
+        replace(healthy.bearing, clearance=healthy.bearing.clearance * factor) for factor in (1.04, 0.96)
+    )
     uncertainty = Uncertainty("bearing 1: clearance", 0.04 * healthy.bearing.clearance, "m")
-    uncertain = replace(RIG, bearings=(replace(healthy, uncertainties=(UncertainBearing(uncertainty, above, below),)), *RIG.bearings[1:]))
+    uncertain = replace(
+        RIG,
+        bearings=(
+            replace(healthy, uncertainties=(UncertainBearing(uncertainty, above, below),)),
+            *RIG.bearings[1:],
+        ),
+    )
     response = measured(worn_rig(22.27, 11.0), 2e-3)
     (fit,) = identify(response, fit_settings(rig=uncertain))
     budget = fit.budget

@@ -11,9 +11,27 @@ from labpipe.estimation.fitting import identify
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear.measured import Misfit
-from labpipe.methods.wear.search import Interval, Minimum, descend, film_covariance, minima, refined, widened, widened_region
+from labpipe.methods.wear.search import (
+    Interval,
+    Minimum,
+    descend,
+    film_covariance,
+    minima,
+    refined,
+    widened,
+    widened_region,
+)
 from labpipe.methods.wear.tables import Ranges, tabled
-from tests.methods.wear.worn_cases import COARSE, FINE, NUISANCES, RIG, fit_settings, measured, misfit_of, worn_rig
+from tests.methods.wear.worn_cases import (
+    COARSE,
+    FINE,
+    NUISANCES,
+    RIG,
+    fit_settings,
+    measured,
+    misfit_of,
+    worn_rig,
+)
 
 VALUES = {"wear_depth": 30e-6, "wear_angle": 0.1, "viscosity": 0.1044, "clearance": 90e-6}
 
@@ -33,7 +51,9 @@ def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
 
 
 def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Minimum]) -> None:
-    """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 % for the bend of the model."""
+    """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 %
+    for the bend of the model.
+    """
     misfit, best = minimum
     films = film_covariance(misfit, best.parameters, noise_of(misfit, best.parameters))
     shifts = [
@@ -51,7 +71,10 @@ def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     bearing = tabled(place, load, RIG.omega, True, Ranges(50e-6, 0.3, 1.05, 1.05), FilmMesh(*COARSE))
     error = bearing.mesh_error(VALUES, FINE)
     worn = replace(place.film("a test"), **VALUES)
-    fine, half, finest = (journal_equilibrium(worn, load, RIG.omega, mesh) for mesh in (FINE, FilmMesh(96, 8), FilmMesh(480, 120)))
+    fine, half, finest = (
+        journal_equilibrium(worn, load, RIG.omega, mesh)
+        for mesh in (FINE, FilmMesh(96, 8), FilmMesh(480, 120))
+    )
     np.testing.assert_allclose(error[0], (fine.stiffness - half.stiffness) / 3, rtol=1e-6)
     np.testing.assert_allclose(error[1], (fine.damping - half.damping) / 3, rtol=1e-6)
     true = np.linalg.norm(fine.stiffness - finest.stiffness)
@@ -62,7 +85,9 @@ def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
     change = np.arange(8.0).reshape(2, 2, 2)
     for worn, ranges in ((True, Ranges(50e-6, 0.3, 1.05, 1.05)), (False, Ranges(50e-6, 0.3))):
-        bearing = tabled(place, load, RIG.omega, worn, ranges, FilmMesh(*COARSE)).refined(VALUES if worn else {}, FilmMesh(96, 16), False)
+        bearing = tabled(place, load, RIG.omega, worn, ranges, FilmMesh(*COARSE)).refined(
+            VALUES if worn else {}, FilmMesh(96, 16), False
+        )
         before, after = (one.support(VALUES, ("wear_depth",)) for one in (bearing, bearing.shifted(change)))
         np.testing.assert_allclose(after.support.stiffness - before.support.stiffness, change[0], atol=1e-6)
         np.testing.assert_allclose(after.support.damping - before.support.damping, change[1], atol=1e-6)
@@ -87,7 +112,11 @@ def test_half_widths_add_by_their_squares_within_the_bounds(interval: Interval, 
 
 def test_a_region_of_the_noise_becomes_one_of_both() -> None:
     """An ellipse of one covariance turns into that of the sum."""
-    noise, film, best = np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([[1.0, -2.0], [-2.0, 4.0]]), np.array([3.0, -1.0])
+    noise, film, best = (
+        np.array([[4.0, 1.0], [1.0, 2.0]]),
+        np.array([[1.0, -2.0], [-2.0, 4.0]]),
+        np.array([3.0, -1.0]),
+    )
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     outline = best + (np.linalg.cholesky(noise) @ np.stack([np.cos(turns), np.sin(turns)])).T
     wide = widened_region(outline, best, noise, film) - best
@@ -97,7 +126,9 @@ def test_a_region_of_the_noise_becomes_one_of_both() -> None:
 def test_little_noise_leaves_the_uncertainty_of_the_films() -> None:
     """With a hundredth of the noise the standard error does not become a hundredth."""
     rng = np.random.default_rng(4)
-    quiet, loud = (identify(measured(worn_rig(30.0, 8.0), noise, rng), fit_settings())[0] for noise in (1e-4, 1e-2))
+    quiet, loud = (
+        identify(measured(worn_rig(30.0, 8.0), noise, rng), fit_settings())[0] for noise in (1e-4, 1e-2)
+    )
     errors = [fit.parameter("wear_depth").std_error for fit in (quiet, loud)]
     assert errors[0] is not None and errors[1] is not None and 0.02 * errors[1] < errors[0] < errors[1]
     low, high = quiet.parameter("wear_depth").ci95 or (np.nan, np.nan)

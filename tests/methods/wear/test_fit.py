@@ -1,4 +1,6 @@
-"""Wear fits as a whole: values with their uncertainty, what they say of themselves, tuning and what it leaves known."""
+"""Wear fits as a whole: values with their uncertainty, what they say of themselves, tuning and what it leaves
+known.
+"""
 
 from __future__ import annotations
 
@@ -51,15 +53,32 @@ def test_joint_fit_holds_the_truth_within_its_intervals(joint: Fit) -> None:
 
 
 def test_joint_fit_is_complete(joint: Fit) -> None:
-    """Names and units of the interface; equations, degrees of freedom and the residual test; a curve in forward and backward."""
+    """Names and units of the interface; equations, degrees of freedom and the residual test.
+
+    A curve in forward and backward.
+    """
     assert [p.name for p in joint.parameters][:2] == ["wear_depth", "wear_angle"]
     assert [p.unit for p in joint.parameters] == ["m", "rad", "Pa.s", "m", "1"]
     assert (joint.lines, joint.equations, joint.dof) == (BAND.size, 8 * BAND.size, 8 * BAND.size - 2)
-    assert joint.gof.chi2_reduced == pytest.approx(1.0, abs=4 * np.sqrt(2 / joint.dof)) and joint.gof.chi2_p > 1e-4
-    assert joint.gof.r2 > 0.99 and joint.converged and joint.estimator == "ml" and joint.correlation.shape == (4, 4)
-    assert joint.curve is not None and joint.curve.outputs == ("f", "b") and joint.curve.fitted.shape == (BAND.size, 2, 2)
+    assert (
+        joint.gof.chi2_reduced == pytest.approx(1.0, abs=4 * np.sqrt(2 / joint.dof))
+        and joint.gof.chi2_p > 1e-4
+    )
+    assert (
+        joint.gof.r2 > 0.99
+        and joint.converged
+        and joint.estimator == "ml"
+        and joint.correlation.shape == (4, 4)
+    )
+    assert (
+        joint.curve is not None
+        and joint.curve.outputs == ("f", "b")
+        and joint.curve.fitted.shape == (BAND.size, 2, 2)
+    )
     between, drawn = joint.curve.drawn
-    np.testing.assert_allclose(drawn[np.searchsorted(between, joint.curve.frequency)], joint.curve.fitted, rtol=1e-9)
+    np.testing.assert_allclose(
+        drawn[np.searchsorted(between, joint.curve.frequency)], joint.curve.fitted, rtol=1e-9
+    )
     assert between.size >= 200
     assert [finding.code for finding in joint.findings] == []
     assert "of 20 starts lead to this minimum" in joint.notes[0] and "192 x 16 cells" in joint.notes[0]
@@ -91,7 +110,9 @@ def test_log_amplitudes_know_less() -> None:
     response = measured(worn_rig(22.27, -11.0), 0.02, np.random.default_rng(6))
     log = fitted(fit_settings(objective="log", response="dFRF"), response)
     whole = fitted(fit_settings(response="dFRF"), response)
-    assert log.estimator == "log-amplitude" and log.gof.chi2_reduced is None and log.equations == 4 * LINES.size
+    assert (
+        log.estimator == "log-amplitude" and log.gof.chi2_reduced is None and log.equations == 4 * LINES.size
+    )
     assert log.parameter("wear_depth").std_error > 1.5 * whole.parameter("wear_depth").std_error
     assert abs(log.parameter("wear_depth").value - 22.27e-6) < 4 * log.parameter("wear_depth").std_error
 
@@ -117,13 +138,20 @@ def test_wear_beyond_the_range_ends_at_the_bound() -> None:
     response = measured(worn_rig(30.0, 18.0), 0.01, np.random.default_rng(8))
     fit = fitted(fit_settings(angle_limit=np.deg2rad(10), start_angles=(0.0,)), response)
     angle = fit.parameter("wear_angle")
-    assert angle.at_bound and angle.std_error is None and angle.value == pytest.approx(np.deg2rad(10), rel=1e-3)
+    assert (
+        angle.at_bound and angle.std_error is None and angle.value == pytest.approx(np.deg2rad(10), rel=1e-3)
+    )
     assert "at-bound" in [finding.code for finding in fit.findings]
 
 
 def test_nothing_but_bounds_is_a_result_too() -> None:
     """Deeper and farther round than is looked for: both at their bounds, no standard errors, no failure."""
-    limits = {"depth_limit": 20e-6, "angle_limit": np.deg2rad(5), "start_depths": (5e-6,), "start_angles": (0.0,)}
+    limits = {
+        "depth_limit": 20e-6,
+        "angle_limit": np.deg2rad(5),
+        "start_depths": (5e-6,),
+        "start_angles": (0.0,),
+    }
     fit = fitted(fit_settings(**limits), measured(worn_rig(25.0, 15.0), 0.01, np.random.default_rng(8)))
     assert [fit.parameter(name).at_bound for name in ("wear_depth", "wear_angle")] == [True, True]
     assert fit.condition_number == 1.0 and fit.parameter("wear_depth").std_error is None
@@ -136,9 +164,16 @@ def test_a_model_error_without_nuisances_is_seen_by_chi_square() -> None:
 
 
 def test_rival_minima_are_named_with_their_place() -> None:
-    """Only those whose chi-square is within 9.21 of the least (99 %, two parameters), and that were reached."""
+    """Only those whose chi-square is within 9.21 of the least (99 %, two parameters), and that were
+    reached.
+    """
     misfit = misfit_of(measured(worn_rig(22.27, 11.0)))
-    places = [([22.0, 11.0], 10.0, True), ([30.0, -5.0], 12.0, True), ([40.0, 0.0], 30.0, True), ([45.0, 0.0], 11.0, False)]
+    places = [
+        ([22.0, 11.0], 10.0, True),
+        ([30.0, -5.0], 12.0, True),
+        ([40.0, 0.0], 30.0, True),
+        ([45.0, 0.0], 11.0, False),
+    ]
     found = [Minimum(np.array(place), chi2, 5, converged, 9) for place, chi2, converged in places]
     (finding,) = rival_findings(found, misfit)
     assert finding.code == "multi-modal" and "30 um at -5 deg (chi-square +2)" in finding.message
@@ -147,7 +182,9 @@ def test_rival_minima_are_named_with_their_place() -> None:
 
 
 def test_verdicts_by_probability() -> None:
-    codes = [[finding.code for finding in healthy_findings(probability, False)] for probability in (0.9, 0.3, 0.01)]
+    codes = [
+        [finding.code for finding in healthy_findings(probability, False)] for probability in (0.9, 0.3, 0.01)
+    ]
     assert codes == [["healthy"], ["perhaps-healthy"], []]
     (finding,) = healthy_findings(0.9, True)
     assert finding.code == "perhaps-healthy" and "chi-square rejects" in finding.message
@@ -173,12 +210,17 @@ def test_tuning_finds_the_healthy_rig_s_oil_clearance_and_damping() -> None:
 def test_what_a_tuning_found_sharpens_the_wear() -> None:
     """The posterior of the tuning takes the prior's place; standard errors shrink."""
     rng = np.random.default_rng(13)
-    tuning = replace(fitted(fit_settings(healthy=True, **NUISANCES), measured(worn_rig(**TRUE_BEARING), 0.01, rng, BAND)), name="tuning")
+    tuning = replace(
+        fitted(fit_settings(healthy=True, **NUISANCES), measured(worn_rig(**TRUE_BEARING), 0.01, rng, BAND)),
+        name="tuning",
+    )
     response = measured(worn_rig(22.27, 11.0, **TRUE_BEARING), 0.02, rng, BAND)
     sharpened = with_prior(fit_settings(prior="tuning"), [tuning])
     alone, carried = fitted(fit_settings(**NUISANCES), response), fitted(sharpened, response)
     assert carried.parameter("wear_depth").std_error < alone.parameter("wear_depth").std_error
-    assert abs(carried.parameter("wear_depth").value - 22.27e-6) < 3 * carried.parameter("wear_depth").std_error
+    assert (
+        abs(carried.parameter("wear_depth").value - 22.27e-6) < 3 * carried.parameter("wear_depth").std_error
+    )
 
 
 def test_priors_that_are_not_there(joint: Fit) -> None:
@@ -195,7 +237,9 @@ def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> No
     parameters = tuple(replace(p, std_error=None) if p.name == "viscosity" else p for p in joint.parameters)
     known = posterior(replace(joint, parameters=parameters))
     assert known.std[0] == pytest.approx(1e-3 * joint.parameter("viscosity").value)
-    inflated = tuple(replace(p, std_error_inflated=9e-7) if p.name == "clearance" else p for p in joint.parameters)
+    inflated = tuple(
+        replace(p, std_error_inflated=9e-7) if p.name == "clearance" else p for p in joint.parameters
+    )
     assert posterior(replace(joint, parameters=inflated)).std[1] == pytest.approx(9e-7)
 
 
@@ -206,7 +250,9 @@ def test_too_few_equations_are_refused() -> None:
 
 
 def test_joint_region_holds_the_estimate_and_reaches_beyond_its_intervals(joint: Fit) -> None:
-    """Along each axis the region of two parameters reaches sqrt(5.99 / 3.84) = 1.25 times as far as the interval of one."""
+    """Along each axis the region of two parameters reaches sqrt(5.99 / 3.84) = 1.25 times as far as the
+    interval of one.
+    """
     assert (
         joint.detail(Region) is not None
         and joint.detail(Region).names == ("wear_depth", "wear_angle")
@@ -225,7 +271,9 @@ def test_an_angle_that_is_not_identifiable_has_no_region(healthy: Fit) -> None:
 
 
 def test_a_tuning_keeps_the_model_before_it() -> None:
-    """At the mean of what was known beforehand, it is the rig as its file says: 3 % and 2 % from the truth."""
+    """At the mean of what was known beforehand, it is the rig as its file says: 3 % and 2 % from the
+    truth.
+    """
     response = measured(worn_rig(**TRUE_BEARING), 0.0, np.random.default_rng(13), BAND)
     curve = fitted(fit_settings(healthy=True, **NUISANCES), response).curve
     assert curve is not None and curve.before is not None

@@ -23,7 +23,9 @@ ROOT = Path(__file__).parents[3]
 @pytest.fixture(scope="module")
 def virtual() -> VirtualJournalRig:
     """The shipped rig on a coarse film, two seconds per run."""
-    rig = load_virtual_rig(ROOT / "configs/virtual-journal.yaml", ["duration=2 s", "cells_around=48", "cells_across=8"])
+    rig = load_virtual_rig(
+        ROOT / "configs/virtual-journal.yaml", ["duration=2 s", "cells_around=48", "cells_across=8"]
+    )
     assert isinstance(rig, VirtualJournalRig)
     return rig
 
@@ -37,9 +39,14 @@ def test_the_truth_differs_from_the_rotor_file(virtual: VirtualJournalRig) -> No
     """.1044 Pa s + 3 % and 90 um - 2 % by hand; wear 1 of Mendes et al."""
     found = truth(virtual)
     assert found["viscosity"] == pytest.approx(0.107532) and found["clearance"] == pytest.approx(88.2e-6)
-    assert found["states"]["wear-1"] == {"wear_depth": pytest.approx(22.27e-6), "wear_angle": pytest.approx(np.deg2rad(11))}
+    assert found["states"]["wear-1"] == {
+        "wear_depth": pytest.approx(22.27e-6),
+        "wear_angle": pytest.approx(np.deg2rad(11)),
+    }
     rig = true_rig(virtual, 40e-6, 0.1)
-    assert rig.place("bearing 2").bearing.wear_depth == 40e-6 and rig.place("bearing 1").bearing.wear_depth == 0
+    assert (
+        rig.place("bearing 2").bearing.wear_depth == 40e-6 and rig.place("bearing 1").bearing.wear_depth == 0
+    )
     assert [place.bearing.clearance for place in rig.bearings] == pytest.approx([88.2e-6, 88.2e-6])
 
 
@@ -56,19 +63,31 @@ def test_motion_over_force_is_the_receptance(quiet: VirtualJournalRig) -> None:
 
 def test_receptance_is_that_of_the_whole_rotor(virtual: VirtualJournalRig) -> None:
     rig, lines, mesh = true_rig(virtual, 22e-6, 0.2), np.array([20.0, 82.0]), FilmMesh(48, 8)
-    whole = frequency_response(rig.rotor, rig.supports(mesh), lines, rig.omega, rig.rotor.dofs(rig.response), rig.rotor.dofs(rig.force))
+    whole = frequency_response(
+        rig.rotor,
+        rig.supports(mesh),
+        lines,
+        rig.omega,
+        rig.rotor.dofs(rig.response),
+        rig.rotor.dofs(rig.force),
+    )
     np.testing.assert_allclose(receptance(rig, lines, mesh), whole, rtol=1e-6)
 
 
 def test_force_noise_and_unbalance_have_their_sizes(virtual: VirtualJournalRig) -> None:
     long = replace(virtual, duration=16.0, noise=JournalNoise(0.0, 0.0))
-    with_line, without = (recordings(replace(long, unbalance=u), 1, ["healthy-y"])[0].samples for u in (1e-5, 0.0))
+    with_line, without = (
+        recordings(replace(long, unbalance=u), 1, ["healthy-y"])[0].samples for u in (1e-5, 0.0)
+    )
     assert np.std(without[:, 0]) == pytest.approx(30.0, rel=1e-9)
     line = with_line[:, 1:] - without[:, 1:]
     rig = true_rig(long, 0, 0)
     expected = receptance(rig, np.array([50.0]), long.mesh)[0] @ (1e-5 * rig.omega**2 * np.array([1, -1j]))
     np.testing.assert_allclose(np.std(line, axis=0), np.abs(expected) / np.sqrt(2), rtol=1e-6)
-    noisy = recordings(replace(long, noise=JournalNoise(2e-6, 0.1), unbalance=0.0), 1, ["healthy-y"])[0].samples - without
+    noisy = (
+        recordings(replace(long, noise=JournalNoise(2e-6, 0.1), unbalance=0.0), 1, ["healthy-y"])[0].samples
+        - without
+    )
     np.testing.assert_allclose(np.std(noisy, axis=0), [0.1, 2e-6, 2e-6], rtol=0.05)
 
 
@@ -94,7 +113,16 @@ def test_runs_do_not_depend_on_which_others_are_made(virtual: VirtualJournalRig)
     ],
 )
 def test_impossible_rigs_are_refused(entry: str, message: str, labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    ended = labpipe("simulate", ROOT / "configs/virtual-journal.yaml", "-o", tmp_path / "o", "--set", entry, "--run", "healthy-y")
+    ended = labpipe(
+        "simulate",
+        ROOT / "configs/virtual-journal.yaml",
+        "-o",
+        tmp_path / "o",
+        "--set",
+        entry,
+        "--run",
+        "healthy-y",
+    )
     assert ended.code == 2 and message in ended.err and "Traceback" not in ended.err
 
 

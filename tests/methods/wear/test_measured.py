@@ -26,7 +26,9 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
     return FrequencyResponse(LINES, matrix, PORTS, PORTS, covariance=uncorrelated(variance))
 
 
-def data_of(measured: FrequencyResponse, band: tuple[float, float] | None = None, **changes: object) -> WornReceptance:
+def data_of(
+    measured: FrequencyResponse, band: tuple[float, float] | None = None, **changes: object
+) -> WornReceptance:
     return worn_receptance(measured, replace(fit_settings(), band=band), wear_settings(**changes))
 
 
@@ -43,19 +45,29 @@ def test_forward_and_backward_by_hand(response: FrequencyResponse) -> None:
 
 
 def test_directional_frf_of_the_pipeline_is_turned_back(response: FrequencyResponse) -> None:
-    """A response whose frf: section has directional: true; its ports are f and b, its angles were x (horizontal) and y (up)."""
-    xy = tuple(Port(port.label, port.label, dof, angle) for port, dof, angle in zip(PORTS, "xy", (0.0, np.pi / 2), strict=True))
+    """A response whose frf: section has directional: true.
+
+    Its ports are f and b, its angles were x (horizontal) and y (up).
+    """
+    xy = tuple(
+        Port(port.label, port.label, dof, angle)
+        for port, dof, angle in zip(PORTS, "xy", (0.0, np.pi / 2), strict=True)
+    )
     forward = directional(replace(response, outputs=xy, inputs=xy))
     data = data_of(forward)
     np.testing.assert_allclose(data.measured.matrix, response.matrix, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("lii->li", data.measured.covariance).real, response.variance.reshape(-1, 4), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.einsum("lii->li", data.measured.covariance).real, response.variance.reshape(-1, 4), rtol=1e-9
+    )
 
 
 def test_sensors_at_45_degrees(response: FrequencyResponse) -> None:
     """(q45, q135) = R (y, z), forces likewise: H' = R H R^T."""
     rotation = np.array([[1, 1], [-1, 1]]) / np.sqrt(2)
     slanted = (Port("u", "u", "45 deg", np.pi / 4), Port("v", "v", "135 deg", 3 * np.pi / 4))
-    np.testing.assert_allclose(data_of(turned(response, slanted, rotation, rotation.T)).measured.matrix, response.matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        data_of(turned(response, slanted, rotation, rotation.T)).measured.matrix, response.matrix, atol=1e-12
+    )
 
 
 def test_covariance_turns_with_the_response(response: FrequencyResponse, rng: np.random.Generator) -> None:
@@ -73,7 +85,9 @@ def test_terms(response: FrequencyResponse, terms: str, places: list[int]) -> No
     chosen = data_of(response, terms=terms).chosen
     np.testing.assert_allclose(chosen.matrix[:, :, 0], response.matrix.reshape(-1, 4)[:, places])
     assert chosen.covariance is not None and chosen.covariance.shape == (LINES.size, len(places), len(places))
-    np.testing.assert_allclose(np.einsum("lii->li", chosen.covariance).real, response.variance.reshape(-1, 4)[:, places])
+    np.testing.assert_allclose(
+        np.einsum("lii->li", chosen.covariance).real, response.variance.reshape(-1, 4)[:, places]
+    )
 
 
 def test_lines_by_band_list_and_half_power(response: FrequencyResponse) -> None:
@@ -82,7 +96,9 @@ def test_lines_by_band_list_and_half_power(response: FrequencyResponse) -> None:
     # One degree of freedom at 60 Hz with 5 % damping: half power at 57.0 and 63.0 Hz but for zeta^2.
     one = 1 / (60**2 - LINES**2 + 2j * 0.05 * 60 * LINES)
     peaked = replace(response, matrix=one[:, None, None] * np.ones((1, 2, 2)), covariance=None)
-    np.testing.assert_allclose(data_of(peaked, half_power=((40.0, 80.0),)).frequency, np.arange(57.0, 63.0, 0.5))
+    np.testing.assert_allclose(
+        data_of(peaked, half_power=((40.0, 80.0),)).frequency, np.arange(57.0, 63.0, 0.5)
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,7 +109,9 @@ def test_lines_by_band_list_and_half_power(response: FrequencyResponse) -> None:
         ({"half_power": ((200.0, 300.0),)}, None, "no resonance within 200-300 Hz"),
     ],
 )
-def test_lines_that_are_not_there(response: FrequencyResponse, changes: dict, band: tuple[float, float] | None, message: str) -> None:
+def test_lines_that_are_not_there(
+    response: FrequencyResponse, changes: dict, band: tuple[float, float] | None, message: str
+) -> None:
     with pytest.raises(LabpipeError, match=message):
         data_of(response, band, **changes)
 
@@ -106,7 +124,9 @@ def test_lines_that_are_not_there(response: FrequencyResponse, changes: dict, ba
         ((Port("a", "a", "x", 0.0), Port("c", "c", "5 deg", 1e-5)), "one direction"),
     ],
 )
-def test_ports_that_say_no_direction(response: FrequencyResponse, ports: tuple[Port, ...], message: str) -> None:
+def test_ports_that_say_no_direction(
+    response: FrequencyResponse, ports: tuple[Port, ...], message: str
+) -> None:
     n = len(ports)
     other = replace(response, outputs=ports, inputs=ports, matrix=response.matrix[:, :n, :n], covariance=None)
     with pytest.raises(ConfigError, match=message):

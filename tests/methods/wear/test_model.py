@@ -1,4 +1,6 @@
-"""The response as a function of wear and the bearings' other data: derivatives, bounds, and the films behind the tables."""
+"""The response as a function of wear and the bearings' other data: derivatives, bounds, and the films behind
+the tables.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,10 @@ def test_derivatives_equal_differences(model: WornModel, directional: str) -> No
 
 
 def test_refined_model_is_the_film_and_its_slopes(model: WornModel) -> None:
-    """Where it is corrected it is the response with coefficients from the films, and near it follows them; no wear that divides them."""
+    """Where it is corrected it is the response with coefficients from the films, and near it follows them.
+
+    No wear that divides them.
+    """
     here = point(model, depth=40.0)
     values = model.values(here)
     refined = model.refined(here)
@@ -74,10 +79,16 @@ def receptance_with_beta(beta: float, rig: RotorRig) -> np.ndarray:
 
 
 def test_what_refining_is_for(model: WornModel) -> None:
-    """A coarse table errs by percents, which a fit would take for micrometres of wear; the refined model does not."""
+    """A coarse table errs by percents, which a fit would take for micrometres of wear.
+
+    The refined model does not.
+    """
     here = np.array([22.0, 8.0, *(np.array(model.prior.mean) / model.scale[2:])])
     truth = receptance(worn_rig(22.0, 8.0), LINES, FINE)
-    errors = [np.abs(one.response(here)[0] - truth).max() / np.abs(truth).max() for one in (model, model.refined(here))]
+    errors = [
+        np.abs(one.response(here)[0] - truth).max() / np.abs(truth).max()
+        for one in (model, model.refined(here))
+    ]
     assert errors[0] < 0.1 and errors[1] < 1e-4 * errors[0]
 
 
@@ -85,19 +96,25 @@ def test_healthy_model_has_no_wear(model: WornModel) -> None:
     healthy = worn_model(wear_settings(**NUISANCES, healthy=True), LINES)
     assert healthy.names == ("viscosity", "clearance")
     mean = np.array(healthy.prior.mean) / healthy.scale
-    np.testing.assert_allclose(healthy.refined(mean).response(mean)[0], receptance(worn_rig(), LINES, FINE), rtol=1e-6)
+    np.testing.assert_allclose(
+        healthy.refined(mean).response(mean)[0], receptance(worn_rig(), LINES, FINE), rtol=1e-6
+    )
 
 
 def test_wear_alone_needs_no_table_of_the_other_bearing() -> None:
     alone = worn_model(wear_settings(), LINES)
     assert [bearing.table is None for bearing in alone.bearings] == [True, False]
     here = np.array([40.0, -5.0])
-    np.testing.assert_allclose(alone.refined(here).response(here)[0], receptance(worn_rig(40.0, -5.0), LINES, FINE), rtol=1e-6)
+    np.testing.assert_allclose(
+        alone.refined(here).response(here)[0], receptance(worn_rig(40.0, -5.0), LINES, FINE), rtol=1e-6
+    )
 
 
 def test_given_parameters_are_taken_as_they_are() -> None:
     given = worn_model(wear_settings(viscosity=Uncertain(0.11), beta=Uncertain(2e-4), healthy=False), LINES)
-    assert given.rig.rotor.beta == 2e-4 and {place.bearing.viscosity for place in given.rig.bearings} == {0.11}
+    assert given.rig.rotor.beta == 2e-4 and {place.bearing.viscosity for place in given.rig.bearings} == {
+        0.11
+    }
 
 
 def test_the_other_bearing_may_be_the_worn_one() -> None:
@@ -122,11 +139,16 @@ def test_no_rotor() -> None:
 
 @pytest.mark.parametrize("name", ["viscosity", "clearance"])
 def test_slopes_of_an_unworn_film_equal_differences(name: str) -> None:
-    """Also that by clearance, which comes from that by viscosity; within .5 % of the largest, what films of finite cells allow."""
+    """Also that by clearance, which comes from that by viscosity.
+
+    Within .5 % of the largest, what films of finite cells allow.
+    """
     film = journal_equilibrium(RIG.bearings[0].bearing, (0.0, -35.4), RIG.omega, FINE)
     step = 0.005 * getattr(film.bearing, name)
     ends = [
-        journal_equilibrium(replace(film.bearing, **{name: getattr(film.bearing, name) + s}), film.load, film.speed, FINE)
+        journal_equilibrium(
+            replace(film.bearing, **{name: getattr(film.bearing, name) + s}), film.load, film.speed, FINE
+        )
         for s in (step, -step)
     ]
     found = film_slopes(film, [name])
@@ -137,7 +159,10 @@ def test_slopes_of_an_unworn_film_equal_differences(name: str) -> None:
 
 
 def test_slopes_stand_under_their_names() -> None:
-    """The bearing without wear follows viscosity and clearance, not wear; a parameter it has not has slope zero."""
+    """The bearing without wear follows viscosity and clearance, not wear.
+
+    A parameter it has not has slope zero.
+    """
     place = RIG.bearings[0]
     ranges = Ranges(50e-6, 0.3, 1.05, 1.05)
     bearing = tabled(place, (0.0, -35.4), RIG.omega, False, ranges, FilmMesh(*COARSE))

@@ -1,7 +1,8 @@
-"""The worn rig of Mendes et al. (2017): wear seen in the directional response, and found again from it without noise.
+"""The worn rig of Mendes et al. (2017): wear seen in the directional response, and found again from it
+without noise.
 
-Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and bearings as
-published.
+Frame: y horizontal, z up, spin y to z, wear angle from the bottom, positive with the spin. Rotor, loads and
+bearings as published.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ WEAR = [(22.27, 11.0), (22.27, -11.0), (40.19, 8.0), (48.26, 17.0)]
 def rig() -> WornRig:
     diameters = [12, 12, 31, 31, 12, 12, 12, 12, 30, 30, 12, 12, 31, 31, 12]
     lengths = [60, 60, 10, 10, 55, 55, 55, 55, 40, 40, 50, 50, 10, 10, 30]
-    shaft = tuple(ShaftElement(length * 1e-3, diameter * 1e-3) for length, diameter in zip(lengths, diameters, strict=True))
+    shaft = tuple(
+        ShaftElement(length * 1e-3, diameter * 1e-3)
+        for length, diameter in zip(lengths, diameters, strict=True)
+    )
     coupling = Disc.of_dimensions(1, 12e-3, 25e-3, 20e-3, ALUMINIUM)
     rotor = Rotor(shaft, (coupling,), (Sleeve(9, 40e-3), Sleeve(10, 40e-3)), beta=1.6e-4)
     loads = [(float(y), float(z)) for y, z in bearing_loads(rotor, [4, 14], {10: (0.0, -80.0)})]
@@ -39,14 +43,20 @@ def rig() -> WornRig:
 
     def worn_bearing(depth: float, angle: float) -> VaryingSupport:
         found = table.coefficients(dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle), SPEED)
-        return VaryingSupport(Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2])
+        return VaryingSupport(
+            Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2]
+        )
 
-    standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on([Support(4, first.stiffness, first.damping)])
+    standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on(
+        [Support(4, first.stiffness, first.damping)]
+    )
     return WornRig(standing, worn_bearing, 14, 10)
 
 
 def test_real_forces_tie_the_terms_of_the_directional_response(rig: WornRig) -> None:
-    """H_bb(w) = conj H_ff(-w): with real coefficients H(-w) = conj H(w), so H_bb is A^-1 conj(H(-w)) A's other diagonal."""
+    """H_bb(w) = conj H_ff(-w): with real coefficients H(-w) = conj H(w), so H_bb is A^-1 conj(H(-w)) A's
+    other diagonal.
+    """
     h, _ = worn_response(22.27e-6, 0.19, rig)
     d, _ = worn_response(22.27e-6, 0.19, rig, directional=True)
     a = np.array([[1, 1], [-1j, 1j]])
@@ -56,8 +66,13 @@ def test_real_forces_tie_the_terms_of_the_directional_response(rig: WornRig) -> 
 
 
 @pytest.mark.parametrize(("depth", "angle"), WEAR)
-def test_wear_is_found_again_from_at_least_ten_of_twenty_starts(rig: WornRig, depth: float, angle: float) -> None:
-    """Starts [0 15 30 45] um x [-15 -7.5 0 7.5 15] deg of the source; .01 um and .01 deg; complex residuals, exact derivatives."""
+def test_wear_is_found_again_from_at_least_ten_of_twenty_starts(
+    rig: WornRig, depth: float, angle: float
+) -> None:
+    """Starts [0 15 30 45] um x [-15 -7.5 0 7.5 15] deg of the source; .01 um and .01 deg.
+
+    Complex residuals, exact derivatives.
+    """
     scale = np.array([1e-6, np.deg2rad(1)])
     measured, _ = worn_response(depth * 1e-6, np.deg2rad(angle), rig, directional=True)
 
@@ -72,14 +87,24 @@ def test_wear_is_found_again_from_at_least_ten_of_twenty_starts(rig: WornRig, de
 
     found = 0
     for start in product([0.0, 15.0, 30.0, 45.0], [-15.0, -7.5, 0.0, 7.5, 15.0]):
-        fit = least_squares(residual, np.maximum(start, [1.0, -20.0]), jacobian, ([0, -20], [50, 20]), xtol=1e-10, ftol=1e-14, gtol=1e-14)
+        fit = least_squares(
+            residual,
+            np.maximum(start, [1.0, -20.0]),
+            jacobian,
+            ([0, -20], [50, 20]),
+            xtol=1e-10,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
         found += bool(np.all(np.abs(fit.x - (depth, angle)) < 0.01))
     assert found >= 10
 
 
 @pytest.mark.parametrize(("depth", "angle"), [(22.27, 11.0), (40.19, 8.0)])
 def test_derivatives_follow_the_film_itself(rig: WornRig, depth: float, angle: float) -> None:
-    """Centred differences of 2 um and 2 deg in response with coefficients from the film, no table: within 6 % of the largest."""
+    """Centred differences of 2 um and 2 deg in response with coefficients from the film, no table: within 6 %
+    of the largest.
+    """
     load = (0.0, -58.852)
     here = np.array([depth * 1e-6, np.deg2rad(angle)])
 

@@ -1,4 +1,7 @@
-"""Misfits, the search from a mesh of starts, and what the profile of the misfit says; without noise on exact films."""
+"""Misfits, the search from a mesh of starts, and what the profile of the misfit says.
+
+Without noise on exact films.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +81,9 @@ def test_correlated_priors_weigh_by_their_covariance() -> None:
 
 def test_starts_are_the_mesh_moved_off_zero_depth() -> None:
     wear = wear_settings(start_depths=(0.0, 30e-6), start_angles=(-0.1, 0.1))
-    starts = start_mesh(wear, misfit_of(measured(worn_rig()), start_depths=(0.0, 30e-6), start_angles=(-0.1, 0.1)))
+    starts = start_mesh(
+        wear, misfit_of(measured(worn_rig()), start_depths=(0.0, 30e-6), start_angles=(-0.1, 0.1))
+    )
     np.testing.assert_allclose(starts, [[1, -5.73], [1, 5.73], [30, -5.73], [30, 5.73]], atol=0.001)
     healthy = misfit_of(measured(worn_rig()), healthy=True, **NUISANCES)
     (start,) = start_mesh(wear_settings(healthy=True, **NUISANCES), healthy)
@@ -106,7 +111,10 @@ def test_parameters_that_are_held_do_not_move() -> None:
 
 
 def test_minima_at_one_place_are_one() -> None:
-    ones = [Minimum(np.array(p), c, 1, True, 3) for p, c in (([20.0, 5.0], 1.0), ([20.05, 5.02], 1.1), ([40.0, 5.0], 2.0))]
+    ones = [
+        Minimum(np.array(p), c, 1, True, 3)
+        for p, c in (([20.0, 5.0], 1.0), ([20.05, 5.02], 1.1), ([40.0, 5.0], 2.0))
+    ]
     joined = merged(ones)
     assert [one.starts for one in joined] == [2, 1] and joined[0].chi2 == 1.0 and joined[0].evaluations == 6
     # The angle of hardly any wear means nothing.
@@ -123,7 +131,9 @@ def test_profile_interval_of_a_nearly_straight_model_is_the_usual_one(noisy: tup
         interval = profile_interval(misfit, best, number, float(errors[number]))
         here = best.parameters[number]
         assert interval.low < here < interval.high and not interval.open_low and not interval.open_high
-        np.testing.assert_allclose([here - interval.low, interval.high - here], 1.96 * errors[number], rtol=0.15)
+        np.testing.assert_allclose(
+            [here - interval.low, interval.high - here], 1.96 * errors[number], rtol=0.15
+        )
         for end in (interval.low, interval.high):
             assert profile_distance(misfit, best, {number: end}) == pytest.approx(1.96, abs=0.05)
 
@@ -153,7 +163,10 @@ def test_an_interval_ends_at_the_bound_where_nothing_stops_it() -> None:
 
 
 def test_probability_of_no_wear_moves_from_one_to_zero() -> None:
-    """With noise of 2 %: healthy, hardly worn, worn; the same response leaves less uncertainty with less noise."""
+    """With noise of 2 %: healthy, hardly worn, worn.
+
+    The same response leaves less uncertainty with less noise.
+    """
     found = []
     for depth in (0.0, 2.0, 6.0, 22.0):
         misfit = misfit_of(measured(worn_rig(depth, 5.0), 0.02, np.random.default_rng(8)))
@@ -170,7 +183,11 @@ def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.
     misfit, best = refined(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
     refinements: list[bool] = []
     films = WornModel.refined
-    monkeypatch.setattr(WornModel, "refined", lambda model, here, slopes=True: refinements.append(slopes) or films(model, here, slopes))
+    monkeypatch.setattr(
+        WornModel,
+        "refined",
+        lambda model, here, slopes=True: refinements.append(slopes) or films(model, here, slopes),
+    )
     _, healthy = healthy_minimum(misfit, best)
     assert refinements == [False] and not healthy.converged
     assert healthy.chi2 > best.chi2 + 6000 and healthy_probability(misfit, best, healthy.chi2) == 0
@@ -183,6 +200,8 @@ def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[Misfit,
     errors = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))[:2]
     ticks = np.linspace(-4, 4, 17)
     places = [best.parameters[:2] + errors * [a, b] for a in ticks for b in ticks]
-    likelihood = [np.exp(-(profile_distance(misfit, best, {0: place[0], 1: place[1]}) ** 2) / 2) for place in places]
+    likelihood = [
+        np.exp(-(profile_distance(misfit, best, {0: place[0], 1: place[1]}) ** 2) / 2) for place in places
+    ]
     mean = np.sum(likelihood) * (0.5**2 * np.prod(errors)) / (50 * 40)
     assert _peak_share(misfit, best) == pytest.approx(mean, rel=0.15)

@@ -38,7 +38,9 @@ def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> No
 
 
 def test_uncertainty_is_estimated_and_certainty_is_given() -> None:
-    wear = wear_settings(viscosity=Uncertain(0.1, 0.002), clearance=Uncertain(88e-6), beta=Uncertain(1.6e-4, 1e-5))
+    wear = wear_settings(
+        viscosity=Uncertain(0.1, 0.002), clearance=Uncertain(88e-6), beta=Uncertain(1.6e-4, 1e-5)
+    )
     assert wear.nuisances == ("viscosity", "beta") and wear.fixed_values == {"clearance": 88e-6}
     assert wear.nuisance_prior.names == ("viscosity", "beta") and wear.nuisance_prior.mean == (0.1, 1.6e-4)
     np.testing.assert_allclose(wear.nuisance_prior.std, [0.002, 1e-5])
@@ -92,13 +94,19 @@ def test_section_as_people_write_it(pipeline: Path) -> None:
     assert (wear.response, wear.terms, wear.objective, wear.bearing) == ("dFRF", "cross", "log", "bearing 1")
     assert wear.lines == (15.9, 81.3) and wear.depth_limit == pytest.approx(40e-6)
     assert np.rad2deg(wear.start_angles) == pytest.approx([-5, 5])
-    assert wear.nuisance_prior.mean == pytest.approx((90e-6, -2e4)) and wear.nuisance_prior.std == pytest.approx([1.8e-6, 5e3])
+    assert wear.nuisance_prior.mean == pytest.approx(
+        (90e-6, -2e4)
+    ) and wear.nuisance_prior.std == pytest.approx([1.8e-6, 5e3])
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("bearing: bearing 1", "bearing: bearing 3", "p.yaml:7:7: identify.wear.wear.bearing: no bearing 'bearing 3'"),
+        (
+            "bearing: bearing 1",
+            "bearing: bearing 3",
+            "p.yaml:7:7: identify.wear.wear.bearing: no bearing 'bearing 3'",
+        ),
         ("rotors/mendes.yaml", "rotors/mends.yaml", "p.yaml:6:7: identify.wear.wear.rotor: no such file"),
         ("terms: cross", "terms: crss", "did you mean 'cross'"),
         ("depth_limit: 40 um", "depth_limit: 40 deg", "depth_limit"),
@@ -111,7 +119,9 @@ def test_faults_of_the_section_stand_at_their_place(pipeline: Path, old: str, ne
     assert message in str(caught.value)
 
 
-def test_faults_of_the_rotor_file_are_named_with_the_pipeline_s(pipeline: Path, tmp_path: Path, root: Path) -> None:
+def test_faults_of_the_rotor_file_are_named_with_the_pipeline_s(
+    pipeline: Path, tmp_path: Path, root: Path
+) -> None:
     rotor = tmp_path / "broken.yaml"
     rotor.write_text((root / "configs/rotors/mendes.yaml").read_text().replace("count: 4", "cont: 4"))
     pipeline.write_text(pipeline.read_text().replace(str(root / "configs/rotors/mendes.yaml"), "broken.yaml"))

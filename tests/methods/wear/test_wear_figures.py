@@ -26,16 +26,31 @@ FREQUENCY = np.linspace(20.0, 90.0, 8)
 
 def curve(before: bool) -> FittedCurve:
     """Four terms, the fit 10 % and the model before it 40 % above the measured response."""
-    measured = np.multiply.outer(1e-6 * (1 + 0.5j) * (1 + FREQUENCY / 50), np.array([[1.0, 0.2], [-0.2, 0.8]]))
+    measured = np.multiply.outer(
+        1e-6 * (1 + 0.5j) * (1 + FREQUENCY / 50), np.array([[1.0, 0.2], [-0.2, 0.8]])
+    )
     own = 1.4 * measured if before else None
     return FittedCurve(
-        FREQUENCY, measured, 1.1 * measured, variance=None, outputs=("y", "z"), inputs=("y", "z"), form="receptance", before=own
+        FREQUENCY,
+        measured,
+        1.1 * measured,
+        variance=None,
+        outputs=("y", "z"),
+        inputs=("y", "z"),
+        form="receptance",
+        before=own,
     )
 
 
 def fit(region: Region | None = None, before: bool = False) -> Fit:
     depth = Parameter("wear_depth", 22e-6, "m", std_error=0.12e-6, ci95=(21.76e-6, 22.24e-6))
-    angle = Parameter("wear_angle", float(np.deg2rad(11)), "rad", std_error=0.0035, ci95=(float(np.deg2rad(10.6)), float(np.deg2rad(11.4))))
+    angle = Parameter(
+        "wear_angle",
+        float(np.deg2rad(11)),
+        "rad",
+        std_error=0.0035,
+        ci95=(float(np.deg2rad(10.6)), float(np.deg2rad(11.4))),
+    )
     return Fit(
         "wear",
         "worn-bearing",
@@ -96,7 +111,9 @@ def test_tuning_shows_measured_before_and_after_in_one_panel_per_term() -> None:
         np.testing.assert_allclose(drawn["after tuning"] / drawn["measured"], 1.1)
 
 
-@pytest.mark.parametrize(("region", "before", "count"), [(None, False, 0), (REGION, False, 1), (None, True, 1), (REGION, True, 2)])
+@pytest.mark.parametrize(
+    ("region", "before", "count"), [(None, False, 0), (REGION, False, 1), (None, True, 1), (REGION, True, 2)]
+)
 def test_a_fit_has_the_figures_it_has_something_for(region: Region | None, before: bool, count: int) -> None:
     regions = list(_blocks_of_details(fit(region, before)))
     tunings = len(fit_figures(fit(region, before))) - len(fit_figures(fit(region, False)))
@@ -105,7 +122,11 @@ def test_a_fit_has_the_figures_it_has_something_for(region: Region | None, befor
 
 def test_region_and_model_before_tuning_travel_through_the_file(tmp_path: Path) -> None:
     again = through_file(fit(REGION, before=True), tmp_path)
-    assert again.detail(Region) is not None and again.detail(Region).names == REGION.names and again.detail(Region).level == REGION.level
+    assert (
+        again.detail(Region) is not None
+        and again.detail(Region).names == REGION.names
+        and again.detail(Region).level == REGION.level
+    )
     np.testing.assert_array_equal(again.detail(Region).outline, OUTLINE)
     assert again.curve is not None and again.curve.before is not None
     np.testing.assert_array_equal(again.curve.before, curve(True).before)
@@ -120,6 +141,11 @@ def test_a_file_without_them_says_nothing_of_them(tmp_path: Path) -> None:
 
 def test_the_report_holds_both_figures() -> None:
     document = build(Identification((fit(REGION, before=True),), version="1"))
-    captions = [block.caption for section in document.sections for block in section.blocks if isinstance(block, Figure)]
+    captions = [
+        block.caption
+        for section in document.sections
+        for block in section.blocks
+        if isinstance(block, Figure)
+    ]
     assert sum("joint 95 % confidence region" in caption for caption in captions) == 1
     assert sum("before and after its tuning" in caption for caption in captions) == 1

@@ -1,8 +1,10 @@
-"""Intervals of wear against films solved elsewhere: own discretisation, exact complementarity, 960 x 120 (reynolds_reference).
+"""Intervals of wear against films solved elsewhere: own discretisation, exact complementarity, 960 x 120
+(reynolds_reference).
 
-The Mendes rotor on ten states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um, viscosity .08-.12 Pa s, wear
-8-46 um within 18 deg, all drawn; the rotor file of the fit is wrong by draws of 2 % of clearance and 3 % of viscosity. Lines every .25 Hz,
-circular noise of 1 and 2 % of the largest |H| in turn. Starts at the truth: where minima are is tested by itself.
+The Mendes rotor on ten states of its bearings, none of them shipped: speed 40-60 Hz, clearance 75-100 um,
+viscosity .08-.12 Pa s, wear 8-46 um within 18 deg, all drawn; the rotor file of the fit is wrong by draws of
+2 % of clearance and 3 % of viscosity. Lines every .25 Hz, circular noise of 1 and 2 % of the largest |H| in
+turn. Starts at the truth: where minima are is tested by itself.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ RIG = load_rotor(Path(__file__).parents[3] / "configs/rotors/mendes.yaml")
 PORTS = (Port("y", "y", "y"), Port("z", "z", "z"))
 LINES = np.setdiff1d(np.arange(10.0, 100.5, 0.25), [50.0])
 NOISE = (0.01, 0.02)
-# Speed [Hz], clearance [m], viscosity [Pa s], depth [m], angle [rad]; errors of clearance and viscosity in standard deviations.
+# Speed [Hz], clearance [m], viscosity [Pa s], depth [m], angle [rad]; errors of clearance and viscosity in
+# standard deviations.
 State = tuple[float, float, float, float, float, float, float]
 
 
@@ -46,7 +49,9 @@ def states() -> list[State]:
     return drawn
 
 
-def reference(bearing: JournalBearing, load: tuple[float, float], speed: float) -> tuple[np.ndarray, np.ndarray]:
+def reference(
+    bearing: JournalBearing, load: tuple[float, float], speed: float
+) -> tuple[np.ndarray, np.ndarray]:
     sizes = (bearing.diameter, bearing.length, bearing.clearance, bearing.viscosity)
     return coefficients(Bearing(*sizes, depth=bearing.wear_depth, angle=bearing.wear_angle), load, speed)[1:]
 
@@ -57,45 +62,72 @@ def rigs(state: State) -> tuple[RotorRig, RotorRig]:
     bare = replace(RIG, speed=speed)
     true = bare.with_bearings((), clearance=clearance, viscosity=viscosity)
     known = {name: prior.value for name, prior in priors(state).items()}
-    return true.with_bearings(["bearing 2"], wear_depth=depth, wear_angle=angle), bare.with_bearings((), **known)
+    return true.with_bearings(["bearing 2"], wear_depth=depth, wear_angle=angle), bare.with_bearings(
+        (), **known
+    )
 
 
 def priors(state: State) -> dict[str, Uncertain]:
     clearance, viscosity = state[1] / (1 + 0.02 * state[5]), state[2] / (1 + 0.03 * state[6])
-    return {"clearance": Uncertain(clearance, 0.02 * clearance), "viscosity": Uncertain(viscosity, 0.03 * viscosity)}
+    return {
+        "clearance": Uncertain(clearance, 0.02 * clearance),
+        "viscosity": Uncertain(viscosity, 0.03 * viscosity),
+    }
 
 
 def response(rig: RotorRig) -> np.ndarray:
     """H on the lines with the reference's coefficients, (n_line, 2, 2) [m/N]."""
     loads = rig.static_loads()
-    films = [(place.node, *reference(place.film("a test"), loads[place.name], rig.omega)) for place in rig.bearings]
-    free = reduced_rotor(rig.rotor, (*(place.node for place in rig.bearings), rig.force, rig.response), LINES, rig.omega)
+    films = [
+        (place.node, *reference(place.film("a test"), loads[place.name], rig.omega)) for place in rig.bearings
+    ]
+    free = reduced_rotor(
+        rig.rotor, (*(place.node for place in rig.bearings), rig.force, rig.response), LINES, rig.omega
+    )
     return free.on([Support(*film) for film in films]).response(rig.response, rig.force)
 
 
 def errors(state: State, n_draw: int, number: int) -> np.ndarray:
-    """Of every draw: depth and angle, each with error, standard error [SI] and whether the interval holds the truth, (n_draw, 2, 3)."""
+    """Of every draw: depth and angle, each with error, standard error [SI] and whether the interval holds the
+    truth, (n_draw, 2, 3).
+    """
     true, known = rigs(state)
     exact, (depth, angle) = response(true), state[3:5]
-    settings = WearSettings("mendes.yaml", rig=known, start_depths=(depth,), start_angles=(angle,), **priors(state))
+    settings = WearSettings(
+        "mendes.yaml", rig=known, start_depths=(depth,), start_angles=(angle,), **priors(state)
+    )
     rows = []
     for draw in range(n_draw):
         rng, std = np.random.default_rng([1, number, draw]), NOISE[draw % 2] * np.abs(exact).max()
-        matrix = exact + std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)) / np.sqrt(2)
-        measured = FrequencyResponse(LINES, matrix, PORTS, PORTS, covariance=uncorrelated(np.full(exact.shape, std**2)))
+        matrix = exact + std * (
+            rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)
+        ) / np.sqrt(2)
+        measured = FrequencyResponse(
+            LINES, matrix, PORTS, PORTS, covariance=uncorrelated(np.full(exact.shape, std**2))
+        )
         (fit,) = identify(measured, FitSettings("worn-bearing", model_settings=settings, name="wear"))
         rows.append([])
         for name, truth in (("wear_depth", depth), ("wear_angle", angle)):
             parameter = fit.parameter(name)
             assert parameter.std_error is not None and parameter.ci95 is not None
-            rows[-1].append((parameter.value - truth, parameter.std_error, parameter.ci95[0] <= truth <= parameter.ci95[1]))
+            rows[-1].append(
+                (
+                    parameter.value - truth,
+                    parameter.std_error,
+                    parameter.ci95[0] <= truth <= parameter.ci95[1],
+                )
+            )
     return np.array(rows, float)
 
 
 @pytest.mark.parametrize("depth", [0.0, 22.27e-6, 40.19e-6])
 def test_two_independent_films_agree(depth: float) -> None:
-    """.15 % of the largest coefficient between labpipe on 480 x 60 and the reference on 480 x 60 and 960 x 120."""
-    worn = JournalBearing(diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044, wear_depth=depth, wear_angle=0.15)
+    """.15 % of the largest coefficient between labpipe on 480 x 60 and the reference on 480 x 60 and 960 x
+    120.
+    """
+    worn = JournalBearing(
+        diameter=31e-3, length=18e-3, clearance=90e-6, viscosity=0.1044, wear_depth=depth, wear_angle=0.15
+    )
     ours = journal_equilibrium(worn, (0.0, -58.82), 100 * np.pi, FilmMesh(480, 60))
     theirs = reference(worn, (0.0, -58.82), 100 * np.pi)
     for film, other in zip((ours.stiffness, ours.damping), theirs, strict=True):
@@ -104,17 +136,21 @@ def test_two_independent_films_agree(depth: float) -> None:
 
 @pytest.mark.long
 def test_the_error_of_the_films_is_in_the_standard_error() -> None:
-    """Where wear divides the film (25.9 um here) intervals of the noise alone missed the depth in ten of ten draws, by .32 um."""
+    """Where wear divides the film (25.9 um here) intervals of the noise alone missed the depth in ten of ten
+    draws, by .32 um.
+    """
     ((depth, angle),) = errors(states()[8], 1, 8)
     assert abs(depth[0]) < 0.2e-6 and abs(depth[0]) < 2 * depth[1] and depth[2] and angle[2]
 
 
 @pytest.mark.long
 def test_intervals_hold_the_truth_under_noise() -> None:
-    """40 draws: of the depths 94 % or more, .15 um rms; of the angles within the central 99 % of a binomial with 95 %.
+    """40 draws: of the depths 94 % or more, .15 um rms; of the angles within the central 99 % of a binomial
+    with 95 %.
 
-    Error over standard error near one. Over 100 draws 97 and 92 %, films of half the cells and no part of the mesh 87 and 92 %. The angle's
-    error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among wears above 20 um .15 deg rms at 1 %.
+    Error over standard error near one. Over 100 draws 97 and 92 %, films of half the cells and no part of the
+    mesh 87 and 92 %. The angle's error is that of the noise: .1 deg for deep wear, .5 deg for 12 um; among
+    wears above 20 um .15 deg rms at 1 %.
     """
     drawn = states()
     found = np.array([errors(state, 4, number) for number, state in enumerate(drawn)])
@@ -123,7 +159,10 @@ def test_intervals_hold_the_truth_under_noise() -> None:
     deep = np.array([state[3] > 20e-6 for state in drawn])
     deep_angle = np.rad2deg(np.sqrt(np.mean(found[deep, ::2, 1, 0] ** 2)))
     ratio = np.sqrt(np.mean((found[..., 0] / found[..., 1]) ** 2, axis=(0, 1)))
-    print(f"\nheld {held}, rms {1e6 * rms[0]:.3f} um {np.rad2deg(rms[1]):.3f} deg, deep at 1 % {deep_angle:.3f} deg, error/se {ratio}")
+    print(
+        f"\nheld {held}, rms {1e6 * rms[0]:.3f} um {np.rad2deg(rms[1]):.3f} deg, deep at 1 % "
+        f"{deep_angle:.3f} deg, error/se {ratio}"
+    )
     assert held[0] >= 0.94 and held[1] >= stats.binom.ppf(0.005, 40, 0.95) / 40
     assert rms[0] <= 0.15e-6 and deep_angle <= 0.15
     assert np.all(ratio < 1.2)

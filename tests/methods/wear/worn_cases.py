@@ -1,4 +1,6 @@
-"""A small wear rig that the tests of the wear identification share: coarse oil films, so that a table takes a second."""
+"""A small wear rig that the tests of the wear identification share: coarse oil films, so that a table takes a
+second.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 
 RIG = load_rotor(Path(__file__).parents[3] / "configs/rotors/mendes.yaml")
-# The fits refine on films of four times the cells of their tables around, twice those across; the truth has those, so that a fit
-# without noise is exact.
+# The fits refine on films of four times the cells of their tables around, twice those across; the truth has
+# those, so that a fit without noise is exact.
 COARSE, FINE = (48, 8), FilmMesh(192, 16)
 LINES = np.array([15.9, 20.5, 25.1, 29.7, 34.3, 78.1, 79.7, 81.3, 82.9, 84.5, 86.1, 87.7])
 Y, Z = Port("y", "y", "y"), Port("z", "z", "z")
@@ -32,7 +34,13 @@ SCALE = np.array([1e-6, np.deg2rad(1.0)])
 
 def wear_settings(**changes: object) -> WearSettings:
     """Settings with the rig in place and coarse films."""
-    given = {"rotor": "mendes.yaml", "rig": RIG, "cells_around": COARSE[0], "cells_across": COARSE[1], **changes}
+    given = {
+        "rotor": "mendes.yaml",
+        "rig": RIG,
+        "cells_around": COARSE[0],
+        "cells_across": COARSE[1],
+        **changes,
+    }
     return WearSettings(**given)  # type: ignore[arg-type]
 
 
@@ -47,13 +55,22 @@ def worn_rig(depth: float = 0.0, angle: float = 0.0, **bearing: float) -> RotorR
 
 
 def measured(
-    rig: RotorRig, noise: float = 0.0, rng: np.random.Generator | None = None, lines: np.ndarray = LINES, known: bool = True
+    rig: RotorRig,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+    lines: np.ndarray = LINES,
+    known: bool = True,
 ) -> FrequencyResponse:
-    """Its response with circular noise of *noise* times the largest |H|; of 1e-6 times, but not added, where there is none."""
+    """Its response with circular noise of *noise* times the largest |H|.
+
+    Of 1e-6 times, but not added, where there is none.
+    """
     matrix = receptance(rig, lines, FINE)
     std = (noise or 1e-6) * np.abs(matrix).max()
     if noise and rng is not None:
-        matrix = matrix + std * (rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape)) / np.sqrt(2)
+        matrix = matrix + std * (
+            rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape)
+        ) / np.sqrt(2)
     covariance = uncorrelated(np.full(matrix.shape, std**2)) if known else None
     return FrequencyResponse(lines, matrix, PORTS, PORTS, covariance=covariance)
 
@@ -63,9 +80,15 @@ def misfit_of(found: FrequencyResponse, **changes: object) -> Misfit:
     settings = fit_settings(**changes)
     assert settings.model_settings is not None
     data: WornReceptance = worn_receptance(found, settings, settings.model_settings)
-    return MISFITS[settings.model_settings.objective](worn_model(settings.model_settings, data.frequency), data)
+    return MISFITS[settings.model_settings.objective](
+        worn_model(settings.model_settings, data.frequency), data
+    )
 
 
-def turned(response: FrequencyResponse, ports: tuple[Port, Port], left: np.ndarray, right: np.ndarray) -> FrequencyResponse:
+def turned(
+    response: FrequencyResponse, ports: tuple[Port, Port], left: np.ndarray, right: np.ndarray
+) -> FrequencyResponse:
     """The response L H R under other ports, without covariance."""
-    return replace(response, matrix=left @ response.matrix @ right, outputs=ports, inputs=ports, covariance=None)
+    return replace(
+        response, matrix=left @ response.matrix @ right, outputs=ports, inputs=ports, covariance=None
+    )

@@ -1,1 +1,3 @@
-"""What a package can add to labpipe: a reader, an estimator, a bearing, a virtual rig, a run-up method, a section."""
+"""What a package can add to labpipe: a reader, an estimator, a bearing, a virtual rig, a run-up method, a
+section.
+"""

@@ -1,4 +1,6 @@
-"""A method for run-ups: all eight coefficients of the rotor file's bearing times one factor, the same at every load and speed."""
+"""A method for run-ups: all eight coefficients of the rotor file's bearing times one factor, the same at
+every load and speed.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ REJECTED = 1e-3
 
 @dataclass(frozen=True)
 class CommonFactor:
-    """The *factor* on the start coefficients, its standard error, and the sum of squares over all *n_datum* real data."""
+    """The *factor* on the start coefficients, its standard error, and the sum of squares over all *n_datum*
+    real data.
+    """
 
     rig: RunUpRotor
     factor: float
@@ -53,13 +57,18 @@ class CommonFactor:
         return self.factor - self.std_error, self.factor, self.factor + self.std_error
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The eight coefficients and their standard errors (n_speed, 8) [N/m, N.s/m] at any load [N] and speed [rad/s]."""
+        """The eight coefficients and their standard errors (n_speed, 8) [N/m, N.s/m] at any load [N] and
+        speed [rad/s].
+        """
         start = as_eight(*self.rig.start_coefficients(load, speed))
         return self.factor * start, self.std_error * np.abs(start)
 
 
 def fit_common_factor(rig: RunUpRotor, runs: Sequence[RunUp]) -> CommonFactor:
-    """min |r(p)|^2 over the responses r with the coefficients exp(p) times those of the rotor file; FitError without a minimum."""
+    """min |r(p)|^2 over the responses r with the coefficients exp(p) times those of the rotor file.
+
+    FitError without a minimum.
+    """
     groups = runs_by_load(rig, runs)
     exponent = 0.0
     for _ in range(MOST_STEPS):
@@ -69,13 +78,19 @@ def fit_common_factor(rig: RunUpRotor, runs: Sequence[RunUp]) -> CommonFactor:
         if abs(step) * np.linalg.norm(slope) < SMALL:
             break
     else:
-        raise FitError("no common factor was found", hint="check unbalance, phases, standard errors and the rotor file")
+        raise FitError(
+            "no common factor was found", hint="check unbalance, phases, standard errors and the rotor file"
+        )
     residual, slope = residual_and_slope(rig, groups, exponent)
     factor = float(np.exp(exponent))
-    return CommonFactor(rig, factor, factor / float(np.linalg.norm(slope)), float(residual @ residual), residual.size)
+    return CommonFactor(
+        rig, factor, factor / float(np.linalg.norm(slope)), float(residual @ residual), residual.size
+    )
 
 
-def residual_and_slope(rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: float) -> tuple[FloatArray, FloatArray]:
+def residual_and_slope(
+    rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: float
+) -> tuple[FloatArray, FloatArray]:
     """Computed less measured over the standard errors (n_datum,), and its derivative by the exponent."""
     residuals, slopes = [], []
     for group in groups:
@@ -87,7 +102,9 @@ def residual_and_slope(rig: RunUpRotor, groups: Sequence[LoadRuns], exponent: fl
 
 
 def solve_common_factor(rig: RunUpRotor, trained: Sequence[RunUp], settings: RunUpSettings) -> Solved:  # noqa: ARG001 (one signature)
-    """The method as labpipe asks for it: its record, what predicts every run, and the fit that metamodels can ask."""
+    """The method as labpipe asks for it: its record, what predicts every run, and the fit that metamodels can
+    ask.
+    """
     fit = fit_common_factor(rig, trained)
     method = RunUpMethod(
         NAME,
@@ -131,7 +148,9 @@ def _at(fit: CommonFactor, rotor: RunUpRotor, run: RunUp) -> AtLoad:
 
     def threshold() -> Uncertain | None:
         low, middle, high = (rotor.threshold(scaled(factor)) for factor in fit.about)
-        return None if low is None or middle is None or high is None else Uncertain(middle, abs(high - low) / 2)
+        return (
+            None if low is None or middle is None or high is None else Uncertain(middle, abs(high - low) / 2)
+        )
 
     eight, error = fit.coefficients(run.load, run.speed)
     if fit.rejected:

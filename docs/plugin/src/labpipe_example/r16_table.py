@@ -1,4 +1,6 @@
-"""Files of a small logger: one line of JSON, then 16-bit numbers, channel after channel within each sample."""
+"""Files of a small logger: one line of JSON, then 16-bit numbers, channel after channel within each
+sample.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ CHUNK_ROWS = 1 << 16
 
 
 class R16Table:
-    """Columns by name, units and rate as the file states them, read in chunks. Satisfies labpipe.raw_files.table.Table."""
+    """Columns by name, units and rate as the file states them, read in chunks.
+
+    Satisfies labpipe.raw_files.table.Table.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path

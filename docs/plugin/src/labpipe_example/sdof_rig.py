@@ -1,4 +1,6 @@
-"""A virtual rig: one mass on a spring and a damper under a multisine, recorded as force and displacement with noise."""
+"""A virtual rig: one mass on a spring and a damper under a multisine, recorded as force and displacement with
+noise.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ CHANNELS = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "o
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualSdofRig(Settings):
-    """What a file of this rig holds; *force_noise* and *displacement_noise* are standard deviations of a sample."""
+    """What a file of this rig holds.
+
+    *force_noise* and *displacement_noise* are standard deviations of a sample.
+    """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     name: str = setting("text", "name of the rig", default="Virtual rig of one mass")
@@ -38,7 +43,9 @@ class VirtualSdofRig(Settings):
         if min(self.mass, self.stiffness, self.damping) <= 0:
             raise ConfigError("mass, stiffness and damping must be positive")
         if self.periods < 2:
-            raise ConfigError("'periods' must be at least 2", hint="the noise is what differs between periods")
+            raise ConfigError(
+                "'periods' must be at least 2", hint="the noise is what differs between periods"
+            )
 
 
 def recordings(rig: VirtualSdofRig, seed: int, runs: Sequence[str]) -> list[Recording]:
@@ -78,7 +85,9 @@ def _logged(run: Recording) -> LoggedTable:
 
 def at_level(rig: VirtualSdofRig, level: float) -> VirtualSdofRig:
     """The rig with *level* times its noise."""
-    return replace(rig, force_noise=level * rig.force_noise, displacement_noise=level * rig.displacement_noise)
+    return replace(
+        rig, force_noise=level * rig.force_noise, displacement_noise=level * rig.displacement_noise
+    )
 
 
 SDOF_RIG = VirtualRigKind(

@@ -14,7 +14,10 @@ from labpipe.records.settings import Settings, setting
 
 @dataclass(frozen=True, kw_only=True)
 class SqueezeFilm(Settings):
-    """What a squeeze-film file holds; every entry is read with its unit, and refused at its place when it cannot be."""
+    """What a squeeze-film file holds.
+
+    Every entry is read with its unit, and refused at its place when it cannot be.
+    """
 
     kind: str = setting("choice", "which kind of bearing", choices=("squeeze-film-damper",))
     name: str = setting("text", "name of the damper", default="")
@@ -31,7 +34,8 @@ class SqueezeFilm(Settings):
 
 
 def coefficients(settings: Sequence[SqueezeFilm]) -> list[BearingCoefficients]:
-    """k = 2 mu R L^3 w e / (c^3 (1 - e^2)^2), c = pi mu R L^3 / (2 c^3 (1 - e^2)^(3/2)), alike in all directions.
+    """k = 2 mu R L^3 w e / (c^3 (1 - e^2)^2), c = pi mu R L^3 / (2 c^3 (1 - e^2)^(3/2)), alike in all
+    directions.
 
     Short bearing, half film, circular centred orbit (Vance 1988, Rotordynamics of Turbomachinery, ch. 6).
     """
