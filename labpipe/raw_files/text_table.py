@@ -95,10 +95,9 @@ class SqueezedBlanks(io.RawIOBase):
 
 DAY = 86400.0
 _STAMP = re.compile(
-    r"""\s*"?(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T
-    ]\s*)?(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)
-    """
-    r"""\s*(?P<half>[AP]M)?\s*(?:Z|[+-]\d\d:?\d\d)?"?\s*""",
+    r"\s*\"?(?:(?P<date>\d{1,4}[-./]\d{1,2}[-./]\d{1,4})[T ]\s*)?"
+    r"(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)"
+    r"\s*(?P<half>[AP]M)?\s*(?:Z|[+-]\d\d:?\d\d)?\"?\s*",
     re.IGNORECASE,
 )
 
@@ -375,6 +374,8 @@ class CsvTable:
         self.columns = tuple(name for name in self.layout.names if name)
         self.units = self.layout.units
         self.sample_rate: float | None = None
+        # Of lines that are appended: times of day go on.
+        self._clocks: dict[str, StampClock] | None = None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
@@ -385,7 +386,7 @@ class CsvTable:
         clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
             with self._bytes() as source:
-                for batch in self._open(source, fields):
+                for batch in self._open(source, fields, self.layout.first_line):
                     if batch.num_rows:
                         yield np.array(
                             [self._numbers(batch.column(field), clocks.get(field)) for field in fields]
@@ -398,7 +399,29 @@ class CsvTable:
         except OSError as error:
             raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
-    def _open(self, source: Any, fields: list[str]) -> pc.CSVStreamingReader:
+    def rows_of(self, text: bytes, columns: Sequence[str]) -> FloatArray:
+        """The numbers (n, n_column) [unit of the file] of whole lines that follow in a file that grows."""
+        fields = [str(self.layout.names.index(name)) for name in columns]
+        if self._clocks is None:
+            self._clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+        source: Any = io.BytesIO(text)
+        if self.layout.delimiter == BLANKS:
+            source = SqueezedBlanks(source, self.layout.encoding)
+        try:
+            batches = list(self._open(source, fields, 0))
+        except pa.ArrowInvalid as error:
+            reason = cut(str(error).splitlines()[0])
+            raise DataError(
+                f"a line that was appended cannot be read: {reason}", where=str(self.path)
+            ) from None
+        rows = [
+            np.array([self._numbers(batch.column(field), self._clocks.get(field)) for field in fields]).T
+            for batch in batches
+            if batch.num_rows
+        ]
+        return np.concatenate([np.empty((0, len(fields))), *rows])
+
+    def _open(self, source: Any, fields: list[str], skipped: int) -> pc.CSVStreamingReader:
         layout = self.layout
         encoding = (
             "utf8" if layout.encoding.startswith("utf-8") or layout.delimiter == BLANKS else layout.encoding
@@ -408,7 +431,7 @@ class CsvTable:
             source,
             pc.ReadOptions(
                 block_size=BLOCK_BYTES,
-                skip_rows=layout.first_line,
+                skip_rows=skipped,
                 column_names=[str(n) for n in range(n_field)],
                 encoding=encoding,
             ),

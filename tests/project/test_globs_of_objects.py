@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.project.tests import _matches
+from labpipe.project.settings_reader import _matches
 
 FILES = (
     "a.csv",

@@ -23,7 +23,7 @@ from labpipe.project.executors import Work, batch_size, in_processes, on_cluster
 from labpipe.project.one_test import Done, Job
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner, run
-from labpipe.project.tests import conditions_in
+from labpipe.project.settings_reader import conditions_in
 
 RIG = """name: Test rig
 time: "t [s]"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import ConfigErrors
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
-from labpipe.project.tests import conditions_in
+from labpipe.project.settings_reader import conditions_in
 
 RIG = (
     "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: "

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.bearings.kinds import PressureField
 from labpipe.methods.journal_bearing.report import film_figure
-from labpipe.methods.run_ups.report import CoefficientSurfaces
+from labpipe.methods.run_ups.figures import CoefficientSurfaces
 from labpipe.records.fit_details import Modes
 from labpipe.records.geometry import Geometry
 from labpipe.report.chart import (

@@ -226,11 +226,8 @@ def _reported(
         f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
         "loop biases its FRF"
     )
-    mismatch = (
-        (Finding("model-mismatch", f"{excess}; `frf: {{reference: r}}` where the loop is closed"),)
-        if factor > 1
-        else ()
-    )
+    cure = "`frf: {reference: r}` where the loop is closed"
+    mismatch = [Finding("model-mismatch", f"{excess}; {cure}")] if factor > 1 else []
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))

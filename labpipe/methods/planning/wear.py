@@ -41,9 +41,6 @@ from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_wi
 from labpipe.records.settings import Settings, setting
 from labpipe.records.uncertain import Uncertain
 
-# The ``plan:`` section for wear: at which speeds, loads and in which bands a worn rotor could be tested,
-# and what is wanted.
-
 WORN = "worn-bearing"
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Canvas
 from mpl_toolkits.mplot3d import Axes3D
 
 from labpipe.document.charts import styled
-from labpipe.methods.run_ups.report import CoefficientSurfaces
+from labpipe.methods.run_ups.figures import CoefficientSurfaces
 
 
 def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> Canvas:

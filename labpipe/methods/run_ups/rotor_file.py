@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -125,13 +126,8 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     unbalances = tuple(
         Unbalance(unbalance.node, unbalance.size, unbalance.phase) for _, unbalance in lists["unbalances"]
     )
-    rest = {
-        "pins": pins,
-        "planes": planes,
-        "unbalances": unbalances,
-        "tabulated": tabulated,
-        "speeds": speeds,
-    }
+    rest: dict[str, Any] = {"pins": pins, "planes": planes, "unbalances": unbalances}
+    rest |= {"tabulated": tabulated, "speeds": speeds}
     return tried(lambda: RunUpRotor(settings.name or stem, rotor, place=place, **rest), tree, "", faults)
 
 

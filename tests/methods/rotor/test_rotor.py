@@ -26,8 +26,8 @@ discs:
   - {node: 4, inner_diameter: 20 mm, outer_diameter: 60 mm, length: 10 mm, material: aluminium}
 bearings:
   - {node: 1, kind: journal-bearing, diameter: 20 mm, length: 10 mm, clearance: 50 um, viscosity: 50 mPa.s}
-  - {name: right, node: 5, kind: journal-bearing, diameter: 30 mm, length: 10 mm, clearance: 50 um,
-     viscosity: 50 mPa.s}
+  - {name: right, node: 5, kind: journal-bearing, viscosity: 50 mPa.s, diameter: 30 mm,
+     length: 10 mm, clearance: 50 um}
 loads:
   - {node: 3, y: 5 N, z: -10 N}
   - {node: 3, z: -10 N}
@@ -133,8 +133,8 @@ def test_overrides_and_the_rig_with_other_bearings(small: Path) -> None:
             12,
             "bearings.1.clearance: is missing",
         ),
-        ("{node: 3, z: -10 N}", "{node: 8, z: -10 N}", 16, "nodes 1 to 5"),
-        ("size: 20 g.mm", "sise: 20 g.mm", 18, "did you mean 'size'"),
+        ("{node: 3, z: -10 N}", "{node: 8, z: -10 N}", 17, "nodes 1 to 5"),
+        ("size: 20 g.mm", "sise: 20 g.mm", 19, "did you mean 'size'"),
         ("force: 3", "force: 33", 1, "the force sits on node 33"),
         ("speed: 3000 rpm", "speed: 0 rpm", 1, "speed above zero"),
         ("count: 3", "count: 0", 6, "count: from 1"),
@@ -169,7 +169,7 @@ def test_all_faults_of_a_file_are_named_at_once(small: Path) -> None:
 @pytest.mark.parametrize("key", ["elements", "bearings"])
 def test_what_a_rotor_needs(small: Path, key: str) -> None:
     start = SMALL.index(f"{key}:")
-    end = SMALL.index("\n", SMALL.rindex("- {", start, SMALL.index(":\n", start + len(key) + 2)))
+    end = SMALL.index("}\n", SMALL.rindex("- {", start, SMALL.index(":\n", start + len(key) + 2))) + 1
     small.write_text(SMALL[:start] + SMALL[end + 1 :])
     with pytest.raises(ConfigError, match=f"{key}: is missing"):
         load_rotor(small)

@@ -14,10 +14,14 @@ from labpipe.methods.run_ups.figures import (
     best_method,
     bode_figure,
     cascade_figure,
+    coefficient_figure,
+    convergence_figure,
     orbit_figure,
     orbit_places,
     polar_figure,
     speeds_figure,
+    spread_figure,
+    surface_figures,
 )
 from labpipe.methods.run_ups.records import (
     Amount,
@@ -36,14 +40,10 @@ from labpipe.methods.run_ups.records import (
 )
 from labpipe.methods.run_ups.report import (
     both_differences,
-    coefficient_figure,
     coefficient_table,
-    convergence_figure,
     rpm_text,
     run_up_sections,
     speed_blocks,
-    spread_figure,
-    surface_figures,
     uncertainty_blocks,
 )
 from labpipe.records.finding import Finding, Parameter
