@@ -427,6 +427,18 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
     return replace(pipeline, tests=()), per_file[0]
 
 
+def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
+    """The pipeline of a test that is followed while it runs: its recordings are not read, its rig file is.
+
+    Errors as of `load_pipeline`.
+    """
+
+    def to_come(reader: TestReader) -> tuple[Test, ...]:
+        return () if reader.rig is None else (Test("", (SourceFile(path, reader.rig),)),)
+
+    return replace(_loaded(path, overrides, to_come), tests=())
+
+
 def _loaded(
     path: Path, overrides: Iterable[str], tests_of: Callable[[TestReader], tuple[Test, ...]]
 ) -> Pipeline:
@@ -522,8 +534,10 @@ def _check_whole(
     tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
     """Faults of the file as a whole: no work, missing sections."""
-    if not any(key in entries for key in RECORDED) and not any(
-        entry.standalone for _, entry in sections(entries)
+    if (
+        not tests
+        and not any(key in entries for key in RECORDED)
+        and not any(entry.standalone for _, entry in sections(entries))
     ):
         work = (*RECORDED, *(name for name, entry in sections() if entry.standalone))
         faults.add(tree, "", "nothing to work on", f"name {', '.join(work[:-1])} or {work[-1]}")

@@ -15,6 +15,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import unique
+from labpipe.registry import nearest
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -129,6 +130,31 @@ class TdmsTable:
     def _damaged(self, error: Exception) -> DataError:
         reason = (str(error).splitlines() or ["cut off"])[0].rstrip(".")
         return DataError(f"is not a readable TDMS file ({reason[:80]})", where=str(self.path))
+
+
+def growing_rows(
+    path: Path, columns: Sequence[str], first: int, most: int
+) -> tuple[FloatArray, float | None]:
+    """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
+    written, and its rate [Hz].
+
+    A last segment that is not whole yet counts as far as it goes. DataError for a column that is not there.
+    """
+    log_manager.set_level(logging.ERROR)
+    try:
+        with path.open("rb") as stream, TdmsFile.open(stream) as file:
+            channels = {c.name: c for group in file.groups() for c in group.channels()}
+            channels.update({f"{c.group_name}/{c.name}": c for c in list(channels.values())})
+            for name in columns:
+                if name not in channels:
+                    raise DataError(f"no column '{name}'", where=str(path), hint=nearest(name, channels))
+            chosen = [channels[name] for name in columns]
+            last = min(first + most, *(len(channel) for channel in chosen))
+            rows = [np.asarray(channel[first:last], float) for channel in chosen]
+            return np.array(rows).reshape(len(columns), -1).T, _rate(chosen, path)
+    except _BROKEN:
+        # Between two writes.
+        return np.empty((0, len(columns))), None
 
 
 def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:

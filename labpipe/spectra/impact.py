@@ -91,15 +91,19 @@ def find_hits(
                 search = trigger
                 break
             samples = window[start - begin : start - begin + n_sample]
-            yield _judged(number, start, samples, trigger - start, force, settings)
+            yield judged_hit(number, start, samples, trigger - start, force, settings)
             number, search = number + 1, start + n_sample
         keep = max(min(search - before, latest, begin + window.shape[0]), begin)
         window, begin = window[keep - begin :], keep
 
 
-def _judged(
+def judged_hit(
     number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings
 ) -> Hit:
+    """The hit in a block of samples *raw* (n_sample, n_channel) [SI], with the reason to leave it out.
+
+    *trigger*: sample at which the force in column *force* rises.
+    """
     offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
     samples = raw - offset
     if number in settings.reject:

@@ -332,6 +332,20 @@ class FrfSettings(Settings):
         return by_excitation.get(self.excitation, SPECTRA if self.result == SPECTRA else RESPONSES)
 
     @property
+    def single_averages(self) -> bool:
+        """Whether H follows from the amplitudes of single periods or hits alone: no window, reference or
+        lines of the shaft, and the force is taken as exact.
+        """
+        others = (self.directional, self.reference, self.mask, self.remove, self.realisations)
+        return (
+            self.excitation in ("periodic", "impact")
+            and self.gives == RESPONSES
+            and self.damping_window is None
+            and self.estimator == ESTIMATORS[0]
+            and not any(others)
+        )
+
+    @property
     def damping_window(self) -> float | None:
         """Time constant [s] of the exponential window that the blocks of hits have in the end, whoever
         applied it; None for none.

@@ -1,0 +1,260 @@
+"""Self-starting charts of a running fit, and the forecast of how long it still takes.
+
+Each new average is held against the fit before it. A chart needs no phase of learning: a series is
+studentised by its own past, beside what theory expects of it. Together they raise a false alarm in at most
+one sound test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) for their limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import optimize, stats
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.methods.live.running_fit import HALF_WIDTH, Estimate, HitSums, RunningFit, Sums
+
+# Probability of a false alarm in a whole test of so many averages.
+ALPHA, HORIZON = 0.01, 50
+# Shares of it: a jump of the energy, of the scores, slow changes, scores that follow the level.
+ENERGY_JUMP, SCORE_JUMP, CHANGE, LEVEL = 0.2, 0.3, 0.4, 0.1
+# What theory expects of a series counts as so many averages; past values beyond this count as this.
+PRIOR, CLIPPED_PAST = 6, 3.0
+# Cumulative sums: half the change they are made for, and the largest step [standard deviations].
+SLACK, LARGEST_STEP = 0.5, 4.0
+# Averages that may be dropped as isolated faults, as a share.
+MOST_DROPPED = 0.2
+LEVEL_LOOKS = (8, 16, 32, 64)
+# Overshoot of a cumulative sum beyond its limit, both ends together (Siegmund 1985).
+OVERSHOOT = 1.166
+
+
+def cusum_limit(alarm: float, horizon: int = HORIZON, slack: float = SLACK) -> float:
+    """Limit h of a two-sided cumulative sum that raises a false alarm within *horizon* averages with the
+    probability *alarm* [1].
+
+    Run length of one side (exp(2 k b) - 2 k b - 1) / (2 k^2), b = h + 1.166 (Siegmund 1985).
+    """
+
+    def excess(b: float) -> float:
+        return (np.expm1(2 * slack * b) - 2 * slack * b) / (2 * slack**2) - 2 * horizon / alarm
+
+    return float(optimize.brentq(excess, 0.1, 60.0)) - OVERSHOOT
+
+
+@dataclass
+class Series:
+    """Normal scores of a series whose values theory expects to have the mean 0 and the deviation 1."""
+
+    past: list[float] = field(default_factory=list)
+    above: float = 0.0
+    below: float = 0.0
+    # Average since which each sum is positive.
+    since: list[int] = field(default_factory=lambda: [0, 0])
+
+    def score(self, value: float) -> float:
+        """The normal score of the next *value*, studentised by the values before it."""
+        dof = PRIOR + len(self.past)
+        spread = np.sqrt((PRIOR + sum(entry**2 for entry in self.past)) / dof)
+        size = float(stats.norm.isf(max(stats.t.sf(abs(value) / spread, dof), 1e-300)))
+        return float(np.copysign(size, value))
+
+    def take(self, value: float, score: float, number: int) -> None:
+        """Keep a value that was no isolated fault, and move the cumulative sums by its *score*."""
+        self.past.append(float(np.clip(value, -CLIPPED_PAST, CLIPPED_PAST)))
+        step = float(np.clip(score, -LARGEST_STEP, LARGEST_STEP))
+        if self.above == 0:
+            self.since[0] = number
+        if self.below == 0:
+            self.since[1] = number
+        self.above, self.below = max(0.0, self.above + step - SLACK), max(0.0, self.below - step - SLACK)
+
+    def changed_since(self, limit: float) -> int | None:
+        """The average since which the series has moved, None while it has not."""
+        if max(self.above, self.below) <= limit:
+            return None
+        return self.since[0] if self.above >= self.below else self.since[1]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the charts say of a new average: it is a *jump* to be left out; *change* since that average;
+    *with_level*: the coefficients follow the level of the hits.
+    """
+
+    jump: bool = False
+    change: int | None = None
+    with_level: bool = False
+
+
+class Charts:
+    """The charts of one running fit."""
+
+    def __init__(self, fit: RunningFit) -> None:
+        self._fit = fit
+        self._energy = Series()
+        self._scores = [Series() for _ in fit.equation.model.names]
+        self._pairs: list[tuple[float, FloatArray]] = []
+        self._change_limit = cusum_limit(CHANGE * ALPHA / (len(self._scores) + 1))
+
+    def monitors(self, z: ComplexArray, sums: Sums, before: Estimate) -> tuple[FloatArray, float]:
+        """Whitened shift r (n_parameter,) of the coefficients by the average *z* (n_line, n_experiment,
+        n_channel) against the fit *before*, and its energy T [1].
+        """
+        mean, covariance = sums.mean, sums.covariance()
+        _, inverse, _, slopes, weighted = self._fit.parts(mean, covariance, before.values)
+        if isinstance(sums, HitSums):
+            share = np.abs(z[..., -1]) ** 2 / sums.force_power
+            z = z / z[..., -1:]
+        else:
+            share = np.full(z.shape[:2], 1.0 / sums.n)
+        residual = (self._fit.equation.gain(before.values)[:, None] @ z[..., None])[..., 0]
+        n_parameter = slopes.shape[-1]
+        flat = (weighted * share[..., None, None]).reshape(-1, n_parameter)
+        gradient = 2 * (flat.conj().T @ residual.reshape(-1)).real
+        information = 2 * (flat.conj().T @ slopes.reshape(-1, n_parameter)).real
+        scale = np.sqrt(np.diag(before.information))
+        both = np.outer(scale, scale)
+        own, others = (
+            np.linalg.pinv(matrix / both, hermitian=True) for matrix in (information, before.information)
+        )
+        shift = -own @ (gradient / scale)
+        whitened = np.linalg.solve(np.linalg.cholesky(own + others), shift)
+        energy = np.sum(
+            share * np.sum((residual.conj() * (inverse @ residual[..., None])[..., 0]).real, axis=2)
+        )
+        return whitened, float(energy / residual.size)
+
+    def judge(self, z: ComplexArray, sums: Sums, before: Estimate, level: float) -> Verdict:
+        """The verdict on the next average *z* (n_line, n_experiment, n_channel) [channels' units].
+
+        *level*: size of its force [N].
+        """
+        number, n_parameter = sums.n + 1, len(self._scores)
+        if number < 3:
+            return Verdict()
+        whitened, energy = self.monitors(z, sums, before)
+        size = z.shape[0] * z.shape[1] * self._fit.equation.n_output
+        smoothed = (number - 2) * (2 * HALF_WIDTH + 1)
+        expected = smoothed / max(smoothed - self._fit.equation.n_output, 1)
+        expected *= 1 + n_parameter / (2 * size * (number - 1))
+        variance = (1 + 1 / (number - 2)) / size
+        # The logarithm of a mean of squares is nearly normal.
+        raised = float((np.log(energy) - np.log(expected) + variance / 2) / np.sqrt(variance))
+        values = [raised, *(float(value) for value in whitened)]
+        scores = [series.score(value) for series, value in zip(self._all, values, strict=True)]
+        jump = 2 * stats.norm.sf(abs(scores[0])) < ENERGY_JUMP * ALPHA / HORIZON
+        jump |= (
+            stats.chi2.sf(sum(score**2 for score in scores[1:]), n_parameter) < SCORE_JUMP * ALPHA / HORIZON
+        )
+        if jump:
+            return Verdict(jump=True)
+        for series, value, score in zip(self._all, values, scores, strict=True):
+            series.take(value, score, number)
+        changes = [series.changed_since(self._change_limit) for series in self._all]
+        self._pairs.append((float(np.log(level)) if level > 0 else 0.0, np.array(scores[1:])))
+        return Verdict(
+            change=next((change for change in changes if change is not None), None),
+            with_level=isinstance(sums, HitSums) and self._follows_level(),
+        )
+
+    @property
+    def _all(self) -> list[Series]:
+        return [self._energy, *self._scores]
+
+    def _follows_level(self) -> bool:
+        """Whether a coefficient's scores are correlated with the level of the hits, at few looks."""
+        n = len(self._pairs)
+        if n not in LEVEL_LOOKS:
+            return False
+        levels, scores = (
+            np.array([pair[0] for pair in self._pairs]),
+            np.array([pair[1] for pair in self._pairs]),
+        )
+        if np.ptp(levels) == 0:
+            return False
+        limit = LEVEL * ALPHA / (len(LEVEL_LOOKS) * scores.shape[1])
+        return any(stats.pearsonr(levels, column).pvalue < limit for column in scores.T)
+
+
+# How long it still takes.
+
+# Quantile of the stated band of 80 %.
+BAND = float(stats.norm.ppf(0.9))
+# Averages beyond which a goal counts as out of reach.
+FAR = 10**6
+# Squared variation of the information of single hits, worth so many hits before any was seen.
+HIT_VARIATION, PSEUDO_HITS = 0.4, 5
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Averages in all until a goal is reached, with a band of 80 %; None: never by more averages."""
+
+    expected: int | None
+    low: int | None = None
+    high: int | None = None
+
+
+def needed(estimate: Estimate, number: int, goal: float, coverage: float, scale: float = 1.0) -> int | None:
+    """Least number of averages for which the interval of coefficient *number* has the half-width *goal*
+    [parameter unit]; *scale* [1] of its variance.
+    """
+    n, dof = estimate.n, estimate.dof[number]
+    error = estimate.std_error[number] * np.sqrt(scale)
+
+    def half(averages: float) -> float:
+        later = dof * (averages - 1) / (n - 1)
+        return float(
+            stats.t.ppf((1 + coverage) / 2, later) * np.sqrt(1 + 2 / later) * error * np.sqrt(n / averages)
+        )
+
+    if half(n) <= goal:
+        return n
+    if not goal > 0 or half(FAR) > goal:
+        return None
+    low, high = n, FAR
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if half(middle) <= goal else (middle, high)
+    return high
+
+
+def forecast(
+    estimate: Estimate, number: int, goal: float, coverage: float, variation: float = 0.0
+) -> Forecast:
+    """When coefficient *number* reaches the half-width *goal* [parameter unit].
+
+    *variation*: squared coefficient of variation of the information of single averages (0 of periods).
+    """
+    expected = needed(estimate, number, goal, coverage)
+    if expected is None:
+        return Forecast(None)
+    n, dof = estimate.n, estimate.dof[number]
+    if expected <= n:
+        return Forecast(n, n, n)
+    later = dof * (expected - 1) / (n - 1)
+    gained = later - dof
+    spread = np.sqrt(2 / gained + 2 / dof) * gained / later
+    relative = estimate.std_error[number] / abs(estimate.values[number])
+    moved = np.sqrt(4 * relative**2 * (1 - n / expected) + variation * (1 / n - 1 / expected))
+    ends = [needed(estimate, number, goal, coverage, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
+    low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
+    high = None if ends[1] is None else int(np.ceil(ends[1] * np.exp(BAND * moved)))
+    return Forecast(expected, low, high)
+
+
+def hit_variation(energies: Sequence[float]) -> float:
+    """Squared coefficient of variation of the energy of hits, beside what is usual, [1]."""
+    if len(energies) < 2:
+        return HIT_VARIATION
+    ratio = float(np.var(energies, ddof=1) / np.mean(energies) ** 2)
+    return (PSEUDO_HITS * HIT_VARIATION + (len(energies) - 1) * ratio) / (PSEUDO_HITS + len(energies) - 1)
+
+
+def no_longer_falls(widths: Sequence[float]) -> bool:
+    """Whether half-widths (n,) fell less than half as fast as noise over the last doubling."""
+    n = len(widths)
+    return n >= 4 and widths[-1] > widths[n // 2 - 1] * 2 ** (-0.25)

@@ -1,0 +1,284 @@
+"""labpipe live PIPELINE SOURCE"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from labpipe.cli import options
+from labpipe.cli.output import echo, echo_table, printable
+from labpipe.errors import ConfigError
+
+if TYPE_CHECKING:
+    from labpipe.methods.live.bench import Update
+    from labpipe.methods.live.session import Session
+
+# Seconds between two pictures of the terminal and the page.
+PICTURE = 0.25
+REACHED, NOT_REACHED = 0, 1
+
+
+@click.command()
+@click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
+@click.argument("source", metavar="[SOURCE]", required=False)
+@click.option(
+    "--until",
+    "rules",
+    multiple=True,
+    metavar="RULE",
+    help="End when an interval is so narrow, e.g. 'k.expanded<=1%' (repeatable).",
+)
+@click.option("--json", "as_json", is_flag=True, help="One line of JSON for every average.")
+@click.option("--page", is_flag=True, help="Show the test in a browser of this machine as well.")
+@click.option("--bell", is_flag=True, help="Ring when it is enough.")
+@click.option(
+    "-o", "--output", type=options.PATH, metavar="DIR", help="Afterwards run the pipeline over the recording."
+)
+@click.option(
+    "--idle", type=float, default=90.0, show_default=True, help="Seconds without samples that end the test."
+)
+@click.option("--simulate", type=options.PATH, metavar="RIG", help="A virtual rig in place of SOURCE.")
+@click.option("--run", "run_name", default="", help="Run of the virtual rig; default: the first.")
+@click.option("--speed", type=float, default=1.0, show_default=True, help="How much faster than real time.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Noise of the virtual rig.")
+@options.overrides
+@options.quiet
+def live(
+    pipeline_path: Path,
+    source: str | None,
+    rules: tuple[str, ...],
+    as_json: bool,
+    page: bool,
+    bell: bool,
+    output: Path | None,
+    idle: float,
+    simulate: Path | None,
+    run_name: str,
+    speed: float,
+    seed: int,
+    overrides: tuple[str, ...],
+    quiet: bool,
+) -> int:
+    """Follow a test while it runs: SOURCE is a file that grows, a folder into which recordings fall, or - for
+    frames on standard input.
+
+    Each average moves the coefficients and their intervals, which hold at the moment of stopping. The
+    recordings of PIPELINE are not read. Exit code 0 when every rule of --until holds (or there is none), 1
+    when the test ended before.
+    """
+    from labpipe.methods.live.bench import Goal
+    from labpipe.methods.live.session import Session, columns_of
+    from labpipe.methods.live.sources import open_source, standard_input
+    from labpipe.project.pipeline_file import load_for_stream
+
+    if (source is None) == (simulate is None):
+        raise ConfigError(
+            "one of SOURCE and --simulate is needed", hint="labpipe live PIPELINE recording.tdms"
+        )
+    pipeline = load_for_stream(pipeline_path, overrides)
+    rig = pipeline.rig
+    if rig is None:
+        raise ConfigError("rig: is missing", where=str(pipeline_path), hint="name the rig file")
+    goals = [Goal.of(text) for rule in rules for text in rule.split(",")]
+    path = None if source in (None, "-") else Path(source)
+    with tempfile.TemporaryDirectory(prefix="labpipe-live-") as scratch, _asked_to_stop() as asked:
+        if simulate is not None:
+            stream: Any = _played(simulate, run_name, seed, speed, Path(scratch), columns_of(rig))
+        elif path is None:
+            stream = standard_input(columns_of(rig))
+        else:
+            stream = open_source(path, columns_of(rig))
+        keep = Path(scratch) / "recording.parquet" if output is not None and path is None else None
+        session = Session(pipeline, rig, stream, goals, idle, keep, path, stopped=lambda: bool(asked))
+        enough = _followed(session, as_json, page, bell, quiet)
+        if asked and not quiet and not as_json:
+            _echo_by_hand(session)
+        if output is not None:
+            _finish(session, pipeline_path, overrides, output, quiet or as_json)
+    return REACHED if enough or not goals else NOT_REACHED
+
+
+def _followed(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
+    """Show every update until it is enough; whether it was."""
+    with _display(session, as_json, page, quiet) as show:
+        last, shown = None, 0.0
+        for last in session.updates():
+            if as_json:
+                click.echo(json.dumps(last.as_json(), allow_nan=False))
+            if last.stop or time.monotonic() - shown > PICTURE:
+                show(last)
+                shown = time.monotonic()
+            if last.stop:
+                break
+        if last is not None:
+            show(last)
+    if last is not None and last.stop and bell:
+        click.echo("\a", err=True, nl=False)
+    return last is not None and last.stop
+
+
+@contextmanager
+def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterator[Callable[[Update], None]]:
+    """What shows an update: a page, and a table on the terminal that is drawn anew, or lines elsewhere."""
+    from labpipe.methods.live.view import course, headline, rows_of
+
+    server = None
+    if page:
+        from labpipe.methods.live.page import Page
+
+        server = Page()
+        echo(f"page: {server.address}", err=True)
+    console = None if as_json or quiet else _console()
+    lines = 0
+
+    def show(update: Update) -> None:
+        nonlocal lines
+        if server is not None:
+            server.show(course(session, update))
+        if as_json or quiet:
+            return
+        if console is not None:
+            console.update(_picture(session, update), refresh=True)
+        elif update.stop or update.averages != lines:
+            lines = update.averages
+            values = "; ".join(f"{name} {value}" for name, value, goal, _ in rows_of(session, update) if goal)
+            echo(f"{headline(session, update)} {values}".rstrip())
+
+    try:
+        if console is not None:
+            with console:
+                yield show
+        else:
+            yield show
+            if not as_json and not quiet:
+                _echo_last(session)
+    finally:
+        if server is not None:
+            server.close()
+
+
+def _console() -> Any:
+    """A display of the package rich on a terminal; None elsewhere, or where the extra is not installed."""
+    if not sys.stdout.isatty():
+        return None
+    try:
+        from rich.live import Live
+    except ImportError:
+        return None
+    return Live(auto_refresh=False)
+
+
+def _picture(session: Session, update: Update) -> Any:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from labpipe.methods.live.view import headline, rows_of
+
+    table = Table("coefficient", "value and 95 % interval", "goal", "still to come")
+    for row in rows_of(session, update):
+        table.add_row(*(Text(printable(cell)) for cell in row))
+    colour = "green" if update.stop else ""
+    parts: list[Any] = [Text(printable(headline(session, update)), style=colour), table]
+    parts += [Text(printable(f"{f.code}: {f.message}"), style="yellow") for f in update.findings]
+    parts += [Text(printable(event), style="dim") for event in update.events]
+    return Group(*parts)
+
+
+def _echo_last(session: Session) -> None:
+    from labpipe.methods.live.view import rows_of
+
+    updates = session.bench.updates if session.bench else []
+    if updates:
+        header = ("coefficient", "value and 95 % interval", "goal", "still to come")
+        echo_table(header, rows_of(session, updates[-1]))
+        for finding in updates[-1].findings:
+            echo(f"{finding.code}: {finding.message}")
+
+
+def _echo_by_hand(session: Session) -> None:
+    """The intervals of a test that was ended by hand, by whatever it showed."""
+    intervals = session.bench.by_hand() if session.bench else {}
+    if intervals:
+        echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
+        for name, (low, high) in intervals.items():
+            echo(f"  {name}  {low:.6g} ... {high:.6g}")
+
+
+@contextmanager
+def _asked_to_stop() -> Iterator[list[int]]:
+    """The interrupts that ended the test by hand."""
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _frame: asked.append(number))
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Path, columns: list[str]) -> Any:
+    """A run of a virtual rig, played in real time."""
+    import numpy as np
+
+    from labpipe.artefacts.writing import output_folder
+    from labpipe.methods.live.sources import Played
+    from labpipe.project.simulate import TRUTH, simulate_files
+    from labpipe.project.virtual_rig_file import load_virtual_rig
+    from labpipe.raw_files.screening import TimeAxisScreen
+    from labpipe.raw_files.table import check_columns, open_table
+
+    rig = load_virtual_rig(rig_path)
+    with output_folder(scratch / "rig") as folder:
+        names = simulate_files(rig, seed, [run_name] if run_name else None, folder)
+    tables = [open_table(scratch / "rig" / name) for name in names if name != TRUTH]
+    fitting = [table for table in tables if set(columns) <= set(table.columns)]
+    if not fitting:
+        check_columns(tables[0], columns)
+    table = fitting[0]
+    samples = np.concatenate(list(table.chunks(columns)))
+    rate = table.sample_rate
+    if rate is None:
+        screen = TimeAxisScreen(columns[0])
+        screen.add(samples[:, 0])
+        rate = screen.sample_rate()
+    return Played(samples, rate, speed)
+
+
+def _finish(
+    session: Session, pipeline_path: Path, overrides: tuple[str, ...], output: Path, quiet: bool
+) -> None:
+    """Run the pipeline over the recording as `labpipe run` does, and lay the course of the test beside it."""
+    from labpipe.artefacts.writing import output_folder
+    from labpipe.cli.terminal import echo_identification
+    from labpipe.document.render import html_document
+    from labpipe.methods.live.view import course
+    from labpipe.project.one_test import silent
+    from labpipe.project.pipeline_file import load_pipeline
+    from labpipe.project.report import outdate_reports, write_reports
+    from labpipe.project.run import Manner, run
+
+    files = session.recorded
+    if session.keep is not None:
+        with output_folder(output) as folder:
+            target = folder.write_path("recording.parquet")
+            target.write_bytes(session.keep.read_bytes())
+        files = [output / "recording.parquet"]
+    named = ", ".join(json.dumps(str(path.resolve())) for path in files)
+    pipeline = load_pipeline(pipeline_path, (*overrides, f"recordings=[{named}]"))
+    with output_folder(output) as folder:
+        identification = run(pipeline, folder, Manner(silent))
+        outdate_reports(folder, pipeline.report.formats)
+        updates = session.bench.updates if session.bench else []
+        if updates:
+            folder.write_path("course.html").write_bytes(html_document(course(session, updates[-1])))
+    write_reports(identification, output, pipeline.report.formats, silent)
+    echo_identification(identification, quiet)

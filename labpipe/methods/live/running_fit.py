@@ -1,0 +1,344 @@
+"""A fit that follows the averages of a running test, with intervals that hold at the moment of stopping.
+
+Nothing is kept but sums, so that memory stays flat however long the test. The equation of motion
+e = B F - Z X of one average is linear in the coefficients; its weighted squares have an exact gradient, and a
+warm start needs few Gauss-Newton steps per average.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.model import DynamicModel
+
+# Lines to either side over which the scatter is averaged: it makes the first averages usable.
+HALF_WIDTH = 7
+# Gauss-Newton steps from a cold start, and from the estimate before.
+COLD, WARM = 25, 4
+# Rounds of reweighted least squares that bring a cold start inside the bandwidth of every mode.
+REWEIGHTED = 6
+# A fit is judged from so many averages on, and with so many degrees of freedom: before, the scale that the
+# stopping rule looks at is too uncertain for its expansion.
+LEAST_AVERAGES, LEAST_DOF = 3, 20.0
+# Probability of chi-square beyond which no precision is claimed from noise alone.
+MISFIT_P = 1e-3
+# Determinant-free bound on what cannot be told apart: condition of the scaled information.
+SINGULAR = 1e10
+
+
+def moving_mean(values: NDArray[Any], half_width: int = HALF_WIDTH) -> NDArray[Any]:
+    """Mean over lines l - h ... l + h of *values* (n_line, ...) [any unit], the window cut at the ends."""
+    n_line = values.shape[0]
+    sums = np.zeros((n_line + 1, *values.shape[1:]), values.dtype)
+    np.cumsum(values, axis=0, out=sums[1:])
+    low = np.maximum(np.arange(n_line) - half_width, 0)
+    high = np.minimum(np.arange(n_line) + half_width + 1, n_line)
+    count = (high - low).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray((sums[high] - sums[low]) / count)
+
+
+class PeriodSums:
+    """Running mean and scatter of the amplitudes z = [X; F] of equal averages, by Welford's algorithm."""
+
+    def __init__(self) -> None:
+        self.n = 0
+        self.mean = np.empty((0, 0, 0), np.complex128)
+        self._scatter = np.empty((0, 0, 0, 0), np.complex128)
+
+    def add(self, z: ComplexArray) -> None:
+        """The next average *z* (n_line, n_experiment, n_channel) [channels' units]."""
+        if not self.n:
+            self.mean = np.zeros(z.shape, np.complex128)
+            self._scatter = np.zeros((*z.shape, z.shape[2]), np.complex128)
+        self.n += 1
+        before = z - self.mean
+        self.mean += before / self.n
+        self._scatter += before[..., :, None] * (z - self.mean)[..., None, :].conj()
+
+    def covariance(self) -> ComplexArray:
+        """Of the mean, averaged over neighbouring lines, (n_line, n_experiment, n_channel, n_channel)
+        [products of the channels' units].
+        """
+        return np.asarray(moving_mean(self._scatter) / ((self.n - 1) * self.n))
+
+
+class HitSums:
+    """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
+
+    An average counts by the energy of its force. Satisfies the same interface as PeriodSums: the mean is
+    [H; 1], its covariance that of H.
+    """
+
+    def __init__(self) -> None:
+        self.n = 0
+        self._xf = self._xx = np.empty(0, np.complex128)
+        self._ff = np.empty(0)
+
+    def add(self, z: ComplexArray) -> None:
+        """The next hit or block *z* (n_line, n_experiment, n_channel) [channels' units], the force last."""
+        x, f = z[..., :-1], z[..., -1]
+        if not self.n:
+            self._xf = np.zeros(x.shape, np.complex128)
+            self._ff = np.zeros(f.shape)
+            self._xx = np.zeros((*x.shape, x.shape[2]), np.complex128)
+        self.n += 1
+        self._xf += x * f[..., None].conj()
+        self._ff += np.abs(f) ** 2
+        self._xx += x[..., :, None] * x[..., None, :].conj()
+
+    @property
+    def mean(self) -> ComplexArray:
+        """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
+        h = self._xf / self._ff[..., None]
+        return np.concatenate([h, np.ones((*h.shape[:2], 1))], axis=2)
+
+    @property
+    def force_power(self) -> FloatArray:
+        """Sum of |F|^2 over the averages, (n_line, n_experiment) [squared force unit]."""
+        return self._ff
+
+    def covariance(self) -> ComplexArray:
+        """Of [H; 1], the noise averaged over neighbouring lines, (n_line, n_experiment, n_channel, n_channel)
+        [squared units of H].
+        """
+        h = self._xf / self._ff[..., None]
+        noise = self._xx - self._ff[..., None, None] * h[..., :, None] * h[..., None, :].conj()
+        smooth = moving_mean(noise / (self.n - 1)) / self._ff[..., None, None]
+        n_channel = h.shape[2] + 1
+        whole = np.zeros((*h.shape[:2], n_channel, n_channel), np.complex128)
+        whole[..., :-1, :-1] = smooth
+        return whole
+
+
+Sums = PeriodSums | HitSums
+
+
+class Equation:
+    """e = B F - Z X of a model on its lines, and its derivatives by the coefficients.
+
+    *view* (n_line,) [1/s^n] and *offset* [1] make receptance of the measured form: X = (Y - offset F) / view.
+    """
+
+    def __init__(
+        self, model: DynamicModel, omega: FloatArray, view: ComplexArray | None = None, offset: float = 0.0
+    ) -> None:
+        self.model, self.omega = model, omega
+        self._view = np.ones(omega.size, np.complex128) if view is None else view
+        self._offset = offset
+        self.n_output, self.n_force = model.constant.force.shape
+
+    @cached_property
+    def _terms(self) -> tuple[ComplexArray, FloatArray]:
+        """Z_p(w) (n_parameter, n_line, n_output, n_output) and B_p (n_parameter, n_output, n_force)."""
+        w = self.omega[:, None, None]
+        stiffness = [
+            t.matrices.stiffness + 1j * w * t.matrices.damping - w**2 * t.matrices.mass
+            for t in self.model.terms
+        ]
+        return np.array(stiffness, np.complex128), np.array([t.matrices.force for t in self.model.terms])
+
+    def split(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Displacement (n_line, n_experiment, n_output) [m], force (n_line, n_experiment, n_force) [N]."""
+        force = z[..., self.n_output :]
+        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
+        return (z[..., : self.n_output] - shift) / self._view[:, None, None], force
+
+    def gain(self, values: FloatArray) -> ComplexArray:
+        """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
+        stiffness = self.model.dynamic_stiffness(values, self.omega)
+        force = np.broadcast_to(
+            self.model.whole(values).force.astype(np.complex128),
+            (self.omega.size, self.n_output, self.n_force),
+        )
+        of_motion = -stiffness / self._view[:, None, None]
+        if self._offset:
+            force = force + self._offset * stiffness / self._view[:, None, None]
+        return np.concatenate([of_motion, force], axis=2)
+
+    def slopes(self, z: ComplexArray) -> ComplexArray:
+        """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
+        motion, force = self.split(z)
+        stiffness, factors = self._terms
+        moved = np.einsum("plij,lej->leip", stiffness, motion)
+        if np.any(factors):
+            moved = moved - np.einsum("pij,lej->leip", factors, force)
+        return np.asarray(-moved)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where a running fit stands after *n* averages.
+
+    values, std_error, dof, half (n_parameter,) [parameter units]: the 95 % interval is values +- half, of
+    noise and, beyond its limit, misfit; reduced: chi-square per degree of freedom, *misfit* whether it speaks
+    against the model; information and covariance (n_parameter, n_parameter), the latter of noise.
+    """
+
+    n: int
+    values: FloatArray
+    std_error: FloatArray
+    dof: FloatArray
+    half: FloatArray
+    reduced: float
+    misfit: bool
+    identifiable: bool
+    information: FloatArray
+    covariance: FloatArray
+
+    @property
+    def judged(self) -> bool:
+        """Whether there are enough averages for a stop by the width."""
+        return self.n >= LEAST_AVERAGES and bool(np.all(self.dof >= LEAST_DOF))
+
+
+class RunningFit:
+    """The coefficients of one model by the sums of a running test."""
+
+    def __init__(self, equation: Equation, coverage: float = 0.95) -> None:
+        self.equation, self.coverage = equation, coverage
+        self.values: FloatArray | None = None
+
+    def update(self, sums: Sums, start: FloatArray | None = None) -> Estimate:
+        """The estimate after the averages in *sums*; from *start* (n_parameter,) [parameter units] instead of
+        a cold start.
+
+        FitError before the second average, and where the lines cannot tell the coefficients apart at all.
+        """
+        if sums.n < 2:
+            raise FitError("one average leaves the noise unknown")
+        mean, covariance = sums.mean, sums.covariance()
+        if self.values is None:
+            values, steps = (self._cold(mean, covariance) if start is None else start), COLD
+        else:
+            values, steps = self.values, WARM
+        values = self._descend(mean, covariance, values, steps)
+        estimate = self._judged(sums.n, mean, covariance, values)
+        self.values = values
+        return estimate
+
+    def parts(
+        self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Residual e (n_line, n_experiment, n_output) [N], the inverse of its covariance, their product, the
+        slopes (n_line, n_experiment, n_output, n_parameter) [N per parameter unit] at the likeliest
+        amplitudes, and the inverse times these.
+        """
+        gain = self.equation.gain(values)[:, None]
+        residual = (gain @ mean[..., None])[..., 0]
+        spread = covariance @ gain.conj().swapaxes(-1, -2)
+        inverse = np.linalg.inv(gain @ spread)
+        multiplier = (inverse @ residual[..., None])[..., 0]
+        likely = mean - (spread @ multiplier[..., None])[..., 0]
+        slopes = self.equation.slopes(likely)
+        return residual, inverse, multiplier, slopes, inverse @ slopes
+
+    def _cost(self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray) -> float:
+        gain = self.equation.gain(values)[:, None]
+        residual = (gain @ mean[..., None])[..., 0]
+        spread = gain @ covariance @ gain.conj().swapaxes(-1, -2)
+        return float(np.sum((residual.conj() * np.linalg.solve(spread, residual[..., None])[..., 0]).real))
+
+    def _descend(
+        self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray, steps: int
+    ) -> FloatArray:
+        cost = self._cost(mean, covariance, values)
+        for _ in range(steps):
+            _, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
+            information, gradient = _normal(slopes, weighted, multiplier)
+            step = _solved(information, gradient)
+            share = 1.0
+            while share > 1e-3:
+                trial = values - share * step
+                trial_cost = self._cost(mean, covariance, trial)
+                if trial_cost <= cost * (1 + 1e-12):
+                    break
+                share /= 2
+            else:
+                break
+            values, moved = trial, cost - trial_cost
+            cost = trial_cost
+            if steps == COLD and moved < 1e-10 * cost and share == 1.0:
+                break
+        return values
+
+    def _cold(self, mean: ComplexArray, covariance: ComplexArray) -> FloatArray:
+        """Least squares of the equation, weighted anew by the noise that it has at the last values."""
+        n_parameter = len(self.equation.model.names)
+        slopes = self.equation.slopes(mean)
+        motion, force = self.equation.split(mean)
+        constant = self.equation.model.constant
+        w = self.equation.omega[:, None, None]
+        held = constant.stiffness + 1j * w * constant.damping - w**2 * constant.mass
+        side = force @ constant.force.T - np.einsum("lij,lej->lei", held, motion)
+        values = np.zeros(n_parameter)
+        design, right = slopes, side
+        for number in range(REWEIGHTED):
+            if number:
+                gain = self.equation.gain(values)[:, None]
+                inverse = np.linalg.inv(gain @ covariance @ gain.conj().swapaxes(-1, -2))
+                weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
+                design, right = np.asarray(weight @ slopes), (weight @ side[..., None])[..., 0]
+            rows = np.concatenate(
+                [design.real.reshape(-1, n_parameter), design.imag.reshape(-1, n_parameter)]
+            )
+            sides = np.concatenate([right.real.ravel(), right.imag.ravel()])
+            size = np.linalg.norm(rows, axis=0)
+            size[size == 0] = 1.0
+            values = -np.linalg.lstsq(rows / size, sides, rcond=None)[0] / size
+        return values
+
+    def _judged(self, n: int, mean: ComplexArray, covariance: ComplexArray, values: FloatArray) -> Estimate:
+        residual, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
+        information, _ = _normal(slopes, weighted, multiplier)
+        n_parameter, n_output = values.size, self.equation.n_output
+        scale = np.sqrt(np.diag(information))
+        scale[scale == 0] = 1.0
+        scaled = information / np.outer(scale, scale)
+        identifiable = bool(np.linalg.cond(scaled) < SINGULAR)
+        inverse = np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale)
+        smoothed = (n - 1) * (2 * HALF_WIDTH + 1)
+        inflation = smoothed**2 / ((smoothed - n_output) ** 2 - 1)
+        covariance_of_values = inflation * inverse
+        std_error = np.sqrt(np.diag(covariance_of_values))
+        dof = _satterthwaite(n, slopes @ inverse, weighted @ inverse)
+        freedom = 2 * residual.size - n_parameter
+        reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
+        misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
+        half = stats.t.ppf((1 + self.coverage) / 2, dof) * np.sqrt(1 + 2 / dof) * std_error
+        if misfit:
+            half = half * np.sqrt(reduced)
+        return Estimate(
+            n, values, std_error, dof, half, reduced, misfit, identifiable, information, covariance_of_values
+        )
+
+
+def _normal(
+    slopes: ComplexArray, weighted: ComplexArray, multiplier: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Information 2 Re J^H Lambda^-1 J and gradient 2 Re J^H lambda."""
+    n_parameter = slopes.shape[-1]
+    flat = slopes.reshape(-1, n_parameter)
+    information = 2 * (flat.conj().T @ weighted.reshape(-1, n_parameter)).real
+    return information, 2 * (flat.conj().T @ multiplier.reshape(-1)).real
+
+
+def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Newton's step with the information scaled to a diagonal of one; what no line tells is not moved."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0] = 1.0
+    scaled = information / np.outer(scale, scale)
+    return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale)
+
+
+def _satterthwaite(n: int, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:
+    """Degrees of freedom of each standard error: how evenly its lines share the variance, (n_parameter,)."""
+    shares = moving_mean(2 * np.sum((moved.conj() * weighted).real, axis=2))
+    return np.asarray(2 * (n - 1) * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(shares**2, axis=(0, 1)))

@@ -1,0 +1,311 @@
+"""A test as it runs: samples of a source through the bench, update by update, and the run at its end."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from labpipe.arrays import FloatArray
+from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.live.averages import CUTTERS
+from labpipe.methods.live.bench import Bench, Goal, Standing, Update, check_names, is_followed
+from labpipe.methods.live.charts import Forecast
+from labpipe.methods.live.sources import Folder, SampleStream, is_old
+from labpipe.project.ingest import Calibration, channel_screen
+from labpipe.project.measured import OTHERS
+from labpipe.project.pipeline_file import Pipeline
+from labpipe.raw_files.screening import TimeAxisScreen
+from labpipe.records.finding import WARNING, Finding
+from labpipe.records.recording import Channel
+from labpipe.records.rig import Rig
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
+
+# Rows of a time column by which the rate is known.
+ROWS_OF_RATE = 64
+# A step of time beyond so many usual ones is a gap.
+GAP = 1.5
+# Averages from which a fit of all samples so far is judged, and how much longer they are at its next look.
+LEAST_WHOLE, NEXT_LOOK = 10, 1.15
+# Pause between two looks at a source that had nothing new [s].
+PAUSE = 0.1
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """The samples so far, on disk. Satisfies SampleSource."""
+
+    channels: tuple[Channel, ...]
+    sample_rate: float
+    path: Path
+    n_sample: int
+    name: str = "live"
+    findings: tuple[Finding, ...] = ()
+
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
+        """Consecutive blocks (n, n_channel) [SI] of at most *n_sample* samples."""
+        shape = (self.n_sample, len(self.channels))
+        whole = np.memmap(self.path, np.float64, "r", shape=shape)
+        for start in range(0, self.n_sample, n_sample):
+            yield np.array(whole[start : start + n_sample])
+
+
+class WholeFits:
+    """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further apart.
+
+    Satisfies the part of Bench that a session needs.
+    """
+
+    def __init__(
+        self,
+        channels: Sequence[Channel],
+        sample_rate: float,
+        frf: FrfSettings,
+        fits: Sequence[FitSettings],
+        goals: Sequence[Goal],
+    ) -> None:
+        self.channels, self.sample_rate, self.frf, self.goals = (
+            tuple(channels),
+            sample_rate,
+            frf,
+            tuple(goals),
+        )
+        self._fits = tuple(fits)
+        self._spool = tempfile.NamedTemporaryFile(prefix="labpipe-live-")  # noqa: SIM115
+        self.n_sample, self._next = 0, 0.0
+        self.averages, self.updates = 0, list[Update]()
+        self.response: Any = None
+
+    def add(self, block: FloatArray) -> list[Update]:
+        """Keep the next samples (n, n_channel) [SI]; an update where it is time for a look."""
+        self._spool.write(np.ascontiguousarray(block, np.float64).tobytes())
+        self.n_sample += block.shape[0]
+        length = self.frf.period or self.frf.block or 1.0
+        self._next = self._next or 3 * length * self.sample_rate
+        if self.n_sample < self._next:
+            return []
+        self._next = NEXT_LOOK * self.n_sample
+        return self.look()
+
+    def look(self) -> list[Update]:
+        """The fits of all samples so far."""
+        self._spool.flush()
+        prefix = Prefix(self.channels, self.sample_rate, Path(self._spool.name), self.n_sample)
+        seconds = self.n_sample / self.sample_rate
+        try:
+            kind = OTHERS.get(self.frf.gives)
+            measured = measure([prefix], self.frf) if kind is None else kind.make([prefix], self.frf)
+            fits = [fit for settings in self._fits for fit in identify(measured, settings)]
+        except LabpipeError as error:
+            update = Update(self.averages, findings=(Finding("not-yet", error.what),))
+            self.updates.append(update)
+            return [update]
+        self.response = measured
+        check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
+        self.averages = int(getattr(measured, "averages", 0)) or round(seconds / (self.frf.period or 1.0))
+        standings = {
+            f"{fit.name}.{parameter.name}": self._standing(fit.name, parameter)
+            for fit in fits
+            for parameter in fit.parameters
+        }
+        wanted = [standing for standing in standings.values() if standing.goal is not None]
+        enough = bool(wanted) and self.averages >= LEAST_WHOLE and all(s.reached for s in wanted)
+        findings = (*measured.findings, *(finding for fit in fits for finding in fit.findings))
+        update = Update(
+            self.averages,
+            standings=standings,
+            findings=tuple(finding for finding in findings if finding.level == WARNING),
+            stop=enough,
+            seconds=seconds / max(self.averages, 1),
+        )
+        self.updates.append(update)
+        return [update]
+
+    def _standing(self, fit: str, parameter: Any) -> Standing:
+        half = np.inf if parameter.ci95 is None else (parameter.ci95[1] - parameter.ci95[0]) / 2
+        goals = [goal for goal in self.goals if goal.name == parameter.name and goal.fit in ("", fit)]
+        if not goals:
+            return Standing(parameter, half)
+        wanted = min(goal.half(parameter) * (1.0 if goal.width == "expanded" else 2.0) for goal in goals)
+        expected = None
+        if np.isfinite(half) and self.averages:
+            expected = max(self.averages, int(np.ceil(self.averages * (half / wanted) ** 2)))
+        return Standing(parameter, half, wanted, Forecast(expected))
+
+    def by_hand(self) -> dict[str, tuple[float, float]]:
+        """No interval holds for a stop at any moment here."""
+        return {}
+
+
+@dataclass
+class Session:
+    """One test of a pipeline over the samples of a source.
+
+    idle: seconds without new samples after which the test is over; keep: where the samples of a source that
+    leaves no file are kept, None for nowhere.
+    """
+
+    pipeline: Pipeline
+    rig: Rig
+    stream: SampleStream
+    goals: Sequence[Goal] = ()
+    idle: float = 90.0
+    keep: Path | None = None
+    path: Path | None = None
+    bench: Bench | WholeFits | None = None
+    n_row: int = 0
+    findings: list[Finding] = field(default_factory=list)
+    stopped: Callable[[], bool] = lambda: False
+
+    def __post_init__(self) -> None:
+        if self.pipeline.frf is None:
+            raise ConfigError(
+                "frf: is missing", where=str(self.pipeline.path), hint="say what the excitation is"
+            )
+        if not self.pipeline.fits:
+            raise ConfigError(
+                "identify: is missing", where=str(self.pipeline.path), hint="name what is wanted"
+            )
+        self._calibration, self._screen = Calibration(self.rig), channel_screen(self.rig)
+        self._head: list[FloatArray] = []
+        self._rate: float | None = None
+        self._last_time: float | None = None
+        self._writer: pq.ParquetWriter | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """What the source is asked for: the time, if the rig names it, and the rig's columns."""
+        return columns_of(self.rig)
+
+    def updates(self) -> Iterator[Update]:
+        """What each new average changes, until the source ends, rests too long, or *stopped* says so."""
+        rested = 0.0
+        try:
+            while not self.stopped():
+                rows = self.stream.read()
+                if rows is None:
+                    break
+                if not rows.shape[0]:
+                    if rested >= self.idle or (rested > 1.0 and self.path and is_old(self.path, self.idle)):
+                        break
+                    time.sleep(PAUSE)
+                    rested += PAUSE
+                    continue
+                rested = 0.0
+                yield from self._taken(rows)
+            yield from self._ended()
+        finally:
+            if self._writer is not None:
+                self._writer.close()
+
+    def _taken(self, rows: FloatArray) -> Iterator[Update]:
+        if self.keep is not None:
+            self._write(rows)
+        if self.bench is None:
+            self._head.append(rows)
+            if not self._begun():
+                return
+            rows, self._head = np.concatenate(self._head), []
+        assert self.bench is not None
+        if self.stream.restarted and isinstance(self.bench, Bench):
+            self.bench.cutter.restart()
+        for piece in self._without_gaps(rows):
+            block = self._calibration.with_sums(self._calibration.measured(piece))
+            measured = block[:, : len(self.rig.channels)]
+            if np.isfinite(measured).all():
+                self._screen.add(measured)
+            self.n_row += piece.shape[0]
+            for update in self.bench.add(block):
+                yield replace(update, findings=(*update.findings, *self._of_samples()))
+
+    def _of_samples(self) -> tuple[Finding, ...]:
+        screened = self._screen.findings() if self.n_row else ()
+        return (*self.findings, *screened)
+
+    def _begun(self) -> bool:
+        """Set up the bench once the rate is known."""
+        head = np.concatenate(self._head)
+        rate = self.rig.sample_rate or self.stream.sample_rate
+        if self.rig.time:
+            if head.shape[0] < ROWS_OF_RATE:
+                return False
+            screen = TimeAxisScreen(self.rig.time)
+            screen.add(head[:ROWS_OF_RATE, 0] * self.rig.time_scale)
+            rate = screen.sample_rate()
+        if rate is None:
+            raise DataError("neither the source nor the rig file says the rate", hint="sample_rate: 20 kHz")
+        frf, fits = self.pipeline.frf, self.pipeline.fits
+        assert frf is not None
+        followed = [fit for fit in fits if is_followed(fit, frf)]
+        wanted = {goal.fit for goal in self.goals}
+        # A fit that nobody waits for is left to the run at the end.
+        whole = [fit for fit in fits if fit not in followed and (not followed or fit.name in wanted)]
+        channels = self.rig.all_channels
+        self._rate = rate
+        if whole or frf.excitation not in CUTTERS:
+            self.bench = WholeFits(channels, rate, frf, whole or fits, self.goals)
+        else:
+            self.bench = Bench(channels, rate, frf, followed, self.goals)
+        return True
+
+    def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
+        """The rows of the channels, cut where the time column leaves some out."""
+        if not self.rig.time:
+            yield rows
+            return
+        assert self._rate is not None
+        times = rows[:, 0] * self.rig.time_scale
+        before = times[:1] if self._last_time is None else np.array([self._last_time])
+        steps = np.diff(np.concatenate([before, times])) * self._rate
+        steps[0] = 1.0 if self._last_time is None else steps[0]
+        gaps = np.flatnonzero((steps > GAP) | (steps <= 0))
+        for place in gaps:
+            what = (
+                f"{steps[place] - 1:.0f} samples are missing" if steps[place] > 0 else "the clock began anew"
+            )
+            self.findings.append(Finding("gap", f"{what} at {times[place]:.3f} s; averages begin anew there"))
+        self._last_time = float(times[-1])
+        begin = 0
+        for end in (*gaps.tolist(), rows.shape[0]):
+            if end > begin:
+                yield rows[begin:end, 1:]
+            if end < rows.shape[0] and isinstance(self.bench, Bench):
+                self.bench.cutter.restart()
+            begin = end
+
+    def _write(self, rows: FloatArray) -> None:
+        assert self.keep is not None
+        table = pa.table({name: rows[:, n] for n, name in enumerate(self.columns)})
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self.keep, table.schema)
+        self._writer.write_table(table)
+
+    def _ended(self) -> Iterator[Update]:
+        if self.bench is None:
+            raise DataError("the source ended before it held enough samples", hint="is it the right one?")
+        if isinstance(self.bench, WholeFits) and self.bench.n_sample:
+            yield from self.bench.look()
+
+    @property
+    def recorded(self) -> list[Path]:
+        """The files that the whole test stands in, for the run at its end."""
+        if self.keep is not None:
+            return [self.keep]
+        if isinstance(self.stream, Folder):
+            return list(self.stream.files)
+        return [] if self.path is None else [self.path]
+
+
+def columns_of(rig: Rig) -> list[str]:
+    """The columns that a rig reads: its time, then its channels."""
+    return [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]

@@ -1,0 +1,175 @@
+"""What a running test shows: a document of tables and figures, in the browser while it runs and beside the
+results afterwards, and lines or a table on the terminal.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from labpipe.display import difference_in, shown_unit, unit_label, with_error
+from labpipe.methods.live.bench import FollowedFit, Standing, Update
+from labpipe.methods.live.session import Session, WholeFits
+from labpipe.quantities import to_display
+from labpipe.report.chart import Axis, Panel, curve, level, stacked
+from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
+
+# Points of a fitted curve between its first and last line.
+DENSE = 400
+
+
+def value_text(standing: Standing) -> str:
+    """A coefficient with its interval: 134.50 ± 0.12 kN/m."""
+    parameter = standing.parameter
+    unit = shown_unit(parameter.unit, parameter.value, None)
+    half = difference_in(standing.half, unit) if math.isfinite(standing.half) else None
+    return with_error(to_display(parameter.value, unit), half, unit)
+
+
+def goal_text(standing: Standing) -> str:
+    """The width that is asked for, relative to the value."""
+    if standing.goal is None:
+        return ""
+    return f"± {100 * standing.goal / abs(standing.parameter.value):.2g} %"
+
+
+def left_text(standing: Standing, update: Update, what: str) -> str:
+    """How long it still takes: 11 more hits, about 4 min (80 %: 8-15)."""
+    if standing.goal is None:
+        return ""
+    if standing.reached:
+        return "reached"
+    left = standing.remaining
+    if left is None or left.expected is None:
+        return "not by more averages" if left is not None else ""
+    more = max(left.expected - update.averages, 1)
+    text = f"{more} more {what}{'s' if more != 1 else ''}, about {duration(more * update.seconds)}"
+    if left.low is not None and left.high is not None:
+        text += f" (80 %: {max(left.low - update.averages, 0)}-{left.high - update.averages})"
+    return text
+
+
+def duration(seconds: float) -> str:
+    """A time as one says it: 40 s, 4 min, 2.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def what_of(session: Session) -> str:
+    """What an average of the test is."""
+    frf = session.pipeline.frf
+    assert frf is not None
+    return {"impact": "hit", "periodic": "period"}.get(frf.excitation, "average")
+
+
+def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]:
+    """Coefficient, value with its interval, goal, what is left; those asked for first."""
+    what = what_of(session)
+    entries = sorted(update.standings.items(), key=lambda entry: entry[1].goal is None)
+    return [
+        (name, value_text(standing), goal_text(standing), left_text(standing, update, what))
+        for name, standing in entries
+    ]
+
+
+def headline(session: Session, update: Update) -> str:
+    """One sentence: where the test stands."""
+    what = what_of(session)
+    count = f"{update.averages} {what}{'s' if update.averages != 1 else ''}"
+    if update.stop:
+        return f"Enough: {count}, every goal is reached."
+    goals = [standing for standing in update.standings.values() if standing.goal is not None]
+    missing = sum(not standing.reached for standing in goals)
+    return f"{count}. " + (
+        f"{missing} of {len(goals)} goals are not reached yet." if goals else "No goal is set."
+    )
+
+
+def course(session: Session, update: Update) -> Document:
+    """The state and the course of the test."""
+    blocks: list[Block] = [Paragraph(headline(session, update), "passed" if update.stop else "note")]
+    blocks += [Paragraph(f"{finding.code}: {finding.message}", "warning") for finding in update.findings]
+    rows = rows_of(session, update)
+    if rows:
+        header = ("coefficient", "value and 95 % interval", "goal", "still to come")
+        blocks.append(Table(header, tuple(rows), "Intervals hold at this moment; of noise and misfit"))
+    sections = [Section("Where the test stands", tuple(blocks))]
+    figures = [*_over_averages(session), *_responses(session)]
+    if figures:
+        sections.append(Section("Course of the test", tuple(figures)))
+    events = [
+        event for earlier in (session.bench.updates if session.bench else []) for event in earlier.events
+    ]
+    if events:
+        table = Table(("average",), tuple((event,) for event in events[-40:]), "The last averages")
+        sections.append(Section("What came in", (table,)))
+    return Document(session.pipeline.title, "while it runs", tuple(sections), to_sign=False)
+
+
+def _over_averages(session: Session) -> list[Figure]:
+    """Every coefficient that is asked for, or all of few, with its interval over the averages."""
+    updates = [update for update in (session.bench.updates if session.bench else []) if update.standings]
+    if len(updates) < 2:
+        return []
+    last = updates[-1].standings
+    wanted = [name for name, standing in last.items() if standing.goal is not None] or list(last)[:4]
+    panels = []
+    for name in wanted:
+        there = [u for u in updates if name in u.standings and math.isfinite(u.standings[name].half)]
+        if len(there) < 2:
+            continue
+        unit = shown_unit(last[name].parameter.unit, last[name].parameter.value, None)
+        n = np.array([u.averages for u in there], float)
+        values = np.array([to_display(u.standings[name].parameter.value, unit) for u in there])
+        half = np.array([difference_in(u.standings[name].half, unit) for u in there])
+        series = [curve(name, n, values, band=(values - half, values + half), marker=".")]
+        goal = last[name].goal
+        if goal is not None:
+            width = difference_in(goal, unit)
+            series += [level(values[-1] + sign * width, name="goal") for sign in (-1, 1)]
+        panels.append(Panel(Axis("averages"), Axis(name, unit_label(unit)), tuple(series)))
+    if not panels:
+        return []
+    caption = (
+        "Coefficients with their 95 % intervals after each average; lines: the goal around the last value."
+    )
+    return [Figure(stacked(panels, 1.8 * len(panels) + 0.8), caption, "Coefficients over the averages")]
+
+
+def _responses(session: Session) -> list[Figure]:
+    """Measured and fitted response of each fit with one force."""
+    bench = session.bench
+    if bench is None or isinstance(bench, WholeFits):
+        return []
+    figures = []
+    for fit in bench.fits:
+        if fit.estimate is not None and len(fit.setup.inputs) == 1:
+            figures.append(_response(fit))
+    return figures
+
+
+def _response(fit: FollowedFit) -> Figure:
+    equation, estimate = fit.fit.equation, fit.estimate
+    assert estimate is not None
+    mean = fit.sums.mean[:, 0]
+    motion, force = equation.split(mean[:, None])
+    frequency = equation.omega / (2 * np.pi)
+    measured = np.abs(motion[:, 0] / force[:, 0, :1])
+    dense = np.linspace(equation.omega[0], equation.omega[-1], DENSE)
+    fitted = np.abs(fit.model.receptance(estimate.values, dense))[:, :, 0]
+    panels = []
+    for row, port in enumerate(fit.setup.outputs):
+        series = (
+            curve("measured", frequency, measured[:, row], line="", marker="."),
+            curve("fitted", dense / (2 * np.pi), fitted[:, row], colour=1),
+        )
+        amplitude = Axis(f"|{port.label}|", "m/N", logarithmic=True)
+        panels.append(Panel(Axis("frequency", "Hz"), amplitude, series))
+    name = fit.settings.name
+    return Figure(
+        stacked(panels, 1.8 * len(panels) + 0.8),
+        f"{name}: receptance so far, and the fitted model.",
+        f"Measured and fitted receptance of {name}",
+    )

@@ -1,0 +1,310 @@
+"""labpipe live from raw samples: growing files, folders, frames, the same numbers as a run afterwards."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from nptdms import ChannelObject, RootObject, TdmsWriter
+from scipy.io import wavfile
+
+from labpipe.methods.live.page import Page
+from labpipe.methods.live.sources import Folder, GrowingHdf5, GrowingTable, GrowingText, GrowingWav
+from labpipe.report.document import Document, Paragraph, Section
+from tests.conftest import Command
+
+RATE, N, SKIPPED = 1000.0, 1000, 1
+STIFFNESS, DAMPING, MASS = 80e3, 6.0, 0.5
+RIG = """name: Bench of another kind
+sample_rate: 1 kHz
+channels:
+  f: {quantity: force, unit: N, role: input, dof: y}
+  y: {quantity: displacement, unit: um, role: output, dof: y}
+"""
+PIPELINE = """rig: rig.yaml
+frf: {excitation: periodic, period: 1 s, skip: 1, band: 20-150 Hz}
+identify:
+  s: {model: sdof, input: f, output: y, band: 40-90 Hz}
+"""
+
+
+def samples(n_period: int, seed: int = 4, noise: float = 1.0, stiffness: float = STIFFNESS) -> np.ndarray:
+    """Periods of a multisine: force [N] and displacement [um], (n, 2)."""
+    rng = np.random.default_rng(seed)
+    frequency = np.fft.rfftfreq(N, 1 / RATE)
+    lines = (frequency >= 20) & (frequency <= 150)
+    spectrum = np.where(lines, np.exp(2j * np.pi * rng.random(frequency.size)), 0) * N / 20
+    w = 2 * np.pi * frequency
+    motion = np.fft.irfft(spectrum / (stiffness - w**2 * MASS + 1j * w * DAMPING), N) * 1e6
+    clean = np.stack([np.fft.irfft(spectrum, N), motion], axis=1)
+    return np.tile(clean, (n_period, 1)) + noise * rng.standard_normal((n_period * N, 2)) * [0.05, 0.5]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Path:
+    """A folder with rig and pipeline."""
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "pipeline.yaml").write_text(PIPELINE)
+    return tmp_path
+
+
+def write_csv(path: Path, rows: np.ndarray) -> None:
+    path.write_text("f,y\n" + "".join(f"{f:.9g},{y:.9g}\n" for f, y in rows))
+
+
+class Followed:
+    """`labpipe live` on the pipeline of a folder: its JSON lines and exit code."""
+
+    def __init__(self, folder: Path, command: Command) -> None:
+        self.folder, self._command = folder, command
+
+    def __call__(self, source: object, *options: str, code: int = 0) -> list[dict[str, Any]]:
+        ended = self._command(
+            "live", self.folder / "pipeline.yaml", source, "--json", "--idle", "0.3", *options
+        )
+        assert ended.code == code, ended.err
+        return [json.loads(line) for line in ended.out.splitlines() if line.startswith("{")]
+
+
+@pytest.fixture
+def follow(bench: Path, labpipe: Command) -> Followed:
+    """Follow a source with the bench's pipeline."""
+    return Followed(bench, labpipe)
+
+
+def by_pipe(folder: Path, stdin: bytes, *options: str) -> subprocess.CompletedProcess[bytes]:
+    """The command as a program of its own, frames on its standard input."""
+    command = [sys.executable, "-m", "labpipe", "live", str(folder / "pipeline.yaml"), "-", *options]
+    return subprocess.run(command, input=stdin, capture_output=True, check=False)
+
+
+def test_a_file_followed_to_its_end_gives_the_numbers_of_a_run(bench, follow):
+    write_csv(bench / "test.csv", samples(12))
+    last = follow(bench / "test.csv", "-o", str(bench / "out"))[-1]
+    assert last["averages"] == 11 and not last["stop"]
+    result = json.loads((bench / "out" / "identification.json").read_text())
+    by_run = {p["name"]: p for p in result["fits"][0]["parameters"]}
+    for name, truth in (("k", STIFFNESS), ("c", DAMPING), ("m", MASS)):
+        followed = last["parameters"][f"s.{name}"]
+        low, high = followed["ci95"]
+        assert low < truth < high
+        # Both are weighted fits of the same averages; they smooth the noise over other widths.
+        assert abs(followed["value"] - by_run[name]["value"]) < 0.3 * by_run[name]["std_error"]
+    assert (bench / "out" / "report.html").exists() and (bench / "out" / "course.html").exists()
+
+
+def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
+    write_csv(bench / "test.csv", samples(60, noise=2.5))
+    lines = follow(bench / "test.csv", "--until", "s.c.expanded<=1%")
+    assert lines[-1]["stop"] and not lines[-2]["stop"]
+    c = lines[-1]["parameters"]["s.c"]
+    assert (c["ci95"][1] - c["ci95"][0]) / 2 <= 0.01 * c["value"]
+    halfway = lines[len(lines) // 2]
+    left = lines[-1]["averages"] - halfway["averages"]
+    assert halfway["remaining"]["s.c"]["low"] <= left <= halfway["remaining"]["s.c"]["high"]
+    refused = labpipe("live", bench / "pipeline.yaml", "x.csv", "--until", "s.k>=70 kN/m")
+    assert refused.code == 2 and "a test ends by the width" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("rule", "word"),
+    [
+        ("s.q.expanded<=1%", "no coefficient 'q'"),
+        ("t.k.expanded<=1%", "no fit 't'"),
+        ("s.k.expanded<=1 mm", "wrong dimension"),
+    ],
+)
+def test_a_rule_on_what_there_is_not_is_refused(bench, labpipe, rule, word):
+    write_csv(bench / "test.csv", samples(6))
+    refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", "--idle", "0.3", "--until", rule)
+    assert refused.code == 2 and word in refused.err
+
+
+def test_a_test_that_ends_before_its_goal_fails(bench, follow):
+    write_csv(bench / "test.csv", samples(6))
+    follow(bench / "test.csv", "--until", "k.expanded<=1e-4%", code=1)
+
+
+def test_frames_on_standard_input(bench):
+    head = b'{"sample_rate": 1000, "channels": ["y", "spare", "f"], "dtype": "<f4"}\n'
+    rows = samples(8)
+    frames = np.stack([rows[:, 1], 0 * rows[:, 0], rows[:, 0]], axis=1).astype("<f4").tobytes()
+    ran = by_pipe(bench, head + frames, "--json")
+    assert ran.returncode == 0 and not ran.stderr
+    last = json.loads(ran.stdout.splitlines()[-1])
+    assert last["averages"] == 7
+    low, high = last["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
+
+
+def test_frames_without_a_header_are_refused(bench):
+    ran = by_pipe(bench, b"1,2,3\n4,5,6\n")
+    assert ran.returncode == 2 and b"begins with no header" in ran.stderr
+
+
+def test_a_bad_period_is_left_out_and_named_and_a_change_is_no_end(bench, follow):
+    rows = samples(30)
+    rows[9 * N : 10 * N, 1] += 40 * np.random.default_rng(1).standard_normal(N)
+    write_csv(bench / "test.csv", rows)
+    lines = follow(bench / "test.csv")
+    left_out = [event for line in lines for event in line["events"] if "left out" in event]
+    assert len(left_out) == 1 and "period 9" in left_out[0]
+    moved = np.concatenate([samples(15), samples(30, stiffness=1.004 * STIFFNESS)])
+    write_csv(bench / "moved.csv", moved)
+    lines = follow(bench / "moved.csv", "--until", "s.c.expanded<=0.2%", code=1)
+    assert {f["code"] for line in lines for f in line["findings"]} & {"changes", "bad-averages"}
+
+
+def test_sources_that_grow_give_what_was_written(tmp_path):
+    """Written piece by piece by another hand, with a line that is cut off in the middle."""
+    rows = samples(1)[:300]
+    text = GrowingText(tmp_path / "a.csv", ["f", "y"])
+    assert text.read().shape == (0, 2)
+    content = ("f,y\n" + "".join(f"{f:.17g},{y:.17g}\n" for f, y in rows)).encode()
+    cuts = [0, 3, 40, 1111, 5000, len(content)]
+    got = []
+    for begin, end in pairwise(cuts):
+        with (tmp_path / "a.csv").open("ab") as stream:
+            stream.write(content[begin:end])
+        got.append(text.read())
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+
+    tdms = GrowingTable(tmp_path / "a.tdms", ["f", "y"])
+    got = [tdms.read()]
+    for begin in range(0, 300, 100):
+        with TdmsWriter(tmp_path / "a.tdms", "a" if begin else "w") as writer:
+            part = rows[begin : begin + 100]
+            properties = {"wf_increment": 1 / RATE}
+            channels = [
+                ChannelObject("g", name, part[:, n].copy(), properties) for n, name in enumerate("fy")
+            ]
+            writer.write_segment([RootObject(), *channels])
+        got.append(tdms.read())
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+    assert tdms.sample_rate == RATE
+
+    hdf5 = GrowingHdf5(tmp_path / "a.h5", ["f", "y"])
+    with h5py.File(tmp_path / "a.h5", "w", libver="latest") as file:
+        sets = [file.create_dataset(name, (0,), maxshape=(None,), dtype="f8", chunks=(64,)) for name in "fy"]
+        file.swmr_mode = True
+        got = []
+        for begin in range(0, 300, 100):
+            for n, dataset in enumerate(sets):
+                dataset.resize((begin + 100,))
+                dataset[begin:] = rows[begin : begin + 100, n]
+                dataset.flush()
+            got.append(hdf5.read())
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+
+    wavfile.write(tmp_path / "a.wav", int(RATE), (rows / 1000).astype(np.float32))
+    whole = (tmp_path / "a.wav").read_bytes()
+    wav, got = GrowingWav(tmp_path / "b.wav", ["1", "2"]), []
+    for end in (500, 1700, len(whole)):
+        (tmp_path / "b.wav").write_bytes(whole[:end])
+        got.append(wav.read())
+    np.testing.assert_allclose(np.concatenate(got), rows / 1000, rtol=1e-6)
+
+
+def test_a_logger_that_begins_its_file_anew_begins_another_record(tmp_path):
+    rows = samples(1)[:100]
+    write_csv(tmp_path / "a.csv", rows)
+    text = GrowingText(tmp_path / "a.csv", ["f", "y"])
+    assert text.read().shape[0] == 100 and not text.restarted
+    write_csv(tmp_path / "a.csv", rows[:20])
+    assert text.read().shape[0] == 20 and text.restarted
+
+
+def test_a_folder_gives_whole_files_in_the_order_of_their_names(tmp_path):
+    folder = Folder(tmp_path, ["f", "y"], settle=0.0)
+    rows = samples(1)[:60]
+    for number in range(2):
+        part = rows[30 * number : 30 * number + 30]
+        pq.write_table(pa.table({"f": part[:, 0], "y": part[:, 1]}), tmp_path / f"{number}.parquet")
+    got, begun = [], []
+    for _ in range(4):
+        got.append(folder.read())
+        begun.append(folder.restarted)
+    np.testing.assert_array_equal(np.concatenate(got), rows)
+    assert sum(begun) == 1 and [path.name for path in folder.files] == ["0.parquet", "1.parquet"]
+
+
+def test_missing_samples_of_a_clock_begin_the_averages_anew(bench, follow):
+    rig = RIG.replace("sample_rate: 1 kHz", 'time: "t [s]"')
+    (bench / "rig.yaml").write_text(rig)
+    rows = samples(12)
+    t = np.arange(rows.shape[0]) / RATE
+    kept = np.ones(t.size, bool)
+    kept[5 * N + 100 : 5 * N + 350] = False
+    text = "".join(f"{a:.4f},{f:.9g},{y:.9g}\n" for a, (f, y) in zip(t[kept], rows[kept], strict=True))
+    (bench / "test.csv").write_text("t [s],f,y\n" + text)
+    lines = follow(bench / "test.csv")
+    gaps = [finding for finding in lines[-1]["findings"] if finding["code"] == "gap"]
+    assert len(gaps) == 1 and "250 samples" in gaps[0]["message"]
+    low, high = lines[-1]["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
+
+
+def test_an_excitation_that_is_not_followed_is_looked_at_as_a_whole(bench, follow):
+    rng = np.random.default_rng(8)
+    force = rng.standard_normal(60 * N)
+    w = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / RATE)
+    motion = np.fft.irfft(np.fft.rfft(force) / (STIFFNESS - w**2 * MASS + 1j * w * DAMPING), force.size) * 1e6
+    write_csv(bench / "test.csv", np.stack([force, motion + 0.3 * rng.standard_normal(force.size)], axis=1))
+    text = PIPELINE.replace("excitation: periodic, period: 1 s, skip: 1", "excitation: random, block: 2 s")
+    (bench / "pipeline.yaml").write_text(text)
+    lines = follow(bench / "test.csv", "--until", "s.k.expanded<=0.001%", code=1)
+    assert lines[-1]["averages"] > 50
+    low, high = lines[-1]["parameters"]["s.k"]["ci95"]
+    assert low < STIFFNESS < high
+
+
+def test_the_page_is_for_who_has_its_token_and_tells_what_is_new():
+    import urllib.error
+    import urllib.request
+
+    page = Page()
+    try:
+        page.show(Document("Bench", "", (Section("State", (Paragraph("3 of 4 goals"),)),), to_sign=False))
+        state = page.address.replace("/?", "/state?")
+        with urllib.request.urlopen(state, timeout=5) as answer:
+            assert b"3 of 4 goals" in answer.read()
+        for address in (state.split("?")[0], state[:-3] + "xyz"):
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(address, timeout=5)
+        foreign = urllib.request.Request(state, headers={"Host": "example.org:80"})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(foreign, timeout=5)
+        posted = urllib.request.Request(state, data=b"x=1", method="POST")
+        with pytest.raises(urllib.error.HTTPError, match="501"):
+            urllib.request.urlopen(posted, timeout=5)
+        with urllib.request.urlopen(page.address.replace("/?", "/events?"), timeout=5) as news:
+            threading.Timer(0.2, page.show, [Document("Bench", "", (), to_sign=False)]).start()
+            assert news.readline() == b"data: new\n"
+    finally:
+        page.close()
+
+
+@pytest.mark.long
+def test_killed_at_any_moment_and_taken_up_again_it_gives_the_same(bench):
+    write_csv(bench / "test.csv", samples(40))
+    command = [sys.executable, "-m", "labpipe", "live", str(bench / "pipeline.yaml"), str(bench / "test.csv")]
+    command += ["--json", "--idle", "0.3"]
+    whole = subprocess.run(command, capture_output=True, check=True).stdout
+    rng = np.random.default_rng(9)
+    for _ in range(10):
+        child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.1, 1.5))
+        child.kill()
+        child.wait()
+    assert subprocess.run(command, capture_output=True, check=True).stdout == whole

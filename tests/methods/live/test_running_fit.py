@@ -1,0 +1,178 @@
+"""The running fit and its charts against an independent calculation, and against what chance allows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.estimation.model import DynamicModel, entry_term, fixed_matrices
+from labpipe.methods.live.bench import sequence_factor
+from labpipe.methods.live.charts import Charts, cusum_limit, forecast, no_longer_falls
+from labpipe.methods.live.running_fit import Equation, HitSums, PeriodSums, RunningFit, moving_mean
+
+# Estimates relative to the truth, standard errors, degrees of freedom, half-widths and chi-square per degree
+# of freedom of k, c, m after n periods: an independent implementation of the method, on the stream below.
+GOLDEN = {
+    2: (
+        0.9742840876,
+        1.056312518,
+        0.9740112725,
+        0.05486070844,
+        0.05891047596,
+        0.05494218251,
+        72.44229863,
+        35.87444008,
+        72.44778013,
+        0.1108506364,
+        0.1227761296,
+        0.1110150061,
+        0.9546514426,
+    ),
+    3: (
+        0.9818274717,
+        1.026028967,
+        0.9821677754,
+        0.04091303871,
+        0.04410085725,
+        0.04094659705,
+        144.0202658,
+        71.85166661,
+        144.0851328,
+        0.08142716129,
+        0.08913173893,
+        0.08149338866,
+        1.267847799,
+    ),
+}
+# Whitened shifts and energy of the third and the eighth period against the fit before it.
+MONITORS = {
+    3: (0.1003461647, -0.7345797417, 1.943927296, 0.9235947807),
+    8: (1.962337877, -1.715041571, -0.5317431736, 1.03462411),
+}
+N_LINE, STIFFNESS, NATURAL, ZETA = 61, 2e7, 65.0, 0.006
+OMEGA = 2 * np.pi * (60 + np.arange(N_LINE) / 6)
+MASS = STIFFNESS / (2 * np.pi * NATURAL) ** 2
+TRUTH = np.array([STIFFNESS, 2 * ZETA * np.sqrt(STIFFNESS * MASS), MASS])
+H = 1 / (TRUTH[0] + 1j * OMEGA * TRUTH[1] - OMEGA**2 * TRUTH[2])
+
+
+def model():
+    """k, c and m of one mass."""
+    kinds = {"k": "stiffness", "c": "damping", "m": "mass"}
+    terms = tuple(entry_term(name, kind, [(0, 0)], (1, 1)) for name, kind in kinds.items())
+    return DynamicModel("sdof", terms, fixed_matrices(np.zeros((1, 1)), np.ones((1, 1))))
+
+
+def stream(seed, n, response=H):
+    """Amplitudes (n_line, 1, 2) of displacement and force of *n* periods with noise on both."""
+    rng = np.random.default_rng(seed)
+
+    def noise(size):
+        return size * (rng.standard_normal(N_LINE) + 1j * rng.standard_normal(N_LINE)) / np.sqrt(2)
+
+    for _ in range(n):
+        motion = response + noise(0.5 * np.sqrt(np.mean(np.abs(H) ** 2)))
+        yield np.stack([motion, 1 + noise(0.1)], axis=1)[:, None]
+
+
+def test_estimates_and_monitors_of_an_independent_calculation():
+    fit, sums, before = RunningFit(Equation(model(), OMEGA)), PeriodSums(), None
+    charts = Charts(fit)
+    for number, z in enumerate(stream(20261123, 12), 1):
+        if number in MONITORS:
+            shift, energy = charts.monitors(z, sums, before)
+            # After few steps each the two descents are this near to the common minimum.
+            np.testing.assert_allclose([*shift, energy], MONITORS[number], atol=5e-6)
+        sums.add(z)
+        if number < 2:
+            continue
+        before = fit.update(sums)
+        if number in GOLDEN:
+            relative = [*before.values / TRUTH, *before.std_error / TRUTH]
+            stated = [*relative, *before.dof, *before.half / TRUTH, before.reduced]
+            np.testing.assert_allclose(stated, GOLDEN[number], rtol=3e-5)
+
+
+def test_wanted_5_percent_k_is_enough_after_8_periods_and_c_after_9():
+    fit, sums, enough = RunningFit(Equation(model(), OMEGA)), PeriodSums(), {}
+    for z in stream(20261123, 12):
+        sums.add(z)
+        if sums.n >= 2:
+            estimate = fit.update(sums)
+            for name, value, half in zip("kc", estimate.values, estimate.half, strict=False):
+                if estimate.judged and half <= 0.05 * value:
+                    enough.setdefault(name, sums.n)
+    assert enough == {"k": 8, "c": 9}
+
+
+def test_hits_weigh_by_their_energy_as_h1_does():
+    rng = np.random.default_rng(7)
+    forces = rng.uniform(0.3, 2.0, 6)
+    motions = [H * force + 1e-9 * rng.standard_normal(N_LINE) for force in forces]
+    sums = HitSums()
+    for force, motion in zip(forces, motions, strict=True):
+        sums.add(np.stack([motion, np.full(N_LINE, force, complex)], axis=1)[:, None])
+    h1 = np.sum([m * f for m, f in zip(motions, forces, strict=True)], axis=0) / np.sum(forces**2)
+    np.testing.assert_allclose(sums.mean[:, 0, 0], h1, rtol=1e-12)
+    residual = np.array([m - h1 * f for m, f in zip(motions, forces, strict=True)])
+    power = moving_mean(np.sum(np.abs(residual) ** 2, axis=0) / 5) / np.sum(forces**2)
+    np.testing.assert_allclose(sums.covariance()[:, 0, 0, 0].real, power, rtol=1e-4)
+
+
+def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
+    fit, sums = RunningFit(Equation(model(), OMEGA)), PeriodSums()
+    charts, estimate = Charts(fit), None
+    moved = 1 / (0.997 * TRUTH[0] + 1j * OMEGA * TRUTH[1] - OMEGA**2 * TRUTH[2])
+    verdicts = {}
+    sound, drifted = stream(5, 20), stream(6, 40, moved)
+    for number in range(1, 40):
+        z = next(sound) if number <= 20 else next(drifted)
+        if number == 12:
+            z = 3 * z - 2 * z.mean(axis=0)
+        verdicts[number] = charts.judge(z, sums, estimate, 1.0) if estimate else None
+        if verdicts[number] is not None and verdicts[number].jump:
+            continue
+        sums.add(z)
+        estimate = fit.update(sums) if sums.n >= 2 else None
+    jumps = [number for number, verdict in verdicts.items() if verdict and verdict.jump]
+    assert jumps == [12]
+    since = next(verdict.change for number, verdict in verdicts.items() if verdict and verdict.change)
+    assert 15 <= since <= 26
+
+
+@pytest.mark.parametrize("alarm", [0.02, 0.05])
+def test_the_limit_of_a_cumulative_sum_is_passed_as_often_as_is_said(alarm):
+    steps = np.clip(np.random.default_rng(11).standard_normal((40000, 50)), -4, 4)
+    up, down, passed = np.zeros(40000), np.zeros(40000), np.zeros(40000, bool)
+    for column in steps.T:
+        up, down = np.maximum(up + column - 0.5, 0), np.maximum(down - column - 0.5, 0)
+        passed |= np.maximum(up, down) > cusum_limit(alarm)
+    # The formula counts alarms of a process that runs for long: one that has begun at zero raises fewer.
+    assert 0.6 * alarm < passed.mean() <= 1.05 * alarm
+
+
+def test_forecast_of_noise_alone_is_the_square_of_the_widths():
+    fit, sums = RunningFit(Equation(model(), OMEGA)), PeriodSums()
+    for z in stream(3, 10):
+        sums.add(z)
+    estimate = fit.update(sums)
+    half = estimate.half[0]
+    ahead = forecast(estimate, 0, half / 2, 0.95)
+    # Four times as many averages but for the degrees of freedom, which make them fewer.
+    assert 36 <= ahead.expected <= 40
+    assert ahead.low < ahead.expected < ahead.high
+    assert forecast(estimate, 0, half, 0.95).expected == 10
+    assert forecast(estimate, 0, 0.0, 0.95).expected is None
+
+
+def test_a_width_that_model_error_holds_up_no_longer_falls():
+    n = np.arange(1, 33)
+    assert not no_longer_falls(list(1 / np.sqrt(n)))
+    assert no_longer_falls(list(np.sqrt(1 / n + 0.2)))
+
+
+def test_factor_of_the_confidence_sequence():
+    # Normal mixture (Robbins 1970) in the limit of many degrees of freedom: factor^2 = (1 + rho / n) log((n +
+    # rho) / (rho alpha^2)), 3.03 at the number of averages that it is tuned to.
+    assert sequence_factor(25, 25, 1e7) == pytest.approx(3.03, abs=0.01)
+    assert sequence_factor(25, 25, 5) > sequence_factor(25, 25, 500) > 3.03
