@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent.parent
 # Loading these takes .2 to .5 s of CPU each.
 HEAVY = {"pandas", "scipy", "matplotlib", "h5py", "nptdms"}
@@ -42,6 +44,7 @@ def test_a_report_of_charts_is_drawn_without_matplotlib(tmp_path: Path) -> None:
     assert 'type="application/json"' in (out / "report.html").read_text("utf-8")
 
 
+@pytest.mark.long
 def test_a_run_loads_no_method_that_its_pipeline_does_not_name(tmp_path: Path) -> None:
     """A fit of a single mass is the core's own work; a ring-down is that of one method."""
     script = (

@@ -190,6 +190,7 @@ def test_an_entry_that_follows_from_the_rotor_is_refused(installed, project: Pat
     assert "bearings.1.frequency: follows from the rotor" in printed
 
 
+@pytest.mark.long
 def test_simulate_and_study_know_the_virtual_rig(installed, project: Path) -> None:
     installed("simulate", f"{EXAMPLE}/virtual-sdof.yaml", "-o", "out/rig")
     assert json.loads((project / "out/rig/truth.json").read_text())["truth"]["k"] == 134.5e3
@@ -222,6 +223,7 @@ def test_the_method_finds_the_factor_that_the_run_up_was_made_with(
     assert "run_ups.common-factor  factor" in installed("list", "out/factor", "-p", "factor")
 
 
+@pytest.mark.long
 def test_metamodels_are_made_of_the_method(of_own_process, project: Path, run_up_table: Path) -> None:
     """Three loads under one damper: the surface over load and speed is that of 1.2 times the file's
     coefficients.

@@ -67,8 +67,9 @@ console = module("console")
 WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(encoding="utf-8")))]
 
 
-# Pages whose commands take more than five seconds each: films, run-ups, a loop's theory.
-SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop"}
+# Pages whose commands take more than three seconds: films, run-ups, a loop's theory, plans, whole projects.
+SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop", "compare", "virtual-rig", "run-up-method"}
+SLOW |= {"section", "budget", "plan", "many"}
 
 
 @pytest.mark.parametrize(

@@ -159,6 +159,7 @@ def test_slopes_of_every_member_are_central_differences() -> None:
                 )
 
 
+@pytest.mark.long
 def test_a_sound_fit_keeps_its_interval() -> None:
     """Thirty draws: noise-only width but for a few per cent, and the truth is held."""
     f = np.linspace(94, 106, 100)

@@ -86,6 +86,7 @@ def test_the_right_mass_is_left_alone(noise: dict, runs: int) -> None:
     assert np.mean(alarms) < 0.02 + 3 * np.sqrt(0.02 / runs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise_known", [False, True])
 def test_a_mass_ten_standard_errors_off_is_seen(noise_known: bool) -> None:
     """2 % noise knows the mass to about 0.6 %: 6 % is ten of these, 3.6 degrees of freedom without known

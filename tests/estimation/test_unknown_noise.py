@@ -153,6 +153,7 @@ def test_a_fault_is_warned_of_and_a_right_fit_is_not(case: Case, half: int) -> N
     assert abs(found.warned - expected) <= 3 * np.sqrt(max(expected * (1 - expected), 0.01) / len(seeds))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_the_first_of_them(case: Case) -> None:
     """The short version: the first four of each with the narrow band."""

@@ -12,6 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.long
 def test_sources_add_up_to_the_combined_uncertainty(tmp_path: Path, labpipe_without_report) -> None:
     labpipe_without_report(
         "run",

@@ -60,6 +60,7 @@ def test_columns_are_those_of_their_hits_alone(decay: float | None, rng: np.rand
     np.testing.assert_allclose(covariance, covariance.conj().swapaxes(1, 2), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_predicted_variance_is_the_scatter_of_repeats(rng: np.random.Generator) -> None:
     """Noise of one level on all responses: variance over 60 repeats of three points hit three times each,
     over its mean prediction.
@@ -124,6 +125,7 @@ def test_memory_grows_with_the_number_of_hits() -> None:
     assert np.log(peak(40) / peak(10)) / np.log(4) < 1.15
 
 
+@pytest.mark.long
 def test_nine_modes_from_raw_files(tmp_path: Path, labpipe: Command) -> None:
     """From CSV to modes, result and report: the closed-form frequencies and damping ratios.
 

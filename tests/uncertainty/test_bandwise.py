@@ -96,6 +96,7 @@ def test_what_the_support_adds_to_both_is_no_part_of_the_difference() -> None:
     assert tested.amount("p_value").value > 10 * found.amount("p_value").value
 
 
+@pytest.mark.long
 def test_false_alarms_are_as_rare_as_stated(rng: np.random.Generator) -> None:
     """600 pairs of tests of one rig, 20 bands with errors as stated, estimated from 20 degrees of freedom
     each.
@@ -151,6 +152,7 @@ def test_a_difference_is_found_in_its_bands(rng: np.random.Generator) -> None:
     assert any(band.parameter == "c" and band.band_hz[0] <= 67 <= band.band_hz[1] for band in differing)
 
 
+@pytest.mark.long
 def test_groups_are_found_by_their_condition(rng: np.random.Generator) -> None:
     views = {name: measured(bearing("hmb-geometry"), rng, fits=True) for name in ("still", "turning")}
     speeds = {"still": "0 rpm", "turning": "8000 rpm"}

@@ -49,6 +49,7 @@ def compared(hysteresis: float, seed: int) -> Comparison:
     return compare(ASKED, Evidence(tuple(fits), tuple(responses), (FIT,)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hysteresis", [0.0, 0.03])
 def test_the_rig_s_hysteresis_is_found_within_its_error(hysteresis: float) -> None:
     """Five campaigns each: the mean within 4 standard errors, the stated error true.

@@ -61,6 +61,7 @@ def test_the_setting_s_error_enters_by_the_exponent(campaign) -> None:
     assert found.amount("difference").std_error == pytest.approx(np.sqrt(2) * 0.7 * 0.005 / 2, rel=1e-4)
 
 
+@pytest.mark.long
 def test_no_difference_is_claimed_at_the_stated_rate_and_three_per_cent_are_seen(campaign, rng) -> None:
     """300 campaigns: 5 % false alarms (within 3.5 binomial standard deviations of 6.7 %, with enlarged
     errors); 3 % found in 99 %.

@@ -82,6 +82,7 @@ def test_unknowns_are_fitted_and_the_bands_judged_again(rng: np.random.Generator
     )
 
 
+@pytest.mark.long
 def test_unknowns_that_cannot_be_told_apart_are_said(rng: np.random.Generator) -> None:
     file = replace(bearing("hmb-magnetic"), static_stiffness=None, negative_stiffness=33106.0)
     found = predicted(file, rng, estimate=("gain", "force_per_current"))
@@ -90,6 +91,7 @@ def test_unknowns_that_cannot_be_told_apart_are_said(rng: np.random.Generator) -
     assert "share_k_fitted" not in [amount.name for amount in found.amounts]
 
 
+@pytest.mark.long
 def test_an_unstable_setting_is_said(rng: np.random.Generator) -> None:
     """The printed sign of the lag: pedestal and rotor stand, the bearing file's rotor alone does not."""
     printed = replace(bearing("hmb-magnetic"), loop=replace(bearing("hmb-magnetic").loop, lag=0.25))

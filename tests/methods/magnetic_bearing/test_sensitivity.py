@@ -160,6 +160,7 @@ def test_it_survives_its_file_and_is_drawn(rng: np.random.Generator) -> None:
     assert zones == {"zone A ends": 3.0, "zone B ends": 4.0, "zone C ends": 5.0}
 
 
+@pytest.mark.long
 def test_unknowns_are_fitted_to_it_within_their_uncertainty(rng: np.random.Generator) -> None:
     """Gap, delay and bandwidth over 100 noises, from a file that has them 3 to 20 % wrong.
 

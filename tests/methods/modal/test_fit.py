@@ -270,6 +270,7 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
     assert np.mean(wider) == pytest.approx(np.sqrt(2), rel=0.05)
 
 
+@pytest.mark.long
 def test_complex_modes_contradict_real_ones() -> None:
     """Phases of .06 rad at 1 % noise: the fit with real shapes is called a mismatch, that with complex ones
     not.
@@ -325,6 +326,7 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
     ) == pytest.approx(120, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("detuned", [0.002, 0.05])
 def test_points_that_load_the_structure_differently_get_no_modes_to_explain_it(detuned: float) -> None:
     """A moving sensor lowers all frequencies, at the last point by a tenth or by two and a half of the

@@ -60,6 +60,7 @@ def test_systematic_errors_that_both_tests_have_are_no_knowledge_of_one() -> Non
         Earlier(NAMES, np.full((2, 2), np.nan)).known(model, 20.0)
 
 
+@pytest.mark.long
 def test_errors_of_both_tests_together() -> None:
     # Kalman's update of the covariance, V - V (V + W)^-1 V with W of the new test alone, is the inverse of
     # the sum of informations. An earlier result of the size of the new test's errors of k.
@@ -82,6 +83,7 @@ def test_errors_of_both_tests_together() -> None:
     )
 
 
+@pytest.mark.long
 def test_a_mass_that_is_off_in_both_tests_does_not_move_the_resonance() -> None:
     # 2 % of k by a mass that the new test has as well are no uncertainty of where the resonance lies; 0.01 %
     # by noise are next to none.

@@ -162,6 +162,7 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     assert entry_of(read_plan(tmp_path / "out" / "plan.json")) == entry_of(plan)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "changes",
     [

@@ -56,6 +56,7 @@ def test_signals_are_as_large_as_the_limits_allow() -> None:
     assert np.all(crest_factors(large) >= np.sqrt(2))
 
 
+@pytest.mark.long
 def test_a_floor_keeps_every_line_excited() -> None:
     rig, lines, wanted = planned_rig("pedestal")
     found = best(rig, lines, wanted, (ONE_BY_ONE,))
@@ -65,6 +66,7 @@ def test_a_floor_keeps_every_line_excited() -> None:
     assert reference(rig, lines, wanted).certificate.efficiency >= 0.999
 
 
+@pytest.mark.long
 def test_crest_factor_out_of_reach() -> None:
     rig, lines, wanted = planned_rig("pedestal")
     narrow = Rig(rig.model, rig.noise, Limits(5.0, None, 1.4143), rig.directions, rig.shakers, rig.spacing)

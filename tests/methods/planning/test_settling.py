@@ -94,6 +94,7 @@ def test_a_plan_waits_until_motion_has_died_away(labpipe: Command, tmp_path: Pat
     assert not any("has not died away" in said or "raise the force" in said for said in words)
 
 
+@pytest.mark.long
 def test_what_a_period_too_few_costs_is_said_before_and_found_after(labpipe: Command, tmp_path: Path) -> None:
     plan, (fit,), (words,) = _carried_out(labpipe, tmp_path, {**PLAN, "skip": 1}, 1)
     assert plan.tests[0].skip == 1

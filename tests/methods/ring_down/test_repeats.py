@@ -50,6 +50,7 @@ def named(fit: dict[str, Any]) -> dict[str, Any]:
     return {parameter["name"]: parameter for parameter in fit["parameters"]}
 
 
+@pytest.mark.long
 def test_twenty_one_decays_of_a_frequency_that_scatters(
     tmp_path: Path, labpipe: Command, rng: np.random.Generator
 ) -> None:

@@ -109,6 +109,7 @@ def test_intervals_of_predictions_cover_the_truth(inside: JointFit) -> None:
     assert np.sqrt(np.mean(missed**2)) < 2
 
 
+@pytest.mark.long
 def test_a_truth_of_arbitrary_factors_is_flagged() -> None:
     found = fit_jointly(RIG, trained("factors"))
     assert found.rejected
@@ -155,12 +156,14 @@ def with_second_disc(factor: complex) -> list[RunUp]:
     ]
 
 
+@pytest.mark.long
 def test_an_unbalance_a_fifth_too_small_is_flagged() -> None:
     found = fit_jointly(RIG, with_second_disc(0.8))
     assert found.rejected and found.chi2_per_datum > 10
     assert found.share_at_bound == np.mean(found.at_bound) > 0
 
 
+@pytest.mark.long
 def test_an_unbalance_of_wrong_phase_is_refused() -> None:
     """Off by a right angle: no coefficients make up for that, and the message says where to look."""
     with pytest.raises(FitError) as caught:

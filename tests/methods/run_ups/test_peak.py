@@ -43,6 +43,7 @@ def test_the_peak_of_a_round_rotor(step: float, zeta: float) -> None:
     assert found.value == pytest.approx(150 / np.sqrt(1 - 2 * zeta**2), rel=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "most"), [("outside", 0.0015), ("inside", 0.0025), ("factors", 0.006)])
 def test_the_rig_s_critical_speeds_are_read_off_with_their_errors(kind: str, most: float) -> None:
     """Four loads, four seeds, steps of 100 rpm; nine in ten within two standard errors, none beyond four."""

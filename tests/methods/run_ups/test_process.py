@@ -175,6 +175,7 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
         )
 
 
+@pytest.mark.long
 def test_outside_the_family_its_held_out_interval_holds_where_the_joint_fit_s_does_not() -> None:
     """Other grooves, clearance and oil: chi-square accepts the joint fit, whose threshold at the held-out
     load misses by 2.8 errors.

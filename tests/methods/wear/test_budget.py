@@ -18,6 +18,7 @@ from tests.methods.wear.worn_cases import RIG, fit_settings, measured, wear_sett
 GAIN = Uncertainty("y.sensitivity", 0.02, "1")
 
 
+@pytest.mark.long
 def test_the_change_by_a_sensitivity_is_that_of_refits() -> None:
     """A gain of 2 %, so that its change stands above the error of the films' mesh (23 nm and 0.008 rad),
     which a refit moves through.

@@ -72,6 +72,7 @@ def errors_of(fit: Fit, wear: tuple[float, float]) -> tuple[float, float]:
     return depth - wear[0], float(angle) - wear[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("wear", WEAR)
 def test_noise_free_recovery(wear: tuple[float, float]) -> None:
     """.01 um and .01 deg, and at least ten of the source's twenty starts lead there; seven lines of the full
@@ -137,6 +138,7 @@ def test_another_cavitation_pressure_is_seen_and_calibrated() -> None:
     assert abs(depth) <= 1.5 and abs(angle) <= 0.7 and calibrated.gof.chi2_p > 1e-3
 
 
+@pytest.mark.long
 def test_healthy_rig_with_model_error() -> None:
     """Below .6 um, and the angle is called not identifiable."""
     response = measured(
