@@ -57,6 +57,10 @@ def pdf_report(identification: Identification) -> bytes:
     return render_pdf(build(identification))
 
 
+# Where the place to sign begins, near the foot of the page [mm].
+SIGNATURE_AT = 248
+
+
 def render_pdf(document: Document) -> bytes:
     """The document as PDF: a cover to sign (or just its title), then every section.
 
@@ -71,7 +75,7 @@ def render_pdf(document: Document) -> bytes:
         pages.add_page()
     else:
         _title(pages, document)
-    for section in document.sections:
+    for section in document.sections[1 if document.to_sign else 0 :]:
         pages.ln(3)
         if pages.will_page_break(30 + _height_of(section)):
             pages.add_page()
@@ -100,22 +104,26 @@ def _size(figure: Figure) -> tuple[float, float]:
 
 
 def _cover(pages: _Pages, document: Document) -> None:
-    """Title, object of the test, verdict, and place to sign."""
-    pages.set_y(45)
+    """Title, object of the test, the first section: verdict, numbers, what shows them; and place to sign."""
+    pages.set_y(25)
     _title(pages, document)
-    pages.ln(10)
+    pages.ln(4)
     for what, which in document.cover:
         top = pages.get_y()
         pages.set_xy(20, top)
         _text(pages, what, 10, colour=GREY)
         pages.set_xy(60, top)
         _text(pages, which, 10)
-        pages.ln(1.5)
-    pages.ln(8)
+        pages.ln(0.5)
+    pages.ln(4)
     for block in document.sections[0].blocks if document.sections else ():
         if isinstance(block, Paragraph):
             _box(pages, block)
-    pages.set_y(max(pages.get_y() + 10, 225))
+        else:
+            _put(pages, block)
+    if pages.get_y() > SIGNATURE_AT:
+        pages.add_page()
+    pages.set_y(max(pages.get_y() + 4, SIGNATURE_AT))
     _table(pages, SIGNATURE)
 
 

@@ -40,10 +40,10 @@ def plot(result: Any) -> Canvas:
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
-    """The figures of its report in their order."""
+    """The figures of its report in their order, but for the short one of the first page."""
     return [
         block
-        for section in build(identification).sections
+        for section in build(identification).sections[1:]
         for block in section.blocks
         if isinstance(block, Figure)
     ]

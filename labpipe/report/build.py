@@ -5,19 +5,22 @@ provenance last.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, asdict, fields, is_dataclass, replace
+from typing import Any
 
 from labpipe.errors import ConfigError
+from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
 from labpipe.registry import Registry, nearest
-from labpipe.report.cover import cover_facts, section_facts
-from labpipe.report.document import Block, Code, Document, Paragraph, Section, Table
+from labpipe.report.cover import cover_facts, result_blocks, section_facts
+from labpipe.report.document import Block, Document, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
 from labpipe.report.wording import fit_title
 from labpipe.sections import section
+from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
 # the report together.
@@ -43,10 +46,12 @@ SERIOUS = (
 
 
 def verdict_sections(identification: Identification) -> tuple[Section, ...]:
-    """Verdict, warnings and, where there are any, notes."""
-    notes = _notes(identification)
+    """Verdict with the numbers that were asked for, warnings and, where there are any, notes."""
+    notes, verdict = _notes(identification), _verdict(identification)
+    # The numbers stand below what is said of them, above the rules.
+    place = 1 + max(n for n, block in enumerate(verdict) if isinstance(block, Paragraph))
     return (
-        Section("Verdict", _verdict(identification)),
+        Section("Verdict", (*verdict[:place], *result_blocks(identification), *verdict[place:])),
         Section("Warnings", _warnings(identification)),
         *([Section("Notes", notes)] if notes else []),
     )
@@ -273,9 +278,35 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     return (
         Table(("source file", "SHA-256"), rows, "Source files"),
         Paragraph(repeat),
-        Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
-        Code(json.dumps(settings, indent=1)),
+        Table(("setting", "value"), _stated_settings(settings), "Settings in SI units (Hz, s, m, N, rad)"),
     )
+
+
+def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...]:
+    """Each setting that is not as by default, with the path of its keys."""
+    if isinstance(settings, Mapping):
+        kept = {name: entry for name, entry in settings.items() if entry not in DEFAULTS.get(str(name), ())}
+        entries = [(f"{key}.{name}" if key else str(name), entry) for name, entry in kept.items()]
+        return tuple(row for path, entry in entries for row in _stated_settings(entry, path))
+    if isinstance(settings, list) and settings and isinstance(settings[0], Mapping):
+        named = [(entry.get("name", number), entry) for number, entry in enumerate(settings, 1)]
+        paths = [(f"{key}.{name}", {**entry, "name": None}) for name, entry in named]
+        return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
+    return () if settings in (None, False, "", []) else ((key, json.dumps(settings).strip('"')),)
+
+
+def _defaults() -> dict[str, list[Any]]:
+    """Settings of responses and fits where a file says nothing, as JSON holds them, by their names."""
+    defaults: dict[str, list[Any]] = {}
+    for field in (*fields(FrfSettings), *fields(FitSettings)):
+        if field.default is not MISSING:
+            default: Any = field.default
+            whole = asdict(default) if is_dataclass(default) and not isinstance(default, type) else default
+            defaults.setdefault(field.name, []).append(json.loads(json.dumps(whole, default=str)))
+    return defaults
+
+
+DEFAULTS = _defaults()
 
 
 # From an identification to the document that people read: verdict first, uncertainty beside every number,

@@ -1,14 +1,38 @@
-"""Entries of the cover of a report beside title and verdict."""
+"""The first page of a report: its entries beside title and verdict, and the numbers that were asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
 
-from labpipe.records.identification import Identification
+from labpipe.display import difference_in, shown_unit, with_error, written
+from labpipe.quantities import to_display
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit, FittedCurve, Identification, of_points
+from labpipe.report.chart import Chart, stacked
+from labpipe.report.document import Block, Figure, Table
+from labpipe.report.figures import fitted_curve_figure
+from labpipe.report.wording import fit_title, legible
 from labpipe.sections import section
 
 DATES = ("date", "recorded", "day")
 MOST_CONDITIONS = 6
+# Coefficients by the first part of their names, in words.
+MEANINGS = {
+    "k": "stiffness",
+    "c": "damping",
+    "m": "mass",
+    "f": "natural frequency",
+    "zeta": "damping ratio",
+    "eta": "loss factor",
+}
+# Rows of the first page, and elements of a response that one figure of it shows.
+MOST_RESULTS, MOST_ELEMENTS = 18, 4
+# Height of that figure [in].
+FIGURE_HEIGHT = 2.1
+# Ends of an interval that differ by less than this share from its middle are a half-width.
+EVEN = 0.02
 
 
 def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, str], ...]:
@@ -49,3 +73,75 @@ def section_facts(identification: Identification) -> list[Mapping[str, str]]:
 def _listed(values: Sequence[str]) -> str:
     distinct = list(dict.fromkeys(values))
     return ", ".join(distinct[:8]) + (f" and {len(distinct) - 8} more" if len(distinct) > 8 else "")
+
+
+def result_blocks(identification: Identification) -> tuple[Block, ...]:
+    """What was asked for: every coefficient with its 95 % interval, and the response behind the first."""
+    fits = _single_fits(identification)
+    rows = [row for fit in fits for row in _result_rows(fit, len(fits) > 1)]
+    if not rows:
+        return ()
+    header = ("result of", "coefficient", "value with its 95 % interval", "relative", "why it is so wide")
+    there = [n for n in range(len(header)) if any(row[n] for row in rows)]
+    shown = tuple(tuple(row[n] for n in there) for row in rows[:MOST_RESULTS])
+    more = f"; {len(rows) - MOST_RESULTS} more follow behind" if len(rows) > MOST_RESULTS else ""
+    table = Table(tuple(header[n] for n in there), shown, f"Results{more}")
+    drawn = (fit for fit in fits if fit.curve is not None and _n_element(fit.curve) <= MOST_ELEMENTS)
+    return (table, *(_amplitudes(fit, fit.curve) for fit in islice(drawn, 1) if fit.curve is not None))
+
+
+def _n_element(curve: FittedCurve) -> int:
+    return len(curve.outputs) * len(curve.inputs)
+
+
+def _amplitudes(fit: Fit, fitted: FittedCurve) -> Figure:
+    """Amplitude of the measured and the fitted response alone; phase and residual follow with the fit."""
+    whole = fitted_curve_figure(fit, fitted)
+    assert isinstance(whole.graphic, Chart)
+    panel = replace(whole.graphic.panels[0], share=1.0, x=whole.graphic.panels[-1].x)
+    caption = f"Measured (dots) and fitted (lines) response of {fit_title(fit)}."
+    return Figure(stacked([panel], FIGURE_HEIGHT), caption, whole.alternative)
+
+
+def _single_fits(identification: Identification) -> list[Fit]:
+    """Fits that are results by themselves: no lines of calibrations, no bands of a sliding fit, and none that
+    a matrix of tests sums up.
+    """
+    if identification.sections.get("matrix"):
+        return []
+    keys = [(fit.name, fit.term, fit.test) for fit in identification.fits]
+    return [
+        fit
+        for fit, key in zip(identification.fits, keys, strict=True)
+        if keys.count(key) == 1 and not of_points(fit.model)
+    ]
+
+
+def _result_rows(fit: Fit, several: bool) -> list[tuple[str, ...]]:
+    title = fit_title(fit) if several else ""
+    return [
+        (title if number == 0 else "", _coefficient(parameter.name), *_stated(parameter), parameter.reason)
+        for number, parameter in enumerate(fit.parameters)
+    ]
+
+
+def _coefficient(name: str) -> str:
+    meaning = MEANINGS.get(name.partition("_")[0], "")
+    return f"{meaning} {name}" if meaning else name
+
+
+def _stated(parameter: Parameter) -> tuple[str, str]:
+    """Value and interval as one writes them, and half the interval relative to the value."""
+    if parameter.ci95 is None:
+        unit = shown_unit(parameter.unit, parameter.value)
+        why = "at the end of its range" if parameter.at_bound else "no interval, see the warnings"
+        return f"{with_error(to_display(parameter.value, unit), None, legible(unit))} ({why})", ""
+    low, high = parameter.ci95
+    half = (high - low) / 2
+    unit = shown_unit(parameter.unit, parameter.value, half)
+    value, ends = to_display(parameter.value, unit), [to_display(end, unit) for end in parameter.ci95]
+    relative = f"± {100 * half / abs(parameter.value):.2g} %" if parameter.value else ""
+    if abs((low + high) / 2 - parameter.value) <= EVEN * half:
+        return with_error(value, difference_in(half, unit), legible(unit)), relative
+    number, _, *limits = written(value, difference_in(half, unit), *ends)
+    return f"{number} ({' to '.join(limits)}) {legible(unit)}".rstrip(), relative

@@ -13,7 +13,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding, Parameter
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.build import MOST_NOTES, PARTS, build, provenance_sections, verdict_sections
-from labpipe.report.document import Code, Figure, Paragraph, Section, Table
+from labpipe.report.document import Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
 
@@ -53,8 +53,9 @@ def words(sections: tuple[Section, ...]) -> dict[str, list[tuple[str, str]]]:
 def test_an_accepted_result_says_so_with_its_rules() -> None:
     sections = verdict_sections(RESULT)
     assert words(sections)["Verdict"] == [("ACCEPTED: all 1 rules hold. No warnings.", "passed")]
-    (table,) = (block for block in sections[0].blocks if isinstance(block, Table))
-    assert table.rows == (("accept", "direct.gof >= 0.95", "0.98", "holds"),)
+    results, rules = (block for block in sections[0].blocks if isinstance(block, Table))
+    assert results.rows == (("stiffness k", "45.200 ± 0.063 kN/m", "± 0.14 %"),)
+    assert rules.rows == (("accept", "direct.gof >= 0.95", "0.98", "holds"),)
     assert [section.heading for section in sections] == ["Verdict", "Warnings"] and words(sections)[
         "Warnings"
     ][0][1] == "passed"
@@ -78,8 +79,8 @@ def test_a_box_is_green_only_when_the_rules_were_checked() -> None:
 def test_a_failed_rule_and_no_rules_at_all() -> None:
     failed = verdict_sections(replace(RESULT, outcomes=(HOLDS, FAILS)))
     assert words(failed)["Verdict"][0] == ("NOT ACCEPTED: 1 of 2 rules fail. No warnings.", "failed")
-    (table,) = (block for block in failed[0].blocks if isinstance(block, Table))
-    assert table.rows[1] == ("expect", "direct.k 1 kN/m", "nothing", "FAILS")
+    table = failed[0].blocks[-1]
+    assert isinstance(table, Table) and table.rows[1] == ("expect", "direct.k 1 kN/m", "nothing", "FAILS")
     assert words(verdict_sections(replace(RESULT, outcomes=())))["Verdict"][0][1] == "note"
 
 
@@ -212,11 +213,8 @@ def test_provenance_repeats_channels_conditions_sources_and_settings() -> None:
     assert words((rig_section,))["Rig and conditions"][0][0] == "Bench. On rubber. Moving mass 0.92 kg."
     assert channels.rows == (("y", "x [um]", "displacement", "output", "y", "um", "1e-06"),)
     assert conditions.rows == (("427N", "preload", "427 N"),)
-    (table,) = (block for block in provenance.blocks if isinstance(block, Table))
-    (code,) = (block for block in provenance.blocks if isinstance(block, Code))
-    assert (
-        table.rows == (("a.csv", "ab" * 32),) and '"period": 1.0' in code.text and "report" not in code.text
-    )
+    table, stated = (block for block in provenance.blocks if isinstance(block, Table))
+    assert table.rows == (("a.csv", "ab" * 32),) and stated.rows == (("frf.period", "1.0"),)
     assert "labpipe run p.yaml" in words((provenance,))["Provenance"][0][0]
 
 
@@ -228,3 +226,35 @@ def test_acceptance_by_goodness_of_fit_alone_says_so() -> None:
         texts = [block.text for block in verdict.blocks if isinstance(block, Paragraph)]
         assert texts[0].startswith("ACCEPTED")
         assert any("G.o.F alone" in text and "direct" in text for text in texts) is said
+
+
+def test_the_first_page_says_each_number_as_it_is_written_by_hand() -> None:
+    """Even intervals as ±, others by their ends, a wide one with its reason, none with why."""
+    skew = replace(K, name="c", unit="N.s/m", value=10.0, ci95=(9.0, 13.0), reason="other modes")
+    held = replace(K, name="zeta", unit="1", value=0.0, ci95=None, std_error=None, at_bound=True)
+    fits = (replace(FIT, parameters=(K, skew, held)), replace(FIT, name="other"))
+    tables = [b for b in verdict_sections(replace(RESULT, fits=fits))[0].blocks if isinstance(b, Table)]
+    assert tables[0].header == (
+        "result of",
+        "coefficient",
+        "value with its 95 % interval",
+        "relative",
+        "why it is so wide",
+    )
+    assert [row[:3] for row in tables[0].rows] == [
+        ("direct, test 427N", "stiffness k", "45.200 ± 0.063 kN/m"),
+        ("", "damping c", "10.0 (9.0 to 13.0) N s/m"),
+        ("", "damping ratio zeta", "0 (at the end of its range)"),
+        ("other, test 427N", "stiffness k", "45.200 ± 0.063 kN/m"),
+    ]
+    assert tables[0].rows[1][4] == "other modes"
+
+
+def test_settings_are_those_that_the_file_states() -> None:
+    settings = {
+        "frf": {"period": 1.0, "window": "hann", "skip": 3},
+        "identify": [{"name": "a", "share": 1, "mass": 2.0}],
+    }
+    stated = provenance_sections(replace(RESULT, settings=settings))[1].blocks[-1]
+    assert isinstance(stated, Table)
+    assert stated.rows == (("frf.period", "1.0"), ("frf.skip", "3"), ("identify.a.mass", "2.0"))
