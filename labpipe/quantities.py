@@ -237,7 +237,7 @@ def parse_unit(text: str) -> Unit:
             raise UnitError(f"'{symbol}' has an offset and cannot be part of a compound unit", "use K")
         factor *= unit.factor**power
         if not 1 / MOST_FACTOR <= factor <= MOST_FACTOR:
-            raise UnitError(f"the unit '{text[:ECHO]}' is beyond all measure")
+            raise UnitError(f"the unit '{text[:ECHO]}' is too large or too small")
         dimension = [d + power * u for d, u in zip(dimension, unit.dimension, strict=True)]
     return Unit(factor, (dimension[0], dimension[1], dimension[2], dimension[3], dimension[4], dimension[5]))
 
@@ -295,7 +295,7 @@ def parse_value(text: str | float, si_unit: str) -> float:
         raise UnitError(f"'{text}' has no unit", f"write it with its unit, e.g. '{match[1]} {si_unit}'")
     unit = unit_of(unit_text, si_unit)
     if si_unit == "kg" and 0 < abs(number * unit.factor) < SMALLEST:
-        raise UnitError(f"'{str(text)[:ECHO]}' is no mass that anybody weighs", _example(si_unit))
+        raise UnitError(f"'{str(text)[:ECHO]}' is too small for a mass", _example(si_unit))
     return _finite(
         (number * unit.factor + unit.offset) / target.factor * _angle_per_period(unit, target), text
     )
@@ -383,7 +383,7 @@ def _finite(value: float, text: str | float) -> float:
         raise UnitError(f"'{str(text)[:ECHO]}' is not a finite value")
     if abs(value) > LARGEST:
         raise UnitError(
-            f"'{str(text)[:ECHO]}' is beyond all measure", f"no amount in SI units is larger than {LARGEST:g}"
+            f"'{str(text)[:ECHO]}' is out of range", f"no amount in SI units is larger than {LARGEST:g}"
         )
     return value
 

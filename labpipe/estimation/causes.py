@@ -335,9 +335,9 @@ def drift_findings(
     )
     message = (
         f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is "
-        "twice that from the beginning to the end. The parameters are those of no moment of the record, and "
-        "their standard errors do not hold. Wait until temperature and amplifiers have settled, or record "
-        "in shorter pieces"
+        "twice that from the beginning to the end. The parameters are averages over a changing rig, and their "
+        "standard errors do not hold. Wait until temperature and amplifiers have settled, or record in "
+        "shorter pieces"
     )
     return [Finding("drift", message)]
 

@@ -322,7 +322,7 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
     """The test measured from its raw files as they are read; their references. None where they need a
     calibrated recording, or where a fault was met.
 
-    A fault is told by the longer way, which looks at whole files before anything is measured from them.
+    Where a fault is met, the calibrated recording is made after all: its checks name the fault.
     """
     if (
         job.frf is None

@@ -49,7 +49,7 @@ def readable(path: Path) -> Iterator[None]:
     Faults of the machine keep their own words.
     """
     try:
-        # Numbers beyond all measure are refused by the screening, with channel and sample.
+        # Numbers out of range are refused by the screening, with channel and sample.
         with np.errstate(all="ignore"):
             yield
     except LabpipeError:

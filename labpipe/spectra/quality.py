@@ -236,7 +236,7 @@ def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
 
 
 def _statement(pair: Reciprocity) -> str:
-    verdict = "as noise explains" if pair.p_value > NOT_BY_CHANCE else "more than noise explains"
+    verdict = "within the noise" if pair.p_value > NOT_BY_CHANCE else "beyond the noise"
     chance = f"= {pair.p_value:.2g}" if pair.p_value >= LEAST_CHANCE else f"< {LEAST_CHANCE:g}"
     what = f"H of {pair.first} to {pair.second} and of {pair.second} to {pair.first}"
     return f"{what} differ by {100 * pair.difference:.3g} % (rms), {verdict} (p {chance})"

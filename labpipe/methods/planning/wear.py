@@ -481,8 +481,8 @@ def _alike_notes(expected: ExpectedWear, answered: Answered) -> Iterator[str]:
             if abs(correlation[first, second]) > ALIKE:
                 pair = f"{names[second]} and {names[first]}"
                 yield (
-                    f"{pair} are hardly told apart (correlation {correlation[first, second]:+.3f}): one "
-                    "decides on the other."
+                    f"{pair} can hardly be separated (correlation {correlation[first, second]:+.3f}): an "
+                    "error of one is made good by the other."
                 )
 
 
