@@ -70,7 +70,7 @@ def refused(ended, *said: str) -> None:  # type: ignore[no-untyped-def]
         ("1 kg^(1/0)", "no unit has the exponent '^(1/0)'"),
         ("1 km^999", "no unit has the exponent '^999'"),
         ("1e300 kg", "out of range"),
-        ("1e-300 kg", "is no mass"),
+        ("1e-300 kg", "is too small for a mass"),
         ("1 " + "kg." * 50000 + "m", "unreadable unit"),
         ("1" * 100000 + " kg", "is not a finite value"),
     ],
