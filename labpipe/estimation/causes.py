@@ -335,7 +335,7 @@ def drift_findings(
     )
     message = (
         f"the second half of the record differs from the first (p = {p_value:.2g}): {said}. An even drift is "
-        "twice that from the beginning to the end. The parameters are averages over a changing rig, and their "
+        "twice that from the beginning to the end. The parameters are means over a changing rig, and their "
         "standard errors do not hold. Wait until temperature and amplifiers have settled, or record in "
         "shorter pieces"
     )

@@ -122,8 +122,9 @@ def test_shell_commands_are_known(page: Path) -> None:
 def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> None:
     """Keys of a pipeline.
 
-    A block with channels is a whole rig file, one with a plan a whole plan file, which are read.
+    A block with channels is a whole rig file, one with a plan or planes a whole plan or balance file: read.
     """
+    from labpipe.methods.balancing.balance_file import load_balance
     from labpipe.methods.planning.plan_file import load_plan
     from labpipe.project.pipeline_file import section_names
     from labpipe.project.rig_file import load_rig
@@ -132,6 +133,9 @@ def test_yaml_shown_has_the_keys_that_are_read(page: Path, tmp_path: Path) -> No
         if "channels" in yaml.safe_load(block):
             (tmp_path / "rig.yaml").write_text(block, encoding="utf-8")
             assert load_rig(tmp_path / "rig.yaml").all_channels
+        elif "planes" in yaml.safe_load(block):
+            (tmp_path / "balance.yaml").write_text(block, encoding="utf-8")
+            assert load_balance(tmp_path / "balance.yaml").runs
         elif "plan" in yaml.safe_load(block):
             if not (tmp_path / "configs").exists():
                 (tmp_path / "configs").symlink_to(DOCS.parent / "configs")

@@ -113,9 +113,7 @@ def test_without_covariance_there_is_none_of_the_stiffness() -> None:
     assert dynamic_stiffness_covariance(FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS)) is None
 
 
-@pytest.mark.parametrize(
-    ("k_yx", "verdict"), [(30e3, "within the noise"), (-20e3, "beyond the noise")]
-)
+@pytest.mark.parametrize(("k_yx", "verdict"), [(30e3, "within the noise"), (-20e3, "beyond the noise")])
 def test_the_frf_stage_tells_of_it_in_a_note(k_yx: float, verdict: str) -> None:
     stiffness = ((620e3, 30e3), (k_yx, 690e3))
     rig = WhiteNoiseRig(

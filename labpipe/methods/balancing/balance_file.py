@@ -1,0 +1,289 @@
+"""Reading a balance file (planes, runs with their weights and readings, noise, limits), and what follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray
+from labpipe.errors import ConfigError, DataError
+from labpipe.methods.balancing.influence import (
+    Influence,
+    Noise,
+    Places,
+    Residual,
+    Run,
+    best_weights,
+    influence,
+    next_runs,
+    placed_weights,
+    residual_of,
+)
+from labpipe.project.marked_yaml import Marked, load_marked, set_entry
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.quantities import UnitError, parse_value, written_unit
+from labpipe.records.settings import Settings, setting
+
+LISTS = ("planes", "runs")
+
+
+@dataclass(frozen=True)
+class BalanceSettings(Settings):
+    """The plain entries of a balance file; planes and runs are read by themselves."""
+
+    title: str = setting("text", "title of the report", default="")
+    _: KW_ONLY
+    repeatability: float = setting(
+        "value",
+        "scatter of a reading when nothing is changed, as a share of it (standard)",
+        unit="1",
+        default=0.02,
+    )
+    noise: str = setting(
+        "text", "scatter that does not depend on the reading, e.g. 0.2 um (standard)", default=""
+    )
+    mass: float | None = setting("value", "mass of the rotor, for a grade", unit="kg", default=None)
+    speed: float | None = setting("value", "service speed, for a grade", unit="Hz", default=None)
+    grade: float | None = setting(
+        "value", "balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", unit="m/s", default=None
+    )
+
+
+@dataclass(frozen=True)
+class PlaneSettings(Settings):
+    """One entry of ``planes:``: where weights can be set in it."""
+
+    radius: float | None = setting(
+        "value", "at which weights are set; needed for masses", unit="m", default=None
+    )
+    places: int = setting("integer", "evenly spread places for weights; 0: any angle", default=0)
+    first: float = setting("value", "angle of the first place", unit="rad", default=0.0)
+    largest: float | None = setting("value", "most mass in one place", unit="kg", default=None)
+
+    def __post_init__(self) -> None:
+        if self.places and (self.places < 3 or self.radius is None):
+            what = "'places' needs a radius, and three places at least"
+            raise ConfigError(what, hint="radius: 120 mm", field="places")
+        if self.largest is not None and not self.places:
+            raise ConfigError("'largest' is of places", hint="places: 12", field="largest")
+
+
+@dataclass(frozen=True)
+class BalanceFile:
+    """A balance file; *planes* and *lines* (sensor, or sensor at a speed) by name; *unit* of all readings."""
+
+    path: Path
+    settings: BalanceSettings
+    planes: dict[str, PlaneSettings]
+    lines: tuple[str, ...]
+    unit: str
+    runs: tuple[Run, ...]
+    noise: Noise
+
+
+def polar(text: str, unit: str) -> complex:
+    """A vector `8.5 um at 60 deg` in the SI *unit*; UnitError where it is none."""
+    size, mark, angle = text.partition(" at ")
+    if not mark:
+        raise UnitError(f"'{text}' is no vector", f"write it as 12 {unit} at 30 deg")
+    return parse_value(size, unit) * complex(np.exp(1j * parse_value(angle, "rad")))
+
+
+def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
+    """The content of a balance file; ConfigErrors with every fault at its place."""
+    tree = load_marked(path)
+    for assignment in overrides:
+        set_entry(tree, assignment)
+    faults = Faults(path.parent)
+    entries = faults.mapping(tree, "")
+    plain = {name: entry for name, entry in entries.items() if name not in LISTS}
+    settings = read_settings(BalanceSettings, Marked(plain, tree.where, tree.key_where), "", faults)
+    planes = _planes(entries.get("planes", tree), faults)
+    named: dict[str, tuple[dict[str, complex], dict[str, complex]]] = {}
+    units: dict[str, str] = {}
+    nodes = entries["runs"].content if "runs" in entries else None
+    if not isinstance(nodes, list) or not nodes:
+        faults.add(entries.get("runs", tree), "runs", "a list of runs is needed", "the first is as found")
+        nodes = []
+    for number, node in enumerate(nodes, 1):
+        _read_run(node, join("runs", str(number)), planes, units, named, faults)
+    faults.raise_any()
+    assert settings is not None
+    unit = next(iter(units.values()), "1")
+    noise = Noise(parse_value(settings.noise, unit) if settings.noise else 0.0, settings.repeatability)
+    lines = tuple(dict.fromkeys(line for _, readings in named.values() for line in readings))
+    missing = complex(np.nan, np.nan)
+    runs = tuple(
+        Run(
+            name,
+            np.array([weights.get(plane, 0j) for plane in planes]),
+            np.array([readings.get(line, missing) for line in lines]),
+        )
+        for name, (weights, readings) in named.items()
+    )
+    return BalanceFile(path, settings, planes, lines, unit, runs, noise)
+
+
+def _planes(node: Marked, faults: Faults) -> dict[str, PlaneSettings]:
+    if isinstance(node.content, list):
+        return {entry.text: PlaneSettings() for entry in node.content}
+    planes = {}
+    for name, entry in faults.mapping(node, "planes").items() if node.content else ():
+        empty = Marked({}, entry.where, entry.key_where) if entry.content is None else entry
+        settings = read_settings(PlaneSettings, empty, join("planes", name), faults)
+        if settings is not None:
+            planes[name] = settings
+    return planes
+
+
+def _read_run(
+    node: Marked,
+    key: str,
+    planes: dict[str, PlaneSettings],
+    units: dict[str, str],
+    named: dict[str, tuple[dict[str, complex], dict[str, complex]]],
+    faults: Faults,
+) -> None:
+    """Add a run to *named*; readings of all runs have the dimension of the first."""
+    entries = faults.mapping(node, key)
+    faults.unknown_keys(node, key, ("name", "weights", "readings"))
+    vectors: dict[str, dict[str, complex]] = {"weights": {}, "readings": {}}
+    for part, into in vectors.items():
+        for name, entry in (
+            faults.mapping(entries[part], join(key, part)) if part in entries else {}
+        ).items():
+            place = join(key, part, name)
+            if part == "weights" and name not in planes:
+                faults.add(entry, place, "there is no such plane", f"planes: {', '.join(planes) or 'none'}")
+                continue
+            try:
+                if part == "readings":
+                    units.setdefault("", _si_of(entry.text))
+                into[name] = polar(entry.text, "kg.m" if part == "weights" else units[""])
+            except UnitError as error:
+                faults.add_unit(entry, place, error)
+    if not vectors["readings"]:
+        faults.add(node, join(key, "readings"), "are missing", "readings: {A: 8.5 um at 60 deg}")
+    name = entries["name"].text if "name" in entries else f"run {len(named) + 1}"
+    if name in named:
+        faults.add(node, join(key, "name"), f"'{name}' is the name of an earlier run")
+    named[name] = (vectors["weights"], vectors["readings"])
+
+
+def _si_of(text: str) -> str:
+    """The SI unit of a reading: of a displacement, a velocity or an acceleration."""
+    written = written_unit(text.partition(" at ")[0])
+    for unit in ("m", "m/s", "m/s^2"):
+        try:
+            parse_value(f"1 {written}", unit)
+        except UnitError:
+            continue
+        return unit
+    raise UnitError(f"'{text}' is no reading of a motion", "write it as 8.5 um at 60 deg, or in mm/s")
+
+
+@dataclass(frozen=True)
+class Balanced:
+    """What follows: *known* influence, *weights* (n_plane,) [kg m] and, where there are places, the *masses*
+    [kg] of each plane by angle [rad]; the *residual*; what is expected after each of *next_runs* [unit of the
+    readings].
+    """
+
+    file: BalanceFile
+    known: Influence
+    weights: ComplexArray
+    masses: dict[str, tuple[tuple[float, float], ...]]
+    residual: Residual
+    next_runs: dict[str, float]
+
+    @property
+    def permissible(self) -> float | None:
+        """Permissible residual unbalance of the rotor, U = G m / Omega, [kg m] (ISO 21940-11).
+
+        None where no grade is asked for.
+        """
+        settings = self.file.settings
+        if settings.grade is None or settings.mass is None or settings.speed is None:
+            return None
+        return settings.grade * settings.mass / (2 * np.pi * settings.speed)
+
+
+def balanced(file: BalanceFile) -> Balanced:
+    """Weights, what they leave, and what one more run would change; DataError for runs that do not do."""
+    try:
+        known = influence(file.runs, file.noise)
+    except DataError as error:
+        error.where = error.where or str(file.path)
+        raise
+    weights, masses = best_weights(known), {}
+    if any(plane.places for plane in file.planes.values()):
+        places = [_places(name, plane) for name, plane in file.planes.items()]
+        chosen = placed_weights(known, places)
+        weights = np.array(
+            [
+                place.radius * (mass @ np.exp(1j * place.angles))
+                for mass, place in zip(chosen, places, strict=True)
+            ]
+        )
+        for name, mass, place in zip(file.planes, chosen, places, strict=True):
+            masses[name] = tuple(
+                (float(a), float(m)) for a, m in zip(place.angles, mass, strict=True) if m > 0
+            )
+    trial = max(float(np.max(np.abs(run.weights))) for run in file.runs)
+    candidates = {
+        f"a trial weight in plane {name}": trial * np.eye(len(file.planes))[number].astype(complex)
+        for number, name in enumerate(file.planes)
+    }
+    candidates["the weights themselves"] = weights
+    expected = next_runs(known, file.noise, candidates)
+    return Balanced(file, known, weights, masses, residual_of(known, weights, file.noise), expected)
+
+
+def _places(name: str, plane: PlaneSettings) -> Places:
+    if not plane.places or plane.radius is None:
+        raise ConfigError(
+            f"planes.{name}: 'places' are needed where another plane has them", hint="places: 12"
+        )
+    angles = plane.first + 2 * np.pi * np.arange(plane.places) / plane.places
+    return Places(angles, plane.radius, np.inf if plane.largest is None else plane.largest)
+
+
+def balance_entry(result: Balanced) -> dict[str, Any]:
+    """The result as `labpipe balance --json` writes it, SI units, angles in rad."""
+    residual, file = result.residual, result.file
+    return {
+        "schema": "labpipe/balance/1",
+        "weights": [
+            {
+                "plane": name,
+                "size": float(np.abs(weight)),
+                "unit": "kg.m",
+                "angle": float(np.angle(weight) % (2 * np.pi)),
+                "masses": [{"angle": angle, "mass": mass} for angle, mass in result.masses.get(name, ())],
+            }
+            for name, weight in zip(file.planes, result.weights, strict=True)
+        ],
+        "residual": {
+            "rms": residual.rms,
+            "ci95": list(residual.interval),
+            "before": residual.before,
+            "unit": file.unit,
+        },
+        "readings": [
+            {"name": name, "expected": float(middle), "ci95": [float(low), float(high)]}
+            for name, middle, low, high in zip(
+                file.lines, residual.amplitudes, residual.low, residual.high, strict=True
+            )
+        ],
+        "unbalance_left": [
+            {"plane": name, "upper95": float(upper), "unit": "kg.m"}
+            for name, upper in zip(file.planes, residual.unbalance, strict=True)
+        ],
+        "permissible": result.permissible,
+        "chi2": {"value": result.known.misfit, "dof": result.known.dof},
+        "next_runs": dict(result.next_runs),
+    }

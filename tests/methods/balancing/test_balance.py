@@ -1,0 +1,181 @@
+"""labpipe balance: printed cases, what noise leaves, places and limits, files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from labpipe.methods.balancing.influence import (
+    Noise,
+    Places,
+    Run,
+    best_weights,
+    influence,
+    next_runs,
+    placed_weights,
+    residual_of,
+)
+
+EXAMPLE = Path(__file__).parents[3] / "configs/balance/two-planes.yaml"
+
+
+def at(size: float, degrees: float) -> complex:
+    """A vector by its size and angle."""
+    return size * np.exp(1j * np.radians(degrees))
+
+
+def rig(rng: np.random.Generator, n_line: int, n_plane: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vibration as found and influence coefficients, drawn."""
+    alpha = rng.standard_normal((n_line, n_plane)) + 1j * rng.standard_normal((n_line, n_plane))
+    return 5 * alpha @ np.exp(2j * np.pi * rng.random(n_plane)), alpha
+
+
+def vectors(places: list[Places], masses: list[np.ndarray]) -> np.ndarray:
+    """What masses in places make together, [kg m]."""
+    both = zip(places, masses, strict=True)
+    return np.array([place.radius * (mass @ np.exp(1j * place.angles)) for place, mass in both])
+
+
+def measured(rng: np.random.Generator, z_0: np.ndarray, alpha: np.ndarray, noise: Noise) -> list[Run]:
+    """A run as found and one with a trial weight in each plane."""
+    runs = []
+    for weights in (np.zeros(alpha.shape[1]), *(3.0 * np.eye(alpha.shape[1]))):
+        z = z_0 + alpha @ weights
+        spread = np.sqrt(noise.variance(z) / 2)
+        z = z + spread * (rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size))
+        runs.append(Run(f"run {len(runs)}", weights.astype(complex), z))
+    return runs
+
+
+def test_two_planes_of_a_textbook(labpipe, tmp_path):
+    """Rao, Mechanical Vibrations, example of two-plane balancing: the unbalance is 10.0561 at 145.5548 deg
+    and 5.8774 at 248.2559 deg, so the weights go opposite.
+    """
+    ended = labpipe("balance", EXAMPLE, "--json", tmp_path / "b.json", "--set", "repeatability=0.0001 %")
+    left, right = json.loads((tmp_path / "b.json").read_text())["weights"]
+    for weight, size, degrees in ((left, 10.0561, 325.5548), (right, 5.8774, 68.2559)):
+        assert weight["size"] == pytest.approx(1e-6 * size, rel=1e-5)
+        assert np.degrees(weight["angle"]) == pytest.approx(degrees, abs=1e-3)
+    assert ended.code == 0 and "plane left: 10.06 g mm at 325.6 deg" in ended.out
+
+
+def test_one_plane_is_the_vector_triangle():
+    """w = -z_0 t / (z_1 - z_0), the construction of every handbook."""
+    z_0, z_1, trial = at(7.2, 238), at(4.9, 114), at(20.5, 75)
+    runs = [Run("0", np.array([0j]), np.array([z_0])), Run("1", np.array([trial]), np.array([z_1]))]
+    known = influence(runs, Noise(1e-9, 1e-9))
+    np.testing.assert_allclose(best_weights(known), [-z_0 * trial / (z_1 - z_0)], rtol=1e-9)
+
+
+def test_an_influence_that_is_hardly_known_is_not_trusted():
+    """Two planes that act alike, 60 rigs: the exact inverse leaves more than the least expected square."""
+    rng, squares = np.random.default_rng(3), []
+    noise = Noise(0.0, 0.02)
+    for _ in range(60):
+        column = rng.standard_normal(4) + 1j * rng.standard_normal(4)
+        alpha = np.stack([column, column * (1 + 1e-3 * rng.standard_normal(4))], axis=1)
+        z_0 = 5 * alpha.sum(axis=1) + 0.3 * rng.standard_normal(4)
+        known = influence(measured(rng, z_0, alpha, noise), noise)
+        exact = -np.linalg.pinv(known.mean[:, 1:]) @ known.mean[:, 0]
+        squares.append([np.mean(np.abs(z_0 + alpha @ w) ** 2) for w in (best_weights(known), exact)])
+    ours, inverse = np.sqrt(np.mean(squares, axis=0))
+    assert ours < 0.9 * inverse
+
+
+def test_places_with_a_largest_mass_reach_what_they_can():
+    rng = np.random.default_rng(5)
+    noise = Noise(1e-6, 1e-6)
+    z_0, alpha = rig(rng, 4, 2)
+    known = influence(measured(rng, z_0, alpha, noise), noise)
+    free = best_weights(known)
+    places = [Places(np.radians(np.arange(0, 360, 30)), 0.5), Places(np.radians(np.arange(10, 370, 40)), 2.0)]
+    masses = placed_weights(known, places)
+    np.testing.assert_allclose(vectors(places, masses), free, rtol=1e-6)
+    # Two neighbouring places make any vector.
+    assert all(np.count_nonzero(m) <= 2 for m in masses)
+    limited = [
+        Places(place.angles, place.radius, 0.6 * np.max(m)) for place, m in zip(places, masses, strict=True)
+    ]
+    masses = placed_weights(known, limited)
+    assert all(np.all(m <= place.largest * (1 + 1e-9)) for m, place in zip(masses, limited, strict=True))
+    assert known.expected_square(vectors(limited, masses)) >= known.expected_square(free)
+
+
+def test_readings_beyond_the_stated_noise_are_seen():
+    rng = np.random.default_rng(8)
+    z_0, alpha = rig(rng, 4, 1)
+    runs = measured(rng, z_0, alpha, Noise(0.0, 0.01)) + measured(rng, 1.3 * z_0, alpha, Noise(0.0, 0.01))
+    assert influence(runs[:2], Noise(0.0, 0.01)).dof == 0
+    known = influence(runs, Noise(0.0, 0.01))
+    assert known.dof == 16 and known.misfit > 100
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("n_line", "n_plane", "share"), [(4, 2, 0.02), (6, 2, 0.05), (4, 1, 0.03)])
+def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
+    """Rigs drawn anew, three runs, the weights set: 95 % of the rms afterwards lie where it was said,
+    and the one more run that was advised lowers it by about what was said.
+    """
+    rng = np.random.default_rng([n_line, n_plane, 11])
+    noise = Noise(0.02, share)
+    held, lower, promised = [], [], []
+    for _ in range(300):
+        z_0, alpha = rig(rng, n_line, n_plane)
+        runs = measured(rng, z_0, alpha, noise)
+        known = influence(runs, noise)
+        weights = best_weights(known)
+        stated = residual_of(known, weights, noise)
+        left = z_0 + alpha @ weights
+        spread = np.sqrt(noise.variance(left) / 2)
+        reading = left + spread * (rng.standard_normal(n_line) + 1j * rng.standard_normal(n_line))
+        rms = np.sqrt(np.mean(np.abs(reading) ** 2))
+        held.append(stated.interval[0] <= rms <= stated.interval[1])
+        if len(lower) < 100:
+            again = influence([*runs, Run("w", weights, reading)], noise)
+            lower.append(np.mean(np.abs(z_0 + alpha @ best_weights(again)) ** 2))
+            promised.append(next_runs(known, noise, {"w": weights})["w"] ** 2)
+    # Three standard errors of 300 draws about 95 %.
+    assert 0.912 <= np.mean(held) <= 0.988
+    assert np.sqrt(np.mean(lower)) == pytest.approx(np.sqrt(np.mean(promised)), rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"planes": ["left"]}, "runs.3.weights.right: there is no such plane; planes: left"),
+        ({"runs": "none"}, "runs: a list of runs is needed"),
+        ({"repeatability": "1 mm"}, "repeatability: "),
+        ({"grade": "2.5"}, "grade: '2.5' has no unit"),
+        ({"speeed": "50 Hz"}, "speeed: unknown key; did you mean 'speed'?"),
+        ({"planes": {"left": {"places": 12}, "right": {}}}, "'places' needs a radius"),
+    ],
+)
+def test_faults_stand_at_their_place(labpipe, tmp_path, change, message):
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**yaml.safe_load(EXAMPLE.read_text()), **change}))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and message in ended.err, ended.err
+    assert "b.yaml:" in ended.err
+
+
+def test_too_few_runs_and_readings_of_another_kind_are_refused(labpipe, tmp_path):
+    tree = yaml.safe_load(EXAMPLE.read_text())
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": tree["runs"][:2]}))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and "do not determine the influence of 2 plane(s)" in ended.err
+    tree["runs"][1]["readings"]["A"] = "3 mm/s at 10 deg"
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(tree))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and "runs.2.readings.A" in ended.err
+
+
+def test_a_grade_and_masses_in_places_are_said(labpipe):
+    ended = labpipe(
+        "balance", EXAMPLE, "--set", "mass=3 kg", "--set", "speed=3000 rpm", "--set", "grade=2.5 mm/s",
+        "--set", "planes={left: {radius: 40 mm, places: 12}, right: {radius: 40 mm, places: 12}}",
+    )  # fmt: skip
+    # G m / Omega = 2.5 mm/s x 3 kg / (2 pi 50 /s) = 23.9 g mm.
+    assert "within the permissible 23.9 g mm of G 2.5" in ended.out and " g at 330.0 deg" in ended.out
