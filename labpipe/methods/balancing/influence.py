@@ -236,6 +236,9 @@ def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexAr
     n_line = known.mean.shape[0]
     rng = np.random.default_rng(SEED + 2)
     truths = known.draws(TRIED)
+    for truth in truths:
+        # Unbalance in the planes: what they cannot make is no part of the truth.
+        truth[:, 0] = truth[:, 1:] @ (np.linalg.pinv(truth[:, 1:]) @ truth[:, 0])
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
@@ -248,7 +251,7 @@ def next_runs(known: Influence, noise: Noise, candidates: Mapping[str, ComplexAr
         for truth, normal in zip(truths, scatter, strict=True):
             surprise = (truth - known.mean) @ whole + np.sqrt(variance) * normal
             moved = known.mean + spread * (surprise / total)[:, None]
-            after = Influence(moved, narrowed, known.misfit, known.dof)
-            squares.append(after.expected_square(best_weights(after)))
+            chosen = best_weights(Influence(moved, narrowed, known.misfit, known.dof))
+            squares.append(np.sum(np.abs(truth @ np.concatenate([[1.0], chosen])) ** 2))
         expected[name] = float(np.sqrt(np.mean(squares) / n_line))
     return expected
