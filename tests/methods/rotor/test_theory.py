@@ -1,0 +1,83 @@
+"""labpipe rotor: peaks and margins in closed form, modes followed through a crossing, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.methods.rotor.response import Modes
+from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.theory import followed, margin_above, margin_below, peaks, rotor_theory
+
+LAVAL = Path(__file__).parents[3] / "configs/rotors/laval.yaml"
+
+
+def test_peak_and_amplification_of_one_mass():
+    """|H| = 1 / |w0^2 - w^2 + 2 j zeta w0 w| peaks at w0 sqrt(1 - 2 zeta^2) and falls to .707 of the peak at
+    w^2 = w0^2 (1 - 2 zeta^2 -+ 2 zeta sqrt(1 - zeta^2)).
+    """
+    w0, zeta = 100.0, 0.02
+    speed = np.linspace(80, 120, 600)
+    response = 1 / np.abs(w0**2 - speed**2 + 2j * zeta * w0 * speed)
+    (critical,) = peaks(speed, response)
+    top = w0 * np.sqrt(1 - 2 * zeta**2)
+    low, high = (w0 * np.sqrt(1 - 2 * zeta**2 + s * 2 * zeta * np.sqrt(1 - zeta**2)) for s in (-1, 1))
+    assert critical.speed == pytest.approx(top, rel=1e-7)
+    assert critical.amplification == pytest.approx(top / (high - low), rel=1e-5)
+    assert critical.amplitude == pytest.approx(1 / (2 * zeta * w0**2 * np.sqrt(1 - zeta**2)), rel=1e-7)
+    there, asked = critical.margin(130.0)
+    assert there == pytest.approx(100 * (130 - top) / 130) and asked == margin_below(critical.amplification)
+    assert peaks(speed[:300], response[:300]) == []
+
+
+@pytest.mark.parametrize(
+    ("amplification", "below", "above"),
+    [(2.0, 0.0, 0.0), (4.0, 10.2, 20.2), (8.0, 17 * 5.5 / 6.5, 10 + 17 * 5.5 / 6.5), (25.0, 16.0, 26.0)],
+)
+def test_margins_of_the_formulas(amplification, below, above):
+    """17 (1 - 1 / (AF - 1.5)) by hand: 17 x .6 for AF 4."""
+    assert margin_below(amplification) == pytest.approx(below)
+    assert margin_above(amplification) == pytest.approx(above)
+
+
+def test_modes_are_followed_through_a_crossing():
+    """Two modes whose frequencies cross while their shapes stay."""
+    shapes = np.array([[[1, 0], [0.5, 0]], [[0, 1], [0, -0.5]]], complex)
+    each = []
+    for speed in np.linspace(0, 10, 11):
+        roots = np.array([-1 + 1j * (100 + speed), -1 + 1j * (106 - speed / 2)])
+        order = np.argsort(roots.imag)
+        each.append(Modes(speed, roots[order], shapes[order]))
+    order = followed(each)
+    first = [modes.eigenvalues[n].imag for modes, n in zip(each, order[:, 0], strict=True)]
+    np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
+
+
+def test_a_rotor_on_films_by_theory(labpipe, tmp_path):
+    ended = labpipe("rotor", LAVAL, "--json", tmp_path / "r.json", "-o", tmp_path / "r.html", "--steps", 16)
+    assert ended.code == 0, ended.err
+    entry = json.loads((tmp_path / "r.json").read_text())
+    (critical,) = entry["critical_speeds"]
+    # The mode that is excited, forward at 1x, is where its frequency is the speed; its damping tells the
+    # amplification of a lightly damped peak, AF = pi / delta.
+    forward = next(crossing for crossing in entry["crossings"] if crossing["whirl"] > 0.3)
+    assert critical["speed_hz"] == pytest.approx(forward["speed_hz"], rel=5e-3)
+    assert critical["amplification"] == pytest.approx(np.pi / forward["log_decrement"], rel=0.1)
+    assert critical["required_margin_percent"] == 26.0 and "NOT kept" in ended.out
+    assert "Campbell" in (tmp_path / "r.html").read_text()
+    # The onset by the growth rate of the exact bearings.
+    whole = rotor_theory(load_rotor(LAVAL), np.linspace(80, 90, 5))
+    assert whole.onset == pytest.approx(entry["onset_speed_hz"], rel=2e-3)
+
+
+def test_faults_of_speeds_are_said(labpipe):
+    for speeds, words in (
+        ("10-120 mm", "wrong dimension"),
+        ("120-10 Hz", "is empty"),
+        ("fast", "is not a band"),
+    ):
+        ended = labpipe("rotor", LAVAL, "--speeds", speeds)
+        assert ended.code == 2 and words in ended.err
