@@ -27,7 +27,7 @@ _MODULES = {
     "labpipe.spectra.all_channels": "channel_spectra",
     "labpipe.spectra.free_decays": "free_decays",
     "labpipe.estimation.fitting": "fit=identify",
-    "labpipe.methods.calibration.line": "fit_line",
+    "labpipe.methods.calibration.section": "fit_line",
     "labpipe.uncertainty.study": "run_study StudySettings",
     "labpipe.simulate.virtual_rigs": "recordings simulated_response",
     "labpipe.raw_files.excitation": "design_multisine",

@@ -18,7 +18,7 @@ from labpipe.methods.run_ups.amplitudes import fit_amplitudes
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.metamodel_kinds import Grid
 from labpipe.methods.run_ups.metamodels import fit_metamodel
-from labpipe.methods.run_ups.points import fit_points
+from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.process import fit_with_process
 from tests.methods.run_ups.run_up_cases import RIG, trained
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.methods.calibration.line import Line, fit_line, line_fit
-from labpipe.methods.calibration.section import CalibrationSettings
+from labpipe.methods.calibration.section import CalibrationSettings, Line, fit_line, line_fit
 from labpipe.quantities import parse_unit
 from labpipe.raw_files.table import open_table
 from labpipe.records.finding import Parameter

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.bearings.kinds import PressureField
-from labpipe.methods.journal_bearing.report import film_figure
+from labpipe.methods.journal_bearing.kind import film_figure
 from labpipe.methods.run_ups.figures import CoefficientSurfaces
 from labpipe.records.fit_details import Modes
 from labpipe.records.geometry import Geometry

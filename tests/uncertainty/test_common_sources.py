@@ -11,9 +11,9 @@ from scipy import stats
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error
+from labpipe.uncertainty.compare import difference, trend
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings
-from labpipe.uncertainty.trend import difference, trend
 from labpipe.uncertainty.weighted import from_the_rest, repeatability, straight_trend
 from tests.uncertainty.conftest import a_fit
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
+from labpipe.uncertainty.compare import difference, quotient
 from labpipe.uncertainty.settings import CompareSettings
-from labpipe.uncertainty.trend import difference, quotient
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
 PAIRED = CompareSettings(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
+from labpipe.uncertainty.compare import trend
 from labpipe.uncertainty.settings import CompareSettings
-from labpipe.uncertainty.trend import trend
 
 PRELOADS = (427.0, 701.0, 1422.0, 1721.0)
 POWER = CompareSettings(kind="trend", fit="axial", over="preload", law="power", name="series")

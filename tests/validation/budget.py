@@ -14,7 +14,7 @@ from labpipe.distributions import student_quantile
 from labpipe.estimation.derived import Estimated, propagated
 from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.draws import drawn_error
-from labpipe.methods.calibration.line import fit_line
+from labpipe.methods.calibration.section import fit_line
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.weighted import components
 from tests.validation import printed_readings as readings

@@ -12,6 +12,26 @@ from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, Pre
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, converged_equilibrium
 from labpipe.records.settings import Settings, setting
+from labpipe.report.chart import WIDTH, Drawing
+from labpipe.report.document import Figure
+
+# The oil film of a journal bearing as a figure: its pressure unrolled, and over it the thickness.
+
+HEIGHT = 5.2
+
+
+def film_figure(name: str, film: PressureField) -> Figure:
+    """Pressure over angle and width as filled contours.
+
+    Below, pressure at mid width and the film's thickness.
+    """
+    caption = (
+        f"{name}: pressure of the oil film against ambient, unrolled; below, at mid width (full) with "
+        "the film's thickness (dashed)."
+    )
+    drawing = Drawing("film", film, (WIDTH, HEIGHT))
+    return Figure(drawing, caption, f"Pressure of the oil film of {name} over angle and width")
+
 
 JOURNAL = "journal-bearing"
 DOFS = ("y", "z")
@@ -157,7 +177,7 @@ def _notes(state: JournalEquilibrium) -> tuple[Amount, ...]:
 
 
 def _figures(name: str, coefficients: BearingCoefficients) -> Mapping[str, Any]:
-    from labpipe.methods.journal_bearing.report import film_figure
+    from labpipe.methods.journal_bearing.kind import film_figure
 
     return {} if coefficients.film is None else {"pressure.svg": film_figure(name, coefficients.film)}
 

@@ -2,18 +2,315 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+
+from labpipe.display import with_error
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.report import unbalance_sections
-from labpipe.methods.rotor.unbalance import UnbalanceRuns, UnbalanceSettings, unbalance_runs
+from labpipe.methods.rotor.unbalance import UnbalanceCase, UnbalanceRuns, UnbalanceSettings, unbalance_runs
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import ListedParameter, RuleOutcome
+from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.registry import nearest
+from labpipe.report.chart import (
+    GREY,
+    INK,
+    Axis,
+    Chart,
+    Panel,
+    Series,
+    arrow,
+    curve,
+    dots,
+    labels,
+    level,
+    look,
+    outline,
+    stacked,
+)
+from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.sections import PipelineSection
+
+# The rotor as a sketch, and its response to unbalance as people read it.
+
+# The rotor of worn-bearing fits as a sketch: shaft elements, sleeves, discs, bearings, and where it is
+# excited and measured.
+
+MM = 1e3
+HEIGHT = 2.9
+# Number and opacity of the colour of every part.
+LOOKS = {"shaft": (GREY, 0.3), "sleeve": (5, 0.8), "disc": (4, 0.8), "bearing": (0, 0.55)}
+# Where words stand, as parts of the largest radius: names of bearings, numbers of nodes, arrows of force and
+# response.
+NAMES, ODD_NUMBERS, EVEN_NUMBERS, TAIL, TIP = 1.25, 1.75, 2.05, 1.55, 1.02
+PLACES = 1
+# A bearing is drawn so thick, as part of the largest radius.
+BEARING_WALL = 0.4
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A tube along the shaft [mm]: *part*: 'shaft', 'sleeve', 'disc' or 'bearing', *left* its left end."""
+
+    part: str
+    left: float
+    length: float
+    inner: float
+    outer: float
+
+    @property
+    def boxes(self) -> tuple[tuple[float, float], ...]:
+        """(bottom, height) [mm] of its section: above and below its bore, or once where it has none."""
+        if self.inner <= 0:
+            return ((-self.outer / 2, self.outer),)
+        height = (self.outer - self.inner) / 2
+        return ((self.inner / 2, height), (-self.outer / 2, height))
+
+
+@dataclass(frozen=True)
+class RotorSketch:
+    """What a sketch of a rotor shows [mm]: its *rings*, *stations* of the nodes, *bearings* and *places* by
+    name, largest radius.
+    """
+
+    rings: tuple[Ring, ...]
+    stations: tuple[float, ...]
+    bearings: tuple[tuple[str, float], ...]
+    places: tuple[tuple[str, float], ...]
+    reach: float
+
+
+def rotor_sections(identification: Identification) -> tuple[Section, ...]:
+    """The section on the rotors of the fits, if any."""
+    figures = tuple(rotor_figures(identification.settings))
+    return (Section("Rotor", figures),) if figures else ()
+
+
+def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
+    """One sketch for every rotor that an identification's settings name, each once: of its fits and of its
+    response to unbalance.
+    """
+    model_settings = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
+    rigs = [settings_of_model["rig"] for settings_of_model in model_settings if settings_of_model.get("rig")]
+    rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
+    distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
+    return [rotor_figure(rig) for rig in distinct]
+
+
+def rotor_figure(rig: Mapping[str, Any]) -> Figure:
+    """A rotor from its entries (elements, discs, sleeves, bearings.
+
+    SI units), lengths in mm, nodes numbered from 1.
+    """
+    discs = (
+        " Discs have the outline of a cylinder with their mass and moments of inertia."
+        if rig["rotor"]["discs"]
+        else ""
+    )
+    caption = (
+        f"{rig['name']}: the rotor, its nodes numbered from the left. Diameters are drawn larger than "
+        f"lengths.{discs}"
+    )
+    return Figure(
+        rotor_chart(rotor_sketch(rig)), caption, f"Drawing of the rotor {rig['name']} with its bearings"
+    )
+
+
+def rotor_chart(sketch: RotorSketch) -> Chart:
+    """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
+    reach, length = sketch.reach, sketch.stations[-1]
+    series = [curve for ring in sketch.rings for curve in _drawn(ring)]
+    numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
+    lower = [
+        -ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))
+    ]
+    series += [
+        level(0.0, INK, "-.", width=0.6),
+        dots("node", sketch.stations, np.zeros(len(numbers)), INK, size=2.0),
+        labels(sketch.stations, lower, numbers, size=6.0),
+        labels(
+            [centre for _, centre in sketch.bearings],
+            [-NAMES * reach] * len(sketch.bearings),
+            [name for name, _ in sketch.bearings],
+        ),
+    ]
+    for name, x in sketch.places:
+        series += [
+            arrow((x, TAIL * reach), (x, TIP * reach), PLACES),
+            labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
+        ]
+    along = Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
+    return stacked(
+        [Panel(along, Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))], HEIGHT, "above"
+    )
+
+
+def _drawn(ring: Ring) -> list[Series]:
+    """A ring's section in the colour of its part: above and below its bore, or one rectangle where it has
+    none, each with its edge.
+    """
+    colour, opacity = LOOKS[ring.part]
+    right = ring.left + ring.length
+    series = []
+    for bottom, height in ring.boxes:
+        x, y = [ring.left, right, right, ring.left], [bottom, bottom, bottom + height, bottom + height]
+        series.append(outline(ring.part, x, y, colour, opacity, width=0.7))
+    return series
+
+
+def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
+    """The sketch of a rotor from its entries (SI units)."""
+    rotor, stations = rig["rotor"], node_positions(rig["rotor"])
+    shaft = [
+        _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
+        for entry, left in zip(rotor["elements"], stations, strict=False)
+    ]
+    rings = [*shaft, *_sleeves(rotor, stations), *_discs(rotor, stations)]
+    reach = max(ring.outer / 2 for ring in rings)
+    centres = tuple((place["name"], MM * stations[place["node"] - 1]) for place in rig["bearings"])
+    bearings = []
+    for place in rig["bearings"]:
+        bore, length = bearing_dimensions(place["bearing"], shaft_diameter(rotor, place["node"]))
+        left = stations[place["node"] - 1] - length / 2
+        bearings.append(_ring("bearing", left, length, bore, bore + BEARING_WALL * reach / MM))
+    places = tuple((name, MM * stations[rig[name] - 1]) for name in ("force", "response"))
+    return RotorSketch(
+        (*rings, *bearings), tuple(MM * station for station in stations), centres, places, reach
+    )
+
+
+def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float, float]:
+    """(bore, length) [m] as the bearing's entries have them.
+
+    Of a kind without such entries the *shaft*'s diameter [m], and half of it.
+    """
+    entries = bearing.get("settings", bearing)
+    return entries.get("diameter") or shaft, entries.get("length") or shaft / 2
+
+
+def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
+    """A ring in mm from lengths in m."""
+    return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
+
+
+def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
+    """The sleeves around their elements."""
+    rings = []
+    for sleeve in rotor["sleeves"]:
+        shaft, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
+        rings.append(
+            _ring("sleeve", left, shaft["length"], shaft["outer_diameter"], sleeve["outer_diameter"])
+        )
+    return rings
+
+
+def _discs(rotor: Mapping[str, Any], stations: list[float]) -> list[Ring]:
+    """The discs about their nodes."""
+    rings = []
+    for disc in rotor["discs"]:
+        inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
+        rings.append(_ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer))
+    return rings
+
+
+def node_positions(rotor: Mapping[str, Any]) -> list[float]:
+    """Position of every node along the shaft [m], the first at zero."""
+    return [0.0, *np.cumsum([entry["length"] for entry in rotor["elements"]]).tolist()]
+
+
+def shaft_diameter(rotor: Mapping[str, Any], node: int) -> float:
+    """The larger of the shaft's diameters at a node [m]."""
+    return max(float(entry["outer_diameter"]) for entry in rotor["elements"][max(node - 2, 0) : node])
+
+
+def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float, float]:
+    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia.
+
+    From I_p = m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger
+    than its bore, to be seen.
+    """
+    outer = np.sqrt(max(8 * disc["polar_inertia"] / disc["mass"] - bore**2, 0.0))
+    length = np.sqrt(max(12 * (disc["transverse_inertia"] - disc["polar_inertia"] / 2) / disc["mass"], 0.0))
+    return bore, max(float(outer), 1.2 * bore), float(length)
+
+
+# The response to unbalance as people read it: forward and backward circles over speed, and their largest.
+
+UM = 1e6
+HEADER = ("case", "depth [um]", "angle [deg]", "forward [um]", "at [Hz]", "backward [um]", "at [Hz]", "ratio")
+EXPLAINED = (
+    "An unbalance turns with the shaft. Bearings that are alike in all directions answer with a forward "
+    "circle only; the backward circle measures how unlike they are, and wear of one bearing enlarges it. "
+    "Radii of the circles, 0-to-peak, once per revolution."
+)
+
+
+def unbalance_sections(runs: UnbalanceRuns, _identification: Identification) -> tuple[Section, ...]:
+    """The section of the response to unbalance."""
+    return (Section(f"Unbalance: {runs.rotor}", unbalance_blocks(runs)),)
+
+
+def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
+    """What it means, table and figure."""
+    rows = []
+    for case in runs.cases:
+        (forward, _), (at, _), (backward, _), (back_at, _) = runs.values(case).values()
+        wear = (f"{UM * case.depth:.4g}", f"{np.degrees(case.angle):.4g}") if case.depth else ("0", "")
+        peaks = (
+            _with_uncertainty(UM * forward, UM, case, "forward_peak"),
+            _with_uncertainty(at, 1.0, case, "forward_speed"),
+            _with_uncertainty(UM * backward, UM, case, "backward_peak"),
+            _with_uncertainty(back_at, 1.0, case, "backward_speed"),
+        )
+        rows.append((case.name, *wear, *peaks, f"{backward / forward:.3f}"))
+    caption = (
+        f"Largest radii over {len(runs.speed)} speeds from {runs.speed[0]:g} to {runs.speed[-1]:g} "
+        "Hz, and backward over forward"
+    )
+    if any(case.changes for case in runs.cases):
+        caption += (
+            "; standard uncertainties by the uncertainties of the bearings' numbers and the step of "
+            "the speeds"
+        )
+    return (
+        Paragraph(EXPLAINED),
+        Table(HEADER, tuple(rows), caption, tuple(range(1, 8))),
+        unbalance_figure(runs),
+    )
+
+
+def _with_uncertainty(value: float, factor: float, case: UnbalanceCase, name: str) -> str:
+    """A value [shown unit] with its standard uncertainty, *factor* of it [shown unit per SI unit], where it
+    has one.
+    """
+    error = case.error(name)
+    return f"{value:.4g}" if error is None else with_error(value, factor * error)
+
+
+def unbalance_figure(runs: UnbalanceRuns) -> Figure:
+    """Forward and backward radius over speed, one line per case."""
+    panels = []
+    for name in ("forward", "backward"):
+        radii = [UM * np.array(getattr(case, name)) for case in runs.cases]
+        cases = enumerate(zip(runs.cases, radii, strict=True))
+        series = [
+            curve(case.name, runs.speed, radius, *look(number), width=1.5) for number, (case, radius) in cases
+        ]
+        panels.append(Panel(Axis("speed", "Hz"), Axis(name, "um", logarithmic=True), tuple(series)))
+    caption = (
+        f"{runs.rotor}: response to unbalance at node {runs.node}, wear of {runs.bearing}; forward "
+        "circle above, backward below."
+    )
+    return Figure(
+        stacked(panels, 5.0),
+        caption,
+        f"Forward and backward response to unbalance of {runs.rotor} over speed",
+    )
 
 
 def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.methods.calibration.line import fit_line, line_fit, linear_range, linear_range_of_curve
+from labpipe.methods.calibration.section import fit_line, line_fit, linear_range, linear_range_of_curve
 
 
 def test_equals_linregress(rng: np.random.Generator) -> None:

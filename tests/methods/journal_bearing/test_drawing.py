@@ -11,8 +11,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.kinds import PressureField
 from labpipe.document.charts import canvas_of
 from labpipe.methods.journal_bearing.drawing import contour_levels
-from labpipe.methods.journal_bearing.kind import JournalFile, journal_coefficients
-from labpipe.methods.journal_bearing.report import film_figure
+from labpipe.methods.journal_bearing.kind import JournalFile, film_figure, journal_coefficients
 from labpipe.project.bearing import evaluated, write_bearing
 from labpipe.project.bearing_file import open_bearing
 

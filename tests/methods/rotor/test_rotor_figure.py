@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from labpipe.methods.rotor.report import (
+from labpipe.methods.rotor.rotor_file import load_rotor
+from labpipe.methods.rotor.section import (
     bearing_dimensions,
     disc_dimensions,
     node_positions,
@@ -18,7 +19,6 @@ from labpipe.methods.rotor.report import (
     rotor_sketch,
     shaft_diameter,
 )
-from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc
 from labpipe.methods.rotor.unbalance import UnbalanceRuns
 from labpipe.records.identification import Identification

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
-from labpipe.methods.rotor.report import unbalance_blocks
+from labpipe.methods.rotor.section import unbalance_blocks
 from labpipe.report.document import Figure, Table
 
 TEXT = """title: circles

@@ -18,7 +18,7 @@ from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.rotor.unbalance import orbit
 from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.points import fit_points
+from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, searched_over
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor

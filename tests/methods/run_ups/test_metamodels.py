@@ -33,7 +33,7 @@ from labpipe.methods.run_ups.metamodels import (
     leave_one_load_out,
 )
 from labpipe.methods.run_ups.metamodels_learned import GaussianProcess, fit_network, fit_process
-from labpipe.methods.run_ups.points import fit_points
+from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 

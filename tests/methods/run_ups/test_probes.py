@@ -12,8 +12,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.measured import measured_critical_speed, run_up_of
-from labpipe.methods.run_ups.methods import joint_method
-from labpipe.methods.run_ups.points import fit_points
+from labpipe.methods.run_ups.methods import fit_points, joint_method
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.settings import ProbeSettings, ProbeUncertainties
 from labpipe.records.response import Port
