@@ -11,6 +11,7 @@ from labpipe.bearings.kinds import BEARINGS
 from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
+from labpipe.project.rules import DECISION_KEYS, DECISIONS
 from labpipe.project.tests import BY
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
@@ -125,7 +126,9 @@ def pipeline_schema() -> dict[str, Any]:
     }
     rules = {
         "type": "object",
-        "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]},
+        "additionalProperties": {
+            "anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]
+        },
     }
     properties = {
         "title": {"type": "string"},
@@ -155,6 +158,13 @@ def pipeline_schema() -> dict[str, Any]:
         "properties": properties,
         "additionalProperties": False,
     }
+
+
+def _decision() -> dict[str, Any]:
+    """A rule that gives limits."""
+    texts: dict[str, Any] = {key: {"description": meaning} for key, meaning in DECISION_KEYS.items()}
+    texts["rule"]["enum"] = list(DECISIONS)
+    return {"type": "object", "properties": texts, "additionalProperties": False}
 
 
 def bearing_schema() -> dict[str, Any]:
