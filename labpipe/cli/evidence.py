@@ -86,8 +86,9 @@ def archive(
             f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`"
         )
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
-    packed = contents(folder, pipeline, digests_only=digests_only)
-    write_archive(packed, output, day or _written(folder / NAME))
+    with tempfile.TemporaryDirectory() as scratch:
+        packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
+        write_archive(packed, output, day or _written(folder / NAME))
     if quiet:
         return
     kept = [member for member in packed.members if member.kept]

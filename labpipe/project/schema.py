@@ -9,6 +9,7 @@ from typing import Any
 
 from labpipe.bearings.kinds import BEARINGS
 from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
+from labpipe.project.calibrations import CertificateSettings
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
 from labpipe.project.rules import DECISION_KEYS, DECISIONS
@@ -40,10 +41,11 @@ SCHEMAS = Registry(
 def rig_schema() -> dict[str, Any]:
     """The schema of a rig file."""
     schema = object_schema(RigSettings)
-    schema["properties"]["channels"] = {
-        "type": "object",
-        "additionalProperties": object_schema(ChannelSettings),
-    }
+    channel = object_schema(ChannelSettings)
+    typed = channel["properties"]["sensitivity"]
+    certified = object_schema(CertificateSettings)
+    channel["properties"]["sensitivity"] = {"anyOf": [typed, certified], "description": typed["description"]}
+    schema["properties"]["channels"] = {"type": "object", "additionalProperties": channel}
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     schema["properties"]["constants"] = {
         **constants,
