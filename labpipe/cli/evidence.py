@@ -29,6 +29,7 @@ from labpipe.project.archive import (
 )
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
+from labpipe.project.signing import DETACHED, ROLES, Trust, drawn_from_another, signatures, signed_files
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
 # labpipe archive RESULTS -o FILE
@@ -142,6 +143,23 @@ def _written(path: Path) -> str:
 @click.option(
     "--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte."
 )
+@click.option(
+    "--trust",
+    type=options.PATH,
+    multiple=True,
+    metavar="FILE",
+    help="Certificate (PEM, DER) that vouches for signers (repeatable).",
+)
+@click.option(
+    "--crl",
+    type=options.PATH,
+    multiple=True,
+    metavar="FILE",
+    help="List of revoked certificates (repeatable); without it none is looked for.",
+)
+@click.option(
+    "--signed", type=click.Choice(ROLES), multiple=True, help="Somebody must have signed so (repeatable)."
+)
 @options.jobs
 @options.overrides
 @options.quiet
@@ -150,6 +168,9 @@ def verify(
     folder: Path,
     pipeline_path: Path | None,
     again: bool,
+    trust: tuple[Path, ...],
+    crl: tuple[Path, ...],
+    signed: tuple[str, ...],
     jobs: int,
     overrides: tuple[str, ...],
     quiet: bool,
@@ -166,8 +187,12 @@ def verify(
     \b
     labpipe verify out/
     labpipe verify out/ -c pipeline.yaml --again
-    labpipe verify evidence.zip
+    labpipe verify evidence.zip --trust laboratory-ca.pem --signed approved
+    labpipe verify out/report.signed.pdf --trust laboratory-ca.pem
     """
+    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
+    if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
+        return 1 if unsigned else 0
     if is_archive(folder) and is_remote(folder):
         raise DataError(
             "is an archive elsewhere, and is read from this machine only",
@@ -175,13 +200,38 @@ def verify(
             hint="copy it here",
         )
     if is_archive(folder):
-        return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        return _verify_folder(
+        code = _verify_folder(
             here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
         )
+    return 1 if unsigned else code
+
+
+def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
+    """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
+    if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
+        raise DataError("no such file", where=str(path), hint="name a file that `labpipe sign` wrote")
+    faults: list[str] = []
+    there: set[str] = set()
+    for file in signed_files(path):
+        listed = list(signatures(file, trust))
+        for signature in listed:
+            faults += [f"{signature.file}: {signature.text}: {fault}" for fault in signature.faults]
+            if not signature.faults:
+                there.add(signature.role)
+            if not (signature.faults or quiet):
+                echo(message_line(f"signed {signature.file}: {signature.text}"))
+        other = drawn_from_another(file) if file.suffix.lower() == ".pdf" else ""
+        faults += [f"{file}: {other}"] if listed and other else []
+        faults += [] if listed else [f"{file}: carries no signature"]
+    faults += [f"{path}: nobody has signed it as '{role}'" for role in needed if role not in there]
+    for fault in faults:
+        echo(message_line(f"FAILED {fault}"))
+    return len(faults)
 
 
 @dataclass(frozen=True)
