@@ -29,6 +29,8 @@ from labpipe.project.archive import (
 )
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
+from labpipe.project.run_record import begin as begin_record
+from labpipe.project.run_record import faults_of_record, head, record_of_runs, runs_of
 from labpipe.project.signing import DETACHED, ROLES, Trust, drawn_from_another, signatures, signed_files
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
@@ -127,6 +129,44 @@ def _written(path: Path) -> str:
     return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
 
 
+# labpipe runs FOLDER
+
+
+@click.command()
+@click.argument("folder", type=options.PATH)
+@click.option(
+    "--begin", is_flag=True, help="Begin the record: from now on every run below FOLDER adds a line."
+)
+@click.option("--inputs", is_flag=True, help="The files that each run was made from, with their digests.")
+def runs(folder: Path, begin: bool, inputs: bool) -> None:
+    """Show the record of runs of FOLDER: who, when, which pipeline, which outcome.
+
+    A record is begun once, and `labpipe run` with results in or below FOLDER adds to it. Every line holds the
+    digest of the line before: `labpipe verify FOLDER` says where one was changed or removed.
+
+    \b
+    labpipe runs results/ --begin
+    labpipe run pipeline.yaml -o results/monday
+    labpipe runs results/
+    """
+    if begin:
+        echo(f"begun: {begin_record(folder)}")
+        return
+    record = record_of_runs(folder)
+    if record is None:
+        raise DataError("has no record of runs", where=str(folder), hint="begin one by --begin")
+    for line in runs_of(record):
+        what = " ".join(filter(None, (line.pipeline, f"-> {line.result}" if line.result else "")))
+        echo(
+            message_line(
+                f"{line.number} {line.time} {line.who}, labpipe {line.version}: {what} {line.outcome}"
+            )
+        )
+        for reference in line.inputs if inputs else ():
+            echo(message_line(f"    {reference['sha256']} {reference['path']}"))
+    echo(f"last line: {head(record)}")
+
+
 # labpipe verify FOLDER, or an archive
 
 
@@ -208,7 +248,22 @@ def verify(
         code = _verify_folder(
             here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
         )
-    return 1 if unsigned else code
+        broken = 0 if is_remote(folder) else _verify_record(here, quiet)
+    return 1 if unsigned or broken else code
+
+
+def _verify_record(folder: Path, quiet: bool) -> int:
+    """Say whether the record of runs of a folder holds; how many faults it has."""
+    record = record_of_runs(folder)
+    if record is None:
+        return 0
+    faults = faults_of_record(record)
+    for fault in faults:
+        echo(message_line(f"FAILED {record}: {fault}"))
+    if not quiet:
+        count = len(runs_of(record))
+        echo(f"{count} lines of the record of runs: {len(faults)} faults; last line {head(record)}")
+    return len(faults)
 
 
 def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:

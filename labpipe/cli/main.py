@@ -42,6 +42,7 @@ COMMANDS = {
     "check": ("run", "Run pipelines and test their expect: and accept: rules."),
     "list": ("results", "The results below a folder, or their values, by rig, condition, date, fit."),
     "compare": ("results", "Compare two results, parameter by parameter."),
+    "runs": ("evidence", "Who ran what and when: the record of runs of a results folder."),
     "verify": ("evidence", "Whether a folder's artefacts, or an archive, are as labpipe wrote them."),
     "sign": ("sign", "Sign a report or an archive with your own certificate."),
     "archive": ("evidence", "A result with all it was made from in one file, as evidence: an RO-Crate."),
