@@ -209,7 +209,7 @@ def _validity(administrative: ET.Element, end: datetime.date) -> tuple[datetime.
         valid = statement.find(f"{DCC}valid")
         if valid is not None and _text(valid) in ("false", "0"):
             refused = "the laboratory states that it is not valid"
-        if "recalibration" in kinds or "validity" in kinds:
+        if "recalibration" in kinds or ("valid" in kinds and "from" not in kinds):
             days += [_day(day) for day in statement.iterfind(f"{DCC}date")]
             days += [_after(end, _text(period)) for period in statement.iterfind(f"{DCC}period")]
     return (min(days) if days else None), refused

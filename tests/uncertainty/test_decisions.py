@@ -1,4 +1,4 @@
-"""Decisions on limits: examples of JCGM 106 and ILAC-G8, and risks against scipy and against draws."""
+"""Decisions on limits: guard bands of ILAC-G8, probabilities and risks against scipy and against draws."""
 
 from __future__ import annotations
 
@@ -26,28 +26,6 @@ from labpipe.uncertainty.decisions import (
 
 
 @pytest.mark.parametrize(
-    ("value", "error", "limits", "printed"),
-    [
-        # Breakdown voltage of a Zener diode, at most -5.40 V; bursting pressure of a container, at least
-        # 490 kPa; kinematic viscosity of an oil of grade SAE 40, 12.5 to 16.3 mm^2/s.
-        (-5.47, 0.05, Limits(high=-5.40), 0.92),
-        (509.7, 8.6, Limits(low=490.0), 0.99),
-        (13.6, 1.8, Limits(12.5, 16.3), 0.66),
-    ],
-)
-def test_the_examples_of_jcgm_106_on_conformance(
-    value: float, error: float, limits: Limits, printed: float
-) -> None:
-    """JCGM 106:2012, clause 7; the text was not at hand when this was written: inputs and digits are as
-    they are quoted from it, and scipy gives the same.
-    """
-    probability = conformance(value, error, limits)
-    assert round(probability, 2) == printed
-    normal = stats.norm(value, error)
-    assert probability == pytest.approx(normal.cdf(limits.high) - normal.cdf(limits.low), rel=1e-12)
-
-
-@pytest.mark.parametrize(
     ("guard", "printed"), [(3.0, 1e-6), (1.5, 0.0016), (1.0, 0.025), (0.83, 0.05), (0.0, 0.50)]
 )
 def test_the_table_of_ilac_g8_on_guard_bands(guard: float, printed: float) -> None:
@@ -56,6 +34,15 @@ def test_the_table_of_ilac_g8_on_guard_bands(guard: float, printed: float) -> No
     """
     risk = 1.0 - conformance(10.0 - guard * 2.0, 1.0, Limits(high=10.0))
     assert risk <= printed and (guard == 3.0 or risk > 0.8 * printed)
+
+
+@given(st.floats(-5, 5), st.floats(0.01, 3), st.floats(-5, 0), st.floats(0.1, 5))
+def test_probabilities_within_limits(value: float, error: float, low: float, width: float) -> None:
+    """By scipy; the printed examples of JCGM 106 stand in the validation manual."""
+    normal = stats.norm(value, error)
+    for limits in (Limits(low, low + width), Limits(low=low), Limits(high=low)):
+        wanted = normal.cdf(limits.high) - normal.cdf(limits.low)
+        assert conformance(value, error, limits) == pytest.approx(wanted, abs=1e-12)
 
 
 def test_a_guard_band_for_five_per_cent() -> None:
@@ -153,18 +140,6 @@ def test_the_resistors_of_jcgm_106() -> None:
     true = stats.norm(0, spread)
     assert risks.false_acceptance == pytest.approx(read.cdf(half) - read.cdf(-half) - both, abs=2e-6)
     assert risks.false_rejection == pytest.approx(true.cdf(half) - true.cdf(-half) - both, abs=2e-6)
-
-
-def test_the_risks_of_deaver() -> None:
-    """D. Deaver, How to maintain your confidence (NCSL 1993): limits of 2 standard deviations and a ratio
-    of 4 to 1: 0.8 % falsely accepted, 1.5 % falsely rejected; a ratio of 2 to 1 with a guard band of 0.91:
-    0.8 %, 6.6 %.
-    """
-    limits = Limits(-2.0, 2.0)
-    plain = global_risk((0.0, 1.0), 0.25, limits, limits)
-    assert (round(plain.false_acceptance, 3), round(plain.false_rejection, 3)) == (0.008, 0.015)
-    guarded = global_risk((0.0, 1.0), 0.5, limits, limits.narrowed(2 - 2 * 0.91))
-    assert (round(guarded.false_acceptance, 3), round(guarded.false_rejection, 3)) == (0.008, 0.066)
 
 
 def test_nothing_is_accepted_where_nothing_passes() -> None:
