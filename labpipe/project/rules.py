@@ -207,7 +207,7 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
     risk = _read_number(nodes.get("risk"), join(key, "risk"), faults, (0.0, 0.5))
     guard = _read_number(nodes.get("guard"), join(key, "guard"), faults, (-10.0, 10.0))
     process = nodes["process"].text if "process" in nodes else ""
-    if process and "+-" not in process.replace("±", "+-"):
+    if "process" in nodes and "+-" not in process.replace("±", "+-"):
         hint = "mean and standard deviation: 134.5 kN/m +- 0.2 kN/m"
         faults.add(nodes["process"], join(key, "process"), f"'{process}' has no spread", hint)
     outcomes = _read_outcomes(nodes.get("outcomes"), join(key, "outcomes"), faults)

@@ -223,6 +223,7 @@ def test_probabilities_keep_their_distance_from_certainty(probability: float, te
         ("axial.k: {min: 1 N/m, rule: risk, guard: 1}", "only 'guarded' has one"),
         ("axial.k: {min: 1 N/m, rule: guarded, risk: 1 %, guard: 1}", "takes the place of the risk"),
         ("axial.k: {min: 1 N/m, process: 3 N/m}", "has no spread"),
+        ("axial.k: {min: 1 N/m, process: {a: 1}}", "has no spread"),
         ("axial.k: {min: 1 N/m, outcomes: passed}", "unknown outcome 'passed'"),
         ("axial.k: {min: 1 N/m, riks: 1 %}", "accept.axial.k.riks: unknown key; did you mean 'risk'?"),
         ("axial.warnings: {min: 1}", "is a word, and limits need a number"),

@@ -179,6 +179,13 @@ def test_limits_together_within_one_per_cent_of_draws() -> None:
     assert probability > np.prod([conformance(0.0, math.sqrt(covariance[k, k]), limits[k]) for k in range(3)])
 
 
+def test_more_limits_than_small_primes() -> None:
+    """150 independent values, each within its limit with 0.9995: the product."""
+    limits = [Limits(high=3.290526731491926)] * 150
+    together = joint_conformance(np.zeros(150), np.eye(150), limits)
+    assert together == pytest.approx(0.9995**150, abs=2e-4)
+
+
 def test_values_with_one_error_hold_together_like_the_narrowest() -> None:
     covariance = np.outer([1.0, 2.0], [1.0, 2.0])
     together = joint_conformance(np.zeros(2), covariance, [Limits(-1.0, 1.0), Limits(-4.0, 4.0)])
