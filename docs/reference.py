@@ -120,6 +120,7 @@ def commands_page() -> str:
 
 
 def rig_page() -> str:
+    from labpipe.project.calibrations import CertificateSettings
     from labpipe.project.rig_file import ChannelSettings, RigSettings
 
     return (
@@ -127,7 +128,9 @@ def rig_page() -> str:
         "everywhere else.\n\n"
         "`constants:` holds numbers with their uncertainty for channels that are sums of others (`derived`): "
         "[a floating stator](../how-to/floating.md#channels-that-are-sums-of-others).\n\n"
-        f"{table(RigSettings)}\n## channels\n\n{table(ChannelSettings)}"
+        f"{table(RigSettings)}\n## channels\n\n{table(ChannelSettings)}\n"
+        "## sensitivity from a certificate\n\n[Calibration certificates](../how-to/certificates.md) in place "
+        f"of a typed number:\n\n{table(CertificateSettings)}"
     )
 
 

@@ -35,7 +35,14 @@ from labpipe.errors import DataError, cut
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
-from labpipe.records.identification import DatasetIndex, Failed, Fit, Identification, RuleOutcome
+from labpipe.records.identification import (
+    DatasetIndex,
+    Failed,
+    Fit,
+    Identification,
+    RuleDecision,
+    RuleOutcome,
+)
 from labpipe.records.recording import Channel
 from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
@@ -292,7 +299,8 @@ def _records(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
-    return {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
+    entry = {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
+    return entry if outcome.decision is None else {**entry, **entry_of(outcome.decision)}
 
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
@@ -308,7 +316,12 @@ def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
 def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     rules = entries.get(key, [])
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
-    return [RuleOutcome(key, **entry, shown=shown) for entry, shown in zip(rules, texts, strict=True)]
+    return [_outcome(key, entry, shown) for entry, shown in zip(rules, texts, strict=True)]
+
+
+def _outcome(key: str, entry: dict[str, Any], shown: str) -> RuleOutcome:
+    decision = record_of(entry, RuleDecision) if "outcome" in entry else None
+    return RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
 
 
 _OPTIONAL_ARRAYS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr")

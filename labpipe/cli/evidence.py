@@ -29,6 +29,9 @@ from labpipe.project.archive import (
 )
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
+from labpipe.project.run_record import begin as begin_record
+from labpipe.project.run_record import faults_of_record, head, record_of_runs, runs_of
+from labpipe.project.signing import DETACHED, ROLES, Trust, drawn_from_another, signatures, signed_files
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
 # labpipe archive RESULTS -o FILE
@@ -86,8 +89,9 @@ def archive(
             f"holds no {NAME}", where=str(folder), hint="results appear with `labpipe run PIPELINE -o FOLDER`"
         )
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
-    packed = contents(folder, pipeline, digests_only=digests_only)
-    write_archive(packed, output, day or _written(folder / NAME))
+    with tempfile.TemporaryDirectory() as scratch:
+        packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
+        write_archive(packed, output, day or _written(folder / NAME))
     if quiet:
         return
     kept = [member for member in packed.members if member.kept]
@@ -125,6 +129,44 @@ def _written(path: Path) -> str:
     return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()
 
 
+# labpipe runs FOLDER
+
+
+@click.command()
+@click.argument("folder", type=options.PATH)
+@click.option(
+    "--begin", is_flag=True, help="Begin the record: from now on every run below FOLDER adds a line."
+)
+@click.option("--inputs", is_flag=True, help="The files that each run was made from, with their digests.")
+def runs(folder: Path, begin: bool, inputs: bool) -> None:
+    """Show the record of runs of FOLDER: who, when, which pipeline, which outcome.
+
+    A record is begun once, and `labpipe run` with results in or below FOLDER adds to it. Every line holds the
+    digest of the line before: `labpipe verify FOLDER` says where one was changed or removed.
+
+    \b
+    labpipe runs results/ --begin
+    labpipe run pipeline.yaml -o results/monday
+    labpipe runs results/
+    """
+    if begin:
+        echo(f"begun: {begin_record(folder)}")
+        return
+    record = record_of_runs(folder)
+    if record is None:
+        raise DataError("has no record of runs", where=str(folder), hint="begin one by --begin")
+    for line in runs_of(record):
+        what = " ".join(filter(None, (line.pipeline, f"-> {line.result}" if line.result else "")))
+        echo(
+            message_line(
+                f"{line.number} {line.time} {line.who}, labpipe {line.version}: {what} {line.outcome}"
+            )
+        )
+        for reference in line.inputs if inputs else ():
+            echo(message_line(f"    {reference['sha256']} {reference['path']}"))
+    echo(f"last line: {head(record)}")
+
+
 # labpipe verify FOLDER, or an archive
 
 
@@ -141,6 +183,23 @@ def _written(path: Path) -> str:
 @click.option(
     "--again", is_flag=True, help="Run the pipeline again, aside, and compare every artefact byte for byte."
 )
+@click.option(
+    "--trust",
+    type=options.PATH,
+    multiple=True,
+    metavar="FILE",
+    help="Certificate (PEM, DER) that vouches for signers (repeatable).",
+)
+@click.option(
+    "--crl",
+    type=options.PATH,
+    multiple=True,
+    metavar="FILE",
+    help="List of revoked certificates (repeatable); without it none is looked for.",
+)
+@click.option(
+    "--signed", type=click.Choice(ROLES), multiple=True, help="Somebody must have signed so (repeatable)."
+)
 @options.jobs
 @options.overrides
 @options.quiet
@@ -149,6 +208,9 @@ def verify(
     folder: Path,
     pipeline_path: Path | None,
     again: bool,
+    trust: tuple[Path, ...],
+    crl: tuple[Path, ...],
+    signed: tuple[str, ...],
     jobs: int,
     overrides: tuple[str, ...],
     quiet: bool,
@@ -165,8 +227,12 @@ def verify(
     \b
     labpipe verify out/
     labpipe verify out/ -c pipeline.yaml --again
-    labpipe verify evidence.zip
+    labpipe verify evidence.zip --trust laboratory-ca.pem --signed approved
+    labpipe verify out/report.signed.pdf --trust laboratory-ca.pem
     """
+    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
+    if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
+        return 1 if unsigned else 0
     if is_archive(folder) and is_remote(folder):
         raise DataError(
             "is an archive elsewhere, and is read from this machine only",
@@ -174,13 +240,53 @@ def verify(
             hint="copy it here",
         )
     if is_archive(folder):
-        return _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        return _verify_folder(
+        code = _verify_folder(
             here, shown(folder), pipeline_path, Manners(again, jobs, overrides, quiet, verbose)
         )
+        broken = 0 if is_remote(folder) else _verify_record(here, quiet)
+    return 1 if unsigned or broken else code
+
+
+def _verify_record(folder: Path, quiet: bool) -> int:
+    """Say whether the record of runs of a folder holds; how many faults it has."""
+    record = record_of_runs(folder)
+    if record is None:
+        return 0
+    faults = faults_of_record(record)
+    for fault in faults:
+        echo(message_line(f"FAILED {record}: {fault}"))
+    if not quiet:
+        count = len(runs_of(record))
+        echo(f"{count} lines of the record of runs: {len(faults)} faults; last line {head(record)}")
+    return len(faults)
+
+
+def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
+    """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
+    if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
+        raise DataError("no such file", where=str(path), hint="name a file that `labpipe sign` wrote")
+    faults: list[str] = []
+    there: set[str] = set()
+    for file in signed_files(path):
+        listed = list(signatures(file, trust))
+        for signature in listed:
+            faults += [f"{signature.file}: {signature.text}: {fault}" for fault in signature.faults]
+            if not signature.faults:
+                there.add(signature.role)
+            if not (signature.faults or quiet):
+                echo(message_line(f"signed {signature.file}: {signature.text}"))
+        other = drawn_from_another(file) if file.suffix.lower() == ".pdf" else ""
+        faults += [f"{file}: {other}"] if listed and other else []
+        faults += [] if listed else [f"{file}: carries no signature"]
+    faults += [f"{path}: nobody has signed it as '{role}'" for role in needed if role not in there]
+    for fault in faults:
+        echo(message_line(f"FAILED {fault}"))
+    return len(faults)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ OPTIONAL = {
     "openpyxl": ("openpyxl", "recordings in .xlsx: pip install 'labpipe[excel]'"),
     "asammdf": ("asammdf", "recordings in .mf4: pip install 'labpipe[mdf]'"),
     "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
+    "pyHanko": ("pyhanko", "signatures: pip install 'labpipe[sign]'"),
     "scikit-learn": ("sklearn", "metamodels of journal coefficients: pip install 'labpipe[metamodels]'"),
 }
 MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}

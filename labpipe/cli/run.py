@@ -28,6 +28,7 @@ from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.run import Manner, independent_fits, run_only
 from labpipe.project.run import run as run_pipeline
+from labpipe.project.run_record import recorded
 from labpipe.project.watch import Watch, WatchSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.identification import RuleOutcome
@@ -67,17 +68,20 @@ def run(
     """
     how = manner(quiet, verbose, jobs, cluster)
     check_shared(output, cluster)
-    pipeline = load_pipeline(pipeline_path, overrides)
     if only:
+        pipeline = load_pipeline(pipeline_path, overrides)
         with results_made(output, lambda name: name in files_of_test(only)) as here:
             done = run_only(pipeline, here, only)
         echo_failed([done.failed] if done.failed else [])
         return 2 if done.failed else 0
-    with results_made(output) as here:
-        with options.results_folder(here) as folder:
-            identification = run_pipeline(pipeline, folder, how)
-            outdate_reports(folder, pipeline.report.formats)
-        write_reports(identification, here, pipeline.report.formats, how.tell)
+    with recorded(output, pipeline_path) as made:
+        pipeline = load_pipeline(pipeline_path, overrides)
+        with results_made(output) as here:
+            with options.results_folder(here) as folder:
+                identification = run_pipeline(pipeline, folder, how)
+                outdate_reports(folder, pipeline.report.formats)
+            write_reports(identification, here, pipeline.report.formats, how.tell)
+        made.append(identification)
     echo_identification(identification, quiet)
     if not quiet:
         echo(

@@ -44,6 +44,7 @@ from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
+from labpipe.project.result_certificate import write_dcc
 from labpipe.project.verification import artefacts_below, verified
 from labpipe.records.identification import Identification
 
@@ -54,6 +55,8 @@ from labpipe.records.identification import Identification
 EXPERIMENT = "experiment"
 PROJECT, RESULTS = f"{EXPERIMENT}/project", f"{EXPERIMENT}/results"
 YAML = (".yaml", ".yml")
+# The result as a certificate, made for the archive.
+CERTIFICATE = "result.dcc.xml"
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,9 @@ class Contents:
         return tuple(sorted((*self.of, *self.results), key=lambda member: member.name))
 
 
-def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Contents:
+def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: bool) -> Contents:
     """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the
-    recordings.
+    recordings. The result as a certificate is written to the folder *scratch*.
 
     DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that
     an archive cannot hold.
@@ -122,6 +125,9 @@ def contents(folder: Path, pipeline: Pipeline, *, digests_only: bool) -> Content
         )
         for name in (*names, *reports)
     ]
+    write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
+    role = "result as XML after the Digital Calibration Certificate"
+    results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
     noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
     digests = {reference.path: reference.sha256 for reference in noted} | {
@@ -308,7 +314,7 @@ FORMATS = {
     ".csv": "text/csv", ".txt": "text/plain", ".dat": "text/plain", ".asc": "text/plain",
     ".lvm": "text/plain", ".md": "text/markdown",
     ".html": "text/html", ".pdf": "application/pdf", ".json": "application/json", ".yaml": "application/yaml",
-    ".yml": "application/yaml",
+    ".yml": "application/yaml", ".xml": "application/xml",
     ".parquet": "application/vnd.apache.parquet", ".h5": "application/x-hdf5", ".hdf5": "application/x-hdf5",
     ".wav": "audio/vnd.wave",
     ".mat": "application/x-matlab-data", ".gz": "application/gzip", ".zst": "application/zstd",

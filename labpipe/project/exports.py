@@ -45,6 +45,7 @@ WRITERS = Registry(
         "matrix-parquet": "labpipe.project.matrix_table:write_matrix_parquet",
         "rotor": "labpipe.project.matrix_table:write_rotor_xlsx",
         "rotor-csv": "labpipe.project.matrix_table:write_rotor_csv",
+        "dcc": "labpipe.project.result_certificate:write_dcc",
     },
 )
 

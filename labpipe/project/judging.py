@@ -8,6 +8,15 @@ from typing import Any
 
 from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
+from labpipe.project.deciding import (
+    Compared,
+    Limited,
+    decided,
+    decided_together,
+    limited_by_comparison,
+    limited_by_fit,
+    stated_error,
+)
 from labpipe.project.rules import Rule
 from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
 from labpipe.records.comparison import Comparison, ConditionMatrices
@@ -20,31 +29,32 @@ from labpipe.sections import names_of, section
 
 # Numbers held against a rule, and how they are shown: in the unit in which the rule is written.
 
-# (value [SI], whether it meets the rule, the value in the rule's unit)
-Compared = tuple[float | str | None, bool, str]
-# (rule, value, unit) -> the same of a number
-CompareNumber = Callable[[Rule, float | None, str], tuple[float | None, bool, str]]
+# (rule, value, unit, standard uncertainty) -> what is compared
+CompareNumber = Callable[..., Compared]
 _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 
 
-def compare_number(rule: Rule, value: float | None, unit: str) -> tuple[float | None, bool, str]:
+def compare_number(rule: Rule, value: float | None, unit: str, error: float | None = None) -> Compared:
     """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
 
-    One that could not be given meets none.
+    One that could not be given meets none. *error*: its standard uncertainty [unit], by which rules with
+    limits are decided; all others compare the value alone.
     """
+    if rule.decision is not None:
+        return decided(rule, value, error, unit)
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
             wanted = parse_uncertain(rule.bound, unit)
-            return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text
+            return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text, None
         bound = parse_value(rule.bound, unit)
     except UnitError as error:
         raise ConfigError(
             f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
         ) from None
     if rule.kind == "=":
-        return value, value is not None and value == bound, text
-    return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text
+        return value, value is not None and value == bound, text, None
+    return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text, None
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
@@ -68,14 +78,14 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> C
     try:
         wanted = parse_value(rule.bound, unit)
         if ci95 is None:
-            return "no interval", False, "no interval"
+            return "no interval", False, "no interval", None
         low, high = ci95
         ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
     except UnitError as error:
         raise ConfigError(
             f"{rule.section}.{rule.address}: {error.what}", where=rule.place, hint=error.hint
         ) from None
-    return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends
+    return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
 def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
@@ -84,7 +94,7 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
     Relative to the value where the rule is in per cent.
     """
     if parameter.ci95 is None:
-        return None, False, ""
+        return None, False, "", None
     half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
     if rule.bound.endswith("%"):
         return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
@@ -119,7 +129,10 @@ def judge(
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            outcomes.append(_on_section(rule, records) or whole_outcome(rule, judged_part(rule, fits)))
+            if rule.together:
+                outcomes.append(together(rule, fits, records))
+            else:
+                outcomes.append(_on_section(rule, records) or whole_outcome(rule, judged_part(rule, fits)))
         except ConfigError:
             if not incomplete:
                 raise
@@ -155,10 +168,50 @@ def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
     return None
 
 
+def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
+    """The outcome of a rule that several limits hold at once, over all fits and comparisons it addresses.
+
+    ConfigError at its place where it addresses what the result does not have.
+    """
+    numbers: list[Limited] = []
+    for member in rule.together:
+        try:
+            numbers.extend(_limited(member, fits, records))
+        except UnitError as error:
+            raise ConfigError(
+                f"{member.section}.{rule.address}.{member.address}: {error.what}",
+                where=member.place,
+                hint=error.hint,
+            ) from None
+    return decided_together(rule, numbers)
+
+
+def _limited(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[Limited]:
+    """The numbers that one of several limits addresses."""
+    comparisons = [
+        record
+        for records_of in records.values()
+        if isinstance(records_of, tuple)
+        for record in records_of
+        if isinstance(record, Comparison) and record.name == rule.fit
+    ]
+    if comparisons:
+        return [limited_by_comparison(rule, comparisons[0], _amount(rule, comparisons[0], rule.item))]
+    addressed = _having(rule, _addressed(rule, fits))
+    if not addressed or rule.item in _FIT_VALUES:
+        raise UnitError("no such fit or parameter in the result", "limits together need parameters of fits")
+    return [limited_by_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
+
+
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
     """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses
     (bands, terms, tests).
     """
+    if rule.together:
+        try:
+            return PartialOutcome(outcome=together(rule, fits, {}), addressed=len(fits))
+        except ConfigError as error:
+            return PartialOutcome(addressed=len(fits), fault=(error.what, error.hint))
     addressed = _addressed(rule, fits)
     if not addressed or rule.item == "count":
         return PartialOutcome(addressed=len(addressed))
@@ -233,7 +286,7 @@ def _compare_warnings(rule: Rule, fit: Fit) -> Compared:
     else:
         passed = code in codes
     text = ", ".join(codes) or "none"
-    return text, passed, text
+    return text, passed, text, None
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
@@ -257,19 +310,19 @@ def _split(item: str, fits: Sequence[Fit]) -> tuple[str, str]:
 
 def _compare_item(rule: Rule, fit: Fit) -> Compared:
     if not fit.converged:
-        return None, False, "not judged: the fit did not converge"
+        return None, False, "not judged: the fit did not converge", None
     if rule.item in _FIT_VALUES:
         return compare_number(rule, _FIT_VALUES[rule.item](fit), "1")
     name, attribute = _split(rule.item, [fit])
     parameter = fit.parameter(name)
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
-        return text, text == rule.bound, text
+        return text, text == rule.bound, text, None
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
         return compare_expanded(rule, parameter)
-    return compare_number(rule, parameter.value, parameter.unit)
+    return compare_number(rule, parameter.value, parameter.unit, stated_error(parameter))
 
 
 # Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
@@ -302,8 +355,10 @@ def comparison_outcome(
         return RuleOutcome(rule.section, rule.text, *compare_covers(rule, amount.ci95, amount.unit))
     if attribute == "expanded":
         return RuleOutcome(rule.section, rule.text, *compare_expanded(rule, amount))
-    value = amount.full_error if attribute == "std_error" else amount.value
-    return RuleOutcome(rule.section, rule.text, *compare_number(rule, value, amount.unit))
+    if attribute == "std_error":
+        return RuleOutcome(rule.section, rule.text, *compare_number(rule, amount.full_error, amount.unit))
+    compared = compare_number(rule, amount.value, amount.unit, stated_error(amount))
+    return RuleOutcome(rule.section, rule.text, *compared)
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
@@ -329,4 +384,5 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
         raise ConfigError(
             f"{rule.section}.{rule.address}: the matrix has no '{rule.item}'", where=rule.place, hint=hint
         ) from None
-    return RuleOutcome(rule.section, rule.text, *compare_number(rule, amount.value, amount.unit))
+    compared = compare_number(rule, amount.value, amount.unit, stated_error(amount))
+    return RuleOutcome(rule.section, rule.text, *compared)

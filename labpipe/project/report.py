@@ -28,14 +28,15 @@ _RESULT = re.compile(rb'^"' + DIGEST.encode() + rb'": "([0-9a-f]{64})"', re.MULT
 _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{64})")
 
 
-def drawn_from(result: Path) -> str:
-    """What the report of a result file depends on, as a digest: its content and the code that draws.
+def drawn_from(result: Path, code: str = "") -> str:
+    """What the report of a result file depends on, as a digest: its content and the code that draws, by
+    default that of this build.
 
     Empty where it carries no digest.
     """
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
-    return hashlib.sha256(match[1] + code_digest().encode()).hexdigest() if match else ""
+    return hashlib.sha256(match[1] + (code or code_digest()).encode()).hexdigest() if match else ""
 
 
 def stamped(content: bytes, source: str, report_format: str) -> bytes:
@@ -49,6 +50,12 @@ def stamped(content: bytes, source: str, report_format: str) -> bytes:
     content = content if content.endswith(b"\n") else content + b"\n"
     digest = hashlib.sha256(content).hexdigest()
     return content + begin + f"labpipe drew this from {source}, content {digest}".encode() + end
+
+
+def stamped_source(content: bytes) -> str:
+    """What a report was drawn from as its last line says, also where signatures follow; empty without one."""
+    match = _STAMP.search(content)
+    return match[1].decode() if match else ""
 
 
 def is_drawn(path: Path, source: str) -> bool:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-from labpipe.artefacts.digest import DamagedError
-from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError
+from labpipe.project.calibrations import (
+    Certified,
+    ChainUncertaintySettings,
+    Written,
+    calibrated_slope,
+    certified_sensitivity,
+    channel_uncertainties,
+    read_sensor_response,
+)
 from labpipe.project.derived_channels import Factor, SumReader, expanded, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_settings
@@ -21,212 +24,8 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
-from labpipe.records.uncertain import (
-    ChannelUncertainty,
-    Uncertain,
-    parse_uncertain,
-    split_uncertainty,
-    uncertainty_of,
-)
+from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
-
-# The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
-
-
-@dataclass(frozen=True)
-class ChainUncertaintySettings(Settings):
-    """Standard uncertainties of a channel's chain beside those of its numbers.
-
-    How else they are meant stands in brackets.
-    """
-
-    gain: str = setting(
-        "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
-    )
-    phase: str = setting("text", "of the whole chain, at every frequency alike: 0.5 deg", default="")
-
-
-@dataclass(frozen=True)
-class Written:
-    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as
-    texts, *uncertainties* of its numbers.
-    """
-
-    name: str
-    entries: Mapping[str, Marked]
-    sensitivity: str
-    dof: str
-    uncertainties: Uncertainties
-    chain: ChainUncertaintySettings | None
-
-
-def channel_uncertainties(
-    written: Written, node: Marked, key: str, faults: Faults
-) -> tuple[ChannelUncertainty, ...]:
-    """All uncertainties of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written, Path], Iterator[ChannelUncertainty]]] = {
-        "sensitivity": _of_sensitivity,
-        "delay": _of_delay,
-        "dof": _of_direction,
-        "uncertainty": _of_chain,
-    }
-    folder = Path(node.where.rsplit(":", 2)[0]).parent
-    uncertainties: list[ChannelUncertainty] = []
-    for entry, read in readers.items():
-        try:
-            uncertainties.extend(read(written, folder))
-        except UnitError as error:
-            faults.add_unit(written.entries.get(entry, node), join(key, entry), error)
-    return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
-
-
-def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:
-    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
-    names.
-    """
-    text, uncertainty = split_uncertainty(written.sensitivity)
-    if "#" in text:
-        slope = calibrated_slope(text, folder)
-        if slope.std_error:
-            number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield ChannelUncertainty(
-                "gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1")
-            )
-    if uncertainty:
-        number = _relative(text, uncertainty)
-        yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
-
-
-def _relative(text: str, uncertainty: str) -> Uncertain:
-    """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
-    value, _, unit = text.strip().partition(" ")
-    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
-    return Uncertain(
-        1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
-    )
-
-
-def _of_delay(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001 (one signature for all readers)
-    for name, number in written.uncertainties:
-        if name == "delay":
-            yield ChannelUncertainty("delay", uncertainty_of(number, f"{written.name}.delay", "s"))
-
-
-def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
-    """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
-    _, uncertainty = split_uncertainty(written.dof)
-    if uncertainty:
-        yield ChannelUncertainty(
-            "direction",
-            uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad"),
-        )
-
-
-def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
-    if written.chain is None:
-        return
-    if written.chain.gain:
-        yield ChannelUncertainty(
-            "gain",
-            uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"),
-        )
-    if written.chain.phase:
-        yield ChannelUncertainty(
-            "phase",
-            uncertainty_of(
-                parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"
-            ),
-        )
-
-
-@dataclass(frozen=True)
-class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom.
-
-    No error where the fit has none.
-    """
-
-    value: float
-    unit: str
-    std_error: float
-    dof: float | None
-
-
-def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file.
-
-    UnitError where there is none.
-    """
-    file, _, fit_name = reference.partition("#")
-    try:
-        fits: dict[str, Mapping[str, Any]] = {
-            fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]
-        }
-        slopes = [
-            parameter
-            for parameter in fits.get(fit_name, {"parameters": ()})["parameters"]
-            if parameter["name"] == "slope"
-        ]
-        if slopes:
-            return _slope(slopes[0], fits[fit_name].get("dof"))
-    except DamagedError as error:
-        raise UnitError(
-            f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint
-        ) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
-    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
-
-
-def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
-    """The slope of its entry; TypeError or ValueError for an entry that is none."""
-    value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
-    if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
-        raise ValueError("no slope")
-    return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))
-
-
-# The frequency response of a sensor from a calibration table: CSV with the columns frequency_hz, gain,
-# phase_deg.
-
-COLUMNS = ("frequency_hz", "gain", "phase_deg")
-
-
-def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
-
-    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a
-    file that cannot be read, other columns, what is no number, fewer than two rows, a gain not above zero, or
-    frequencies that do not increase.
-    """
-    try:
-        lines = [
-            line
-            for line in path.read_text(encoding="utf-8-sig").splitlines()
-            if line.strip() and not line.startswith("#")
-        ]
-    except OSError:
-        raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
-    except UnicodeDecodeError:
-        raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
-    rows = list(csv.reader(lines, skipinitialspace=True))
-    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
-        raise UnitError(f"'{path.name}' has other columns", f"columns: {', '.join(COLUMNS)}")
-    table = tuple(_row(row, path.name) for row in rows[1:])
-    if len(table) < 2 or any(later[0] <= earlier[0] for earlier, later in pairwise(table)):
-        raise UnitError(f"'{path.name}' does not hold two or more increasing frequencies")
-    return table
-
-
-def _row(row: list[str], name: str) -> tuple[float, float, float]:
-    try:
-        frequency, gain, phase = (float(cell) for cell in row)
-    except ValueError:
-        raise UnitError(f"'{name}': '{','.join(row)}' is no frequency, gain and phase") from None
-    if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
-        raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
-    return frequency, gain, math.radians(phase)
-
 
 # Reading a rig file: what the rig IS; no processing parameter is known here.
 
@@ -278,7 +77,11 @@ class ChannelSettings(Settings):
     position: float | None = setting(
         "value", "place along the axis, where magnets and sensors are apart", unit="m", default=None
     )
-    sensitivity: str = setting("text", "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'", default="")
+    sensitivity: str = setting(
+        "text",
+        "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'; or {certificate: FILE, quantity: NAME}",
+        default="",
+    )
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = setting(
@@ -569,17 +372,43 @@ def _sum_channel(
     return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
 
 
+def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, Certified | None]:
+    """A channel with the number of its certificate in the place of the reference to it, and what else the
+    certificate states; None without one.
+    """
+    entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
+    if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
+        return node, None
+    certified = certified_sensitivity(entry, join(key, "sensitivity"), faults)
+    if certified is None:
+        return node, None
+    if certified.response and "response" in node.content:
+        what = "the certificate states it"
+        faults.add(node.content["response"], join(key, "response"), what, "leave it out")
+    number = Marked(certified.text, entry.where, entry.key_where, certified.text)
+    return Marked({**node.content, "sensitivity": number}, node.where, node.key_where), certified
+
+
 def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChannel | None:
+    before = len(faults)
+    node, certified = _with_certificate(node, key, faults)
+    if len(faults) > before:
+        return None
     settings = read_settings(ChannelSettings, node, key, faults)
     if settings is None:
         return None
-    before = len(faults)
     scale, offset = _calibration(settings, node, key, faults)
     limits = _limits(settings, node, key, faults)
     dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
-    response = _response(settings, node, key, faults)
+    response = _response(settings, node, key, faults) or (certified.response if certified else ())
     written = Written(
-        name, node.content, settings.sensitivity, settings.dof, settings.uncertainties, settings.uncertainty
+        name,
+        node.content,
+        settings.sensitivity,
+        settings.dof,
+        settings.uncertainties,
+        settings.uncertainty,
+        certified.uncertainties if certified else (),
     )
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
     uncertainties = channel_uncertainties(written, node, key, faults) if len(faults) == before else ()

@@ -1,22 +1,78 @@
-"""The rules of ``accept:`` and ``expect:``: what a result must meet, read from "fit.parameter: rule"."""
+"""The rules of ``accept:`` and ``expect:``: what a result must meet, read from "fit.parameter: rule", or from
+limits with the rule by which is decided.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from labpipe.project.marked_yaml import Marked
-from labpipe.project.settings_reader import Faults
-from labpipe.quantities import UnitError
+from labpipe.project.settings_reader import Faults, join
+from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
+from labpipe.registry import nearest
+from labpipe.uncertainty.decisions import OUTCOMES, PASS
 
 _COMPARISON = re.compile(r"^\s*(>=|<=|>|<)\s*(.+?)\s*$")
 _ADDRESS = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<which>[^\]]*)\])?\.(?P<item>.+)$")
 
+# How is decided where a rule gives limits: by the value alone, with a guard band at each limit, or by the
+# probability that the limits hold.
+SIMPLE, GUARDED, RISK = "simple", "guarded", "risk"
+DECISIONS = (SIMPLE, GUARDED, RISK)
+# The risk of a guard band or a decision where a rule names none.
+USUAL_RISK = 0.05
+DECISION_KEYS = {
+    "limits": "[least, most] that the value may be, null where a side is open",
+    "min": "the least that the value may be, in place of limits",
+    "max": "the most that the value may be, in place of limits",
+    "together": "addresses with their limits, of which all must hold, in place of limits",
+    "rule": "simple, guarded or risk",
+    "risk": "chance that a value at the edge of what passes is beyond the limit",
+    "guard": "guard band of each limit over the expanded uncertainty, in place of risk",
+    "process": "mean +- standard deviation of what is made, for the global risks",
+    "outcomes": "outcomes with which the rule holds",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """How is decided on limits. *low*, *high*: as they are written, empty where that side is open; *rule*:
+    one of DECISIONS; *risk* [1]; *guard*: the guard band of each limit over the expanded uncertainty [1],
+    None where it follows from the risk; *process*: mean and standard deviation of what is made as they are
+    written, empty where not stated; *outcomes*: those with which the rule holds.
+    """
+
+    low: str = ""
+    high: str = ""
+    rule: str = SIMPLE
+    risk: float = USUAL_RISK
+    guard: float | None = None
+    process: str = ""
+    outcomes: tuple[str, ...] = (PASS,)
+
+    @property
+    def limits_text(self) -> str:
+        """The limits as people write them."""
+        if self.low and self.high:
+            return f"{self.low} to {self.high}"
+        return f">= {self.low}" if self.low else f"<= {self.high}"
+
+    @property
+    def manner_text(self) -> str:
+        """Everything of the decision but the limits, as people write it."""
+        by = f"guard band {self.guard:g} U" if self.guard is not None else f"risk {100 * self.risk:g} %"
+        parts = [self.rule if self.rule == SIMPLE else f"{self.rule}, {by}"]
+        parts += [f"process {self.process}"] if self.process else []
+        parts += [f"holds by {' or '.join(self.outcomes)}"] if self.outcomes != (PASS,) else []
+        return ", ".join(parts)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), or
-    '=' (a word or flag).
+    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance),
+    '=' (a word or flag), or 'limits' with a *decision*; or the rules *together* must, by one decision.
 
     *which* selects among fits of one name: a test's name or the centre of a sliding band ("72.5 Hz"). *bound*
     is the text behind the comparison, read in the unit of what it is compared with; *place* is where the rule
@@ -31,10 +87,15 @@ class Rule:
     kind: str
     bound: str
     place: str
+    decision: Decision | None = None
+    together: tuple[Rule, ...] = ()
 
     @property
     def text(self) -> str:
         """The rule as people read it."""
+        if self.decision is not None:
+            within = " and ".join(rule.bound for rule in self.together) or self.bound
+            return f"{self.address}: {within} ({self.decision.manner_text})"
         return f"{self.address} {self.bound if self.kind in ('+-', '=') else f'{self.kind} {self.bound}'}"
 
 
@@ -44,27 +105,188 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
         return ()
     rules: list[Rule] = []
     for address, entry in faults.mapping(node, section).items():
-        match = _ADDRESS.match(address)
-        if match is None:
-            faults.add(
-                entry,
-                f"{section}.{address}",
-                "is not an address",
-                "write fit.parameter, for example direct.k",
-            )
-        elif match["fit"] not in fits:
-            faults.add(
-                entry,
-                f"{section}.{address}",
-                f"there is no fit '{match['fit']}'",
-                f"known: {', '.join(fits)}",
-            )
-        else:
+        key = f"{section}.{address}"
+        if _is_decision(entry):
+            if "together" in entry.content:
+                rules.extend(_together(section, address, entry, faults, fits))
+            elif match := _matched(address, entry, key, faults, fits):
+                rules.extend(_decided(section, address, entry, match, faults))
+        elif match := _matched(address, entry, key, faults, fits):
             rules.extend(
-                _rule(section, address, entry, match, text)
-                for text in _rule_texts(entry, f"{section}.{address}", faults)
+                _rule(section, address, entry, match, text) for text in _rule_texts(entry, key, faults)
             )
     return tuple(rules)
+
+
+def _matched(
+    address: str, entry: Marked, key: str, faults: Faults, fits: tuple[str, ...]
+) -> re.Match[str] | None:
+    """The parts of an address; None and a fault for one that the pipeline does not have."""
+    match = _ADDRESS.match(address)
+    if match is None:
+        faults.add(entry, key, "is not an address", "write fit.parameter, for example direct.k")
+    elif match["fit"] not in fits:
+        faults.add(entry, key, f"there is no fit '{match['fit']}'", f"known: {', '.join(fits)}")
+    else:
+        return match
+    return None
+
+
+# Rules that give limits: {limits: [134 kN/m, 135 kN/m], rule: guarded, risk: 5 %}.
+
+
+def _is_decision(entry: Marked) -> bool:
+    return isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content)
+
+
+def _decided(
+    section: str, address: str, entry: Marked, match: re.Match[str], faults: Faults
+) -> tuple[Rule, ...]:
+    """The rule with limits on one number; none and faults where it cannot be read."""
+    key = f"{section}.{address}"
+    decision = _read_decision(entry, key, faults)
+    if match["item"].rpartition(".")[2] in ("warnings", "significant", "verdict", "covers"):
+        faults.add(
+            entry, key, "is a word, and limits need a number", "name a parameter, for example direct.k"
+        )
+        return ()
+    if decision is None:
+        return ()
+    bare = _rule(section, address, entry, match, decision.limits_text)
+    return (replace(bare, kind="limits", bound=decision.limits_text, decision=decision),)
+
+
+def _together(
+    section: str, address: str, entry: Marked, faults: Faults, fits: tuple[str, ...]
+) -> tuple[Rule, ...]:
+    """The rule that several limits hold at once; none and faults where it cannot be read."""
+    key = f"{section}.{address}"
+    before = len(faults)
+    for name in ("limits", "min", "max", "guard", "process"):
+        if name in entry.content:
+            faults.add(entry.content[name], join(key, name), "belongs to one number", "leave it out")
+    shared = {name: node for name, node in entry.content.items() if name in ("rule", "risk", "outcomes")}
+    members: list[Rule] = []
+    for member, limits in faults.mapping(entry.content["together"], join(key, "together")).items():
+        inner = join(key, "together", member)
+        match = _matched(member, limits, inner, faults, fits)
+        if match is not None:
+            with_limits = Marked({**shared, "limits": limits}, limits.where, limits.key_where)
+            decided = _decided(section, member, with_limits, match, faults)
+            members += [replace(rule, bound=f"{member} {rule.bound}") for rule in decided]
+    faults.unknown_keys(entry, key, DECISION_KEYS)
+    if not members and len(faults) == before:
+        faults.add(entry, join(key, "together"), "two addresses with their limits are needed")
+    if len(faults) > before:
+        return ()
+    decision = replace(members[0].decision or Decision(), low="", high="")
+    if decision.rule == GUARDED:
+        faults.add(entry.content["rule"], join(key, "rule"), "guard bands hold for one limit", "write risk")
+        return ()
+    rule = replace(members[0], address=address, fit="", which="", item="", bound="", place=entry.place)
+    return (replace(rule, kind="together", decision=decision, together=tuple(members)),)
+
+
+def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
+    """How is decided; None and faults where it cannot be read."""
+    before = len(faults)
+    faults.unknown_keys(entry, key, DECISION_KEYS)
+    nodes = entry.content
+    rule = nodes["rule"].text if "rule" in nodes else SIMPLE
+    if rule not in DECISIONS:
+        hint = nearest(rule, DECISIONS)
+        faults.add(nodes["rule"], join(key, "rule"), f"unknown rule '{rule}'", hint)
+    if "guard" in nodes and ("risk" in nodes or rule != GUARDED):
+        what = "a guard band takes the place of the risk" if "risk" in nodes else "only 'guarded' has one"
+        faults.add(nodes["guard"], join(key, "guard"), what, "rule: guarded with guard or with risk")
+    if "risk" in nodes and rule == SIMPLE:
+        faults.add(
+            nodes["risk"], join(key, "risk"), "simple acceptance has none", "rule: guarded or rule: risk"
+        )
+    low, high = _read_limits(entry, key, faults)
+    risk = _read_number(nodes.get("risk"), join(key, "risk"), faults, (0.0, 0.5))
+    guard = _read_number(nodes.get("guard"), join(key, "guard"), faults, (-10.0, 10.0))
+    process = nodes["process"].text if "process" in nodes else ""
+    if "process" in nodes and "+-" not in process.replace("±", "+-"):
+        hint = "mean and standard deviation: 134.5 kN/m +- 0.2 kN/m"
+        faults.add(nodes["process"], join(key, "process"), f"'{process}' has no spread", hint)
+    outcomes = _read_outcomes(nodes.get("outcomes"), join(key, "outcomes"), faults)
+    if len(faults) > before:
+        return None
+    return Decision(
+        low=low,
+        high=high,
+        rule=rule,
+        risk=USUAL_RISK if risk is None else risk,
+        guard=guard,
+        process=process,
+        outcomes=outcomes,
+    )
+
+
+def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
+    """The limits as texts, empty where a side is open."""
+    nodes = entry.content
+    if "limits" in nodes and ("min" in nodes or "max" in nodes):
+        faults.add(nodes["limits"], join(key, "limits"), "limits are given twice", "leave min and max out")
+    pair = [nodes.get("min"), nodes.get("max")]
+    if "limits" in nodes:
+        listed = nodes["limits"].content
+        if not isinstance(listed, list) or len(listed) != 2:
+            hint = "[134 kN/m, 135 kN/m], or [134 kN/m, null] for an open side"
+            faults.add(nodes["limits"], join(key, "limits"), "two limits are needed", hint)
+            return "", ""
+        pair = listed
+    texts = ["" if node is None or node.content is None else node.text.strip() for node in pair]
+    if texts == ["", ""]:
+        faults.add(entry, key, "has no limit", "limits: [134 kN/m, 135 kN/m], or one of min and max")
+        return "", ""
+    amounts = []
+    for text, node in zip(texts, pair, strict=True):
+        try:
+            amounts += [_amount(text)] if text else []
+        except UnitError as error:
+            faults.add_unit(node or entry, join(key, "limits"), error)
+    if len(amounts) == 2 and amounts[0][1] == amounts[1][1] and not amounts[0][0] < amounts[1][0]:
+        faults.add(nodes.get("limits", entry), join(key, "limits"), "the lower limit comes first")
+    return texts[0], texts[1]
+
+
+def _amount(text: str) -> tuple[float, Any]:
+    """A number in SI with its dimension."""
+    written = written_unit(text) or "1"
+    unit = parse_unit(written)
+    return parse_value(text, written) * unit.factor + unit.offset, unit.dimension
+
+
+def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[float, float]) -> float | None:
+    """A number between two others; None where none is given or it cannot be read."""
+    if node is None:
+        return None
+    try:
+        value = parse_value(node.text, "1")
+    except UnitError as error:
+        faults.add_unit(node, key, error)
+        return None
+    if not within[0] < value < within[1]:
+        faults.add(node, key, f"must lie between {within[0]:g} and {within[1]:g}")
+    return value
+
+
+def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, ...]:
+    """The outcomes with which a rule holds: one, or a list of them."""
+    if node is None:
+        return (PASS,)
+    texts = [entry.text for entry in node.content] if isinstance(node.content, list) else [node.text]
+    for text in texts:
+        if text not in OUTCOMES:
+            faults.add(node, key, f"unknown outcome '{text}'", nearest(text, OUTCOMES))
+    if not texts:
+        faults.add(node, key, "an outcome is missing", f"of {', '.join(OUTCOMES)}")
+    return tuple(outcome for outcome in OUTCOMES if outcome in texts)
+
+
+# Rules as texts.
 
 
 def _rule_texts(entry: Marked, key: str, faults: Faults) -> list[str]:

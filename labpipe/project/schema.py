@@ -9,8 +9,10 @@ from typing import Any
 
 from labpipe.bearings.kinds import BEARINGS
 from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
+from labpipe.project.calibrations import CertificateSettings
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
+from labpipe.project.rules import DECISION_KEYS, DECISIONS
 from labpipe.project.tests import BY
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
@@ -39,10 +41,11 @@ SCHEMAS = Registry(
 def rig_schema() -> dict[str, Any]:
     """The schema of a rig file."""
     schema = object_schema(RigSettings)
-    schema["properties"]["channels"] = {
-        "type": "object",
-        "additionalProperties": object_schema(ChannelSettings),
-    }
+    channel = object_schema(ChannelSettings)
+    typed = channel["properties"]["sensitivity"]
+    certified = object_schema(CertificateSettings)
+    channel["properties"]["sensitivity"] = {"anyOf": [typed, certified], "description": typed["description"]}
+    schema["properties"]["channels"] = {"type": "object", "additionalProperties": channel}
     constants = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     schema["properties"]["constants"] = {
         **constants,
@@ -125,7 +128,9 @@ def pipeline_schema() -> dict[str, Any]:
     }
     rules = {
         "type": "object",
-        "additionalProperties": {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}]},
+        "additionalProperties": {
+            "anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]
+        },
     }
     properties = {
         "title": {"type": "string"},
@@ -155,6 +160,13 @@ def pipeline_schema() -> dict[str, Any]:
         "properties": properties,
         "additionalProperties": False,
     }
+
+
+def _decision() -> dict[str, Any]:
+    """A rule that gives limits."""
+    texts: dict[str, Any] = {key: {"description": meaning} for key, meaning in DECISION_KEYS.items()}
+    texts["rule"]["enum"] = list(DECISIONS)
+    return {"type": "object", "properties": texts, "additionalProperties": False}
 
 
 def bearing_schema() -> dict[str, Any]:

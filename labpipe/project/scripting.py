@@ -32,6 +32,7 @@ from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import DEFAULT_ROLES, load_rig, time_scale
 from labpipe.project.run import Manner
 from labpipe.project.run import run as run_pipeline
+from labpipe.project.run_record import recorded
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
 from labpipe.project.virtual_rig_file import load_virtual_rig
 from labpipe.quantities import QUANTITIES, parse_unit
@@ -292,19 +293,20 @@ def run(
     are in the result. Without a folder the result is whole, however many tests it has; in a folder that of
     very many is a dataset, read with pandas.
     """
-    settings = load_pipeline(Path(pipeline), overrides)
-    if output is None:
-        settings = replace(settings, results="whole")
     manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
     if output is None:
+        settings = replace(load_pipeline(Path(pipeline), overrides), results="whole")
         with (
             tempfile.TemporaryDirectory(prefix="labpipe-") as scratch,
             output_folder(Path(scratch)) as folder,
         ):
             return run_pipeline(settings, folder, manner)
-    with results_made(path_of(str(output))) as here:
-        with output_folder(here) as folder:
-            identification = run_pipeline(settings, folder, manner)
-            outdate_reports(folder, settings.report.formats)
-        write_reports(identification, here, settings.report.formats, silent)
-    return identification
+    target = path_of(str(output))
+    with recorded(target, Path(pipeline)) as made:
+        settings = load_pipeline(Path(pipeline), overrides)
+        with results_made(target) as here:
+            with output_folder(here) as folder:
+                made.append(run_pipeline(settings, folder, manner))
+                outdate_reports(folder, settings.report.formats)
+            write_reports(made[0], here, settings.report.formats, silent)
+    return made[0]

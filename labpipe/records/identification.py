@@ -224,10 +224,37 @@ def of_points(model: str) -> bool:
     return model == STRAIGHT_LINE
 
 
+@dataclass(frozen=True, kw_only=True)
+class RuleDecision:
+    """How was decided on limits: the *outcome* (pass, conditional-pass, conditional-fail, fail), the
+    *probability* [1] that the value lies within the limits by its combined standard *uncertainty*, and the
+    *specific_risk* [1] of this decision: of a false acceptance where it passes, of a false rejection else.
+
+    low, high: the limits, accept_low, accept_high: the values that pass, all [unit], None where that side is
+    open or nothing passes. global_false_acceptance, global_false_rejection: shares [1] of all that the stated
+    process makes. together: so many limits that are judged at once; least: the probability is the least that
+    any correlation leaves.
+    """
+
+    outcome: str
+    probability: float
+    specific_risk: float
+    uncertainty: float | None = None
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    accept_low: float | None = None
+    accept_high: float | None = None
+    global_false_acceptance: float | None = None
+    global_false_rejection: float | None = None
+    together: int = 1
+    least: bool = False
+
+
 @dataclass(frozen=True)
 class RuleOutcome:
     """One rule of ``accept`` or ``expect`` (*section*), the value [SI], whether it passed; *shown*: the value
-    in the rule's own unit.
+    in the rule's own unit; *decision*: of a rule with limits, how was decided.
     """
 
     section: str
@@ -235,6 +262,7 @@ class RuleOutcome:
     value: float | str | None
     passed: bool
     shown: str = ""
+    decision: RuleDecision | None = None
 
     @property
     def found(self) -> str:

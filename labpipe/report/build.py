@@ -15,6 +15,7 @@ from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
 from labpipe.registry import Registry, nearest
 from labpipe.report.cover import cover_facts, result_blocks, section_facts
+from labpipe.report.decisions import SIMPLE_ACCEPTANCE, decision_blocks
 from labpipe.report.document import Block, Document, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
@@ -99,8 +100,11 @@ def _judged(identification: Identification) -> tuple[Block, ...]:
         (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
         for outcome in outcomes
     )
-    table = Table(("section", "rule", "found", "outcome"), rows, "Rules of the pipeline")
-    return (lead, *_by_goodness_alone(identification), *_not_to_be_signed(identification), table)
+    table = Table(
+        ("section", "rule", "found", "outcome"), rows, f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}"
+    )
+    notes = (*_by_goodness_alone(identification), *_not_to_be_signed(identification))
+    return (lead, *notes, table, *decision_blocks(outcomes))
 
 
 def _unchecked(identification: Identification) -> list[str]:

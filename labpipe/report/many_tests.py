@@ -16,6 +16,7 @@ from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stacked
+from labpipe.report.decisions import SIMPLE_ACCEPTANCE, decision_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, unit_text
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
@@ -213,8 +214,12 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
         (outcome.section, outcome.rule, outcome.found, "holds" if outcome.passed else "FAILS")
         for outcome in outcomes
     )
-    caption = "Rules of the pipeline; found: in the first test that fails, else in the first test"
-    return (*blocks, Table(("section", "rule", "found", "outcome"), rows, caption)) if rows else tuple(blocks)
+    found = "found: in the first test that fails, else in the first test"
+    caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}; {found}"
+    if not rows:
+        return tuple(blocks)
+    table = Table(("section", "rule", "found", "outcome"), rows, caption)
+    return (*blocks, table, *decision_blocks(outcomes))
 
 
 def _findings(index: DatasetIndex) -> tuple[Block, ...]:

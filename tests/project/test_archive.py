@@ -55,9 +55,11 @@ def packed(lab: Path, labpipe: Command) -> Path:
 
 
 @pytest.fixture(scope="module")
-def one(finished: Path) -> bytes:
+def one(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The bytes of an archive without recordings, which is not run again."""
-    packed = archived(finished / "out", load_pipeline(finished / "pipeline.yaml"), digests_only=True)
+    scratch = tmp_path_factory.mktemp("scratch")
+    pipeline = load_pipeline(finished / "pipeline.yaml")
+    packed = archived(finished / "out", pipeline, scratch, digests_only=True)
     write_archive(packed, finished / "one.zip", "2026-11-03")
     content = (finished / "one.zip").read_bytes()
     (finished / "one.zip").unlink()
@@ -101,7 +103,7 @@ def test_an_archive_is_verified_far_from_where_it_was_made(
     ended = labpipe("verify", alone)
     assert ended.code == 0 and ended.err == ""
     assert ended.out.splitlines() == [
-        "11 files: 0 do not hold",
+        "12 files: 0 do not hold",
         "7 artefacts: 0 do not hold; 0 without a digest; of the files that they name 10 are the same, 0 are "
         "not there",
         "run again: the same bytes",
@@ -206,7 +208,7 @@ def test_an_eln_holds_the_same_in_one_folder_of_its_name(lab: Path, packed: Path
 
 def test_digests_in_place_of_recordings(lab: Path, labpipe: Command) -> None:
     ended = labpipe("archive", lab / "out", "-o", lab / "d.zip", "--digests-only")
-    assert ended.code == 0 and ended.out == f"written: {lab}/d.zip, 7 files; of 4 more the digests\n"
+    assert ended.code == 0 and ended.out == f"written: {lab}/d.zip, 8 files; of 4 more the digests\n"
     files = members(lab / "d.zip")
     assert not [name for name in files if name.endswith((".csv", ".recording.parquet"))]
     entity = graph(files[METADATA])[f"#left-out/{PROJECT}soft.csv"]
@@ -541,8 +543,11 @@ def test_what_is_asked_for_wrongly(
     assert ended.code == 2 and said in ended.err and not (lab / "a.zip").exists()
 
 
-def test_a_file_that_changes_meanwhile_leaves_no_archive(lab: Path) -> None:
-    packed = archived(lab / "out", load_pipeline(lab / "pipeline.yaml"), digests_only=False)
+def test_a_file_that_changes_meanwhile_leaves_no_archive(
+    lab: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    scratch = tmp_path_factory.mktemp("scratch")
+    packed = archived(lab / "out", load_pipeline(lab / "pipeline.yaml"), scratch, digests_only=False)
     (lab / "soft.csv").write_text(recording(18.1e3))
     before = contents(lab)
     with pytest.raises(DataError, match="changes while it is archived") as raised:

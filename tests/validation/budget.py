@@ -16,6 +16,7 @@ from labpipe.estimation.descent import minimise, sum_of_squares
 from labpipe.estimation.draws import drawn_error
 from labpipe.methods.calibration.section import fit_line
 from labpipe.records.uncertain import Budget, Uncertainty
+from labpipe.uncertainty.decisions import Limits, conformance, global_risk
 from labpipe.uncertainty.weighted import components
 from tests.validation import printed_readings as readings
 from tests.validation.claims import Claim, Method, within, worst
@@ -292,6 +293,33 @@ def descents() -> list[Claim]:
     return found
 
 
+def decisions() -> list[Claim]:
+    """Probabilities within limits, and the global risks of a process; half a printed digit each."""
+    printed, jcgm, deaver = "printed calculation", "JCGM 106:2012, clause 7", "Deaver, NCSL 1993"
+    examples = {
+        "Zener diode, -5.47 V with 0.05 V, at most -5.40 V": (-5.47, 0.05, Limits(high=-5.40), 0.92),
+        "container, 509.7 kPa with 8.6 kPa, at least 490 kPa": (509.7, 8.6, Limits(low=490.0), 0.99),
+        "oil, 13.6 mm^2/s with 1.8 mm^2/s, from 12.5 to 16.3 mm^2/s": (13.6, 1.8, Limits(12.5, 16.3), 0.66),
+    }
+    rows = [
+        within(f"probability: {name}", conformance(*example[:3]), example[3], 0.005, "1", printed, jcgm)
+        for name, example in examples.items()
+    ]
+    limits = Limits(-2.0, 2.0)
+    for ratio, factor, accepted, rejected in ((4, 1.0, 0.8, 1.5), (2, 0.91, 0.8, 6.6)):
+        risks = global_risk((0.0, 1.0), 1 / ratio, limits, limits.narrowed(2 - 2 * factor))
+        name = f"{ratio} to 1" + (f", guard band {factor:g}" if factor < 1 else "")
+        pairs = (
+            ("accepted", risks.false_acceptance, accepted),
+            ("rejected", risks.false_rejection, rejected),
+        )
+        rows += [
+            within(f"falsely {what}, {name}", 100 * share, wanted, 0.05, "%", printed, deaver)
+            for what, share, wanted in pairs
+        ]
+    return rows
+
+
 METHOD = Method(
     "budget",
     "Calibration and uncertainty",
@@ -301,6 +329,7 @@ METHOD = Method(
         "calibration lines": calibration_lines,
         "scatter": scatter,
         "descents": descents,
+        "decisions": decisions,
         "not tested": partial(gaps, "budget"),
     },
 )

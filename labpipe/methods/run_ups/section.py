@@ -34,8 +34,9 @@ from labpipe.methods.run_ups.result import listed_speeds_and_parameters, run_up_
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
 from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
+from labpipe.project.deciding import Compared
 from labpipe.project.ingest import ingest, is_recording
-from labpipe.project.judging import Compared, CompareNumber, compare_covers
+from labpipe.project.judging import CompareNumber, compare_covers
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
 from labpipe.records.finding import WARNING, of_level
@@ -326,8 +327,10 @@ def _attribute(
         )
     if amount is None:
         return compare_number(rule, None, "Hz")
-    value = amount.std_error if address.attribute == "std_error" else amount.value
-    return compare_number(rule, None if value is None else HZ * value, "Hz")
+    error = None if amount.std_error is None else HZ * amount.std_error
+    if address.attribute == "std_error":
+        return compare_number(rule, error, "Hz")
+    return compare_number(rule, HZ * amount.value, "Hz", error)
 
 
 def run_up_lines(result: RunUpResult) -> Iterator[str]:

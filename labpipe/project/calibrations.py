@@ -1,0 +1,355 @@
+"""What calibrates a channel of a rig file: a typed sensitivity, the fit of a calibration, a certificate, a
+table of the sensor's frequency response; and the uncertainties that come with it.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.digest import DamagedError
+from labpipe.artefacts.json_file import read_digested
+from labpipe.project.marked_yaml import Marked
+from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.quantities import UnitError, parse_value
+from labpipe.raw_files.certificate import FREQUENCY, CertifiedQuantity, read_certificate
+from labpipe.records.settings import Settings, Uncertainties, setting
+from labpipe.records.uncertain import (
+    ChannelUncertainty,
+    Uncertain,
+    Uncertainty,
+    parse_uncertain,
+    split_uncertainty,
+    uncertainty_of,
+)
+from labpipe.registry import nearest
+
+# The uncertainties of a channel of a rig file: of its sensitivity, delay, phase and direction.
+
+
+@dataclass(frozen=True)
+class ChainUncertaintySettings(Settings):
+    """Standard uncertainties of a channel's chain beside those of its numbers.
+
+    How else they are meant stands in brackets.
+    """
+
+    gain: str = setting(
+        "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
+    )
+    phase: str = setting("text", "of the whole chain, at every frequency alike: 0.5 deg", default="")
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a rig file says of one channel's uncertainties: *entries* of the file, *sensitivity* and *dof* as
+    texts, *uncertainties* of its numbers, those that a certificate states.
+    """
+
+    name: str
+    entries: Mapping[str, Marked]
+    sensitivity: str
+    dof: str
+    uncertainties: Uncertainties
+    chain: ChainUncertaintySettings | None
+    certified: tuple[ChannelUncertainty, ...] = ()
+
+
+def channel_uncertainties(
+    written: Written, node: Marked, key: str, faults: Faults
+) -> tuple[ChannelUncertainty, ...]:
+    """All uncertainties of a channel that are not zero; faults at their entries."""
+    readers: dict[str, Callable[[Written, Path], Iterator[ChannelUncertainty]]] = {
+        "sensitivity": _of_sensitivity,
+        "delay": _of_delay,
+        "dof": _of_direction,
+        "uncertainty": _of_chain,
+    }
+    folder = Path(node.where.rsplit(":", 2)[0]).parent
+    uncertainties: list[ChannelUncertainty] = []
+    for entry, read in readers.items():
+        try:
+            uncertainties.extend(read(written, folder))
+        except UnitError as error:
+            faults.add_unit(written.entries.get(entry, node), join(key, entry), error)
+    return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
+
+
+def _of_sensitivity(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:
+    """Relative uncertainty of a sensitivity: as typed, or that of the slope of the calibration fit that it
+    names.
+    """
+    yield from written.certified
+    text, uncertainty = split_uncertainty(written.sensitivity)
+    if "#" in text:
+        slope = calibrated_slope(text, folder)
+        if slope.std_error:
+            number = Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
+            yield ChannelUncertainty(
+                "gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1")
+            )
+    if uncertainty:
+        number = _relative(text, uncertainty)
+        yield ChannelUncertainty("gain", uncertainty_of(number, f"{written.name}.sensitivity {text}", "1"))
+
+
+def _relative(text: str, uncertainty: str) -> Uncertain:
+    """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
+    value, _, unit = text.strip().partition(" ")
+    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
+    return Uncertain(
+        1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
+    )
+
+
+def _of_delay(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001 (one signature for all readers)
+    for name, number in written.uncertainties:
+        if name == "delay":
+            yield ChannelUncertainty("delay", uncertainty_of(number, f"{written.name}.delay", "s"))
+
+
+def _of_direction(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
+    """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
+    _, uncertainty = split_uncertainty(written.dof)
+    if uncertainty:
+        yield ChannelUncertainty(
+            "direction",
+            uncertainty_of(parse_uncertain(f"0 rad +- {uncertainty}", "rad"), f"{written.name}.dof", "rad"),
+        )
+
+
+def _of_chain(written: Written, folder: Path) -> Iterator[ChannelUncertainty]:  # noqa: ARG001
+    if written.chain is None:
+        return
+    if written.chain.gain:
+        yield ChannelUncertainty(
+            "gain",
+            uncertainty_of(parse_uncertain(f"1 +- {written.chain.gain}", "1"), f"{written.name}.gain", "1"),
+        )
+    if written.chain.phase:
+        yield ChannelUncertainty(
+            "phase",
+            uncertainty_of(
+                parse_uncertain(f"0 rad +- {written.chain.phase}", "rad"), f"{written.name}.phase", "rad"
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Slope of a calibration fit [unit] with its standard error and degrees of freedom.
+
+    No error where the fit has none.
+    """
+
+    value: float
+    unit: str
+    std_error: float
+    dof: float | None
+
+
+def calibrated_slope(reference: str, folder: Path) -> Slope:
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file.
+
+    UnitError where there is none.
+    """
+    file, _, fit_name = reference.partition("#")
+    try:
+        fits: dict[str, Mapping[str, Any]] = {
+            fit["name"]: fit for fit in read_digested(folder / file, "identification.json")["fits"]
+        }
+        slopes = [
+            parameter
+            for parameter in fits.get(fit_name, {"parameters": ()})["parameters"]
+            if parameter["name"] == "slope"
+        ]
+        if slopes:
+            return _slope(slopes[0], fits[fit_name].get("dof"))
+    except DamagedError as error:
+        raise UnitError(
+            f"'{file}' is not a readable identification.json of a calibration: {error.what}", error.hint
+        ) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise UnitError(f"'{file}' is not a readable identification.json of a calibration") from None
+    raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, fits))
+
+
+def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
+    """The slope of its entry; TypeError or ValueError for an entry that is none."""
+    value, error = float(parameter["value"]), float(parameter.get("std_error") or 0.0)
+    if not (math.isfinite(value) and math.isfinite(error) and value and error >= 0):
+        raise ValueError("no slope")
+    return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))
+
+
+# The frequency response of a sensor from a calibration table: CSV with the columns frequency_hz, gain,
+# phase_deg.
+
+COLUMNS = ("frequency_hz", "gain", "phase_deg")
+
+
+def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
+    """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
+
+    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a
+    file that cannot be read, other columns, what is no number, fewer than two rows, a gain not above zero, or
+    frequencies that do not increase.
+    """
+    try:
+        lines = [
+            line
+            for line in path.read_text(encoding="utf-8-sig").splitlines()
+            if line.strip() and not line.startswith("#")
+        ]
+    except OSError:
+        raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
+    except UnicodeDecodeError:
+        raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
+    rows = list(csv.reader(lines, skipinitialspace=True))
+    if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
+        raise UnitError(f"'{path.name}' has other columns", f"columns: {', '.join(COLUMNS)}")
+    table = tuple(_row(row, path.name) for row in rows[1:])
+    if len(table) < 2 or any(later[0] <= earlier[0] for earlier, later in pairwise(table)):
+        raise UnitError(f"'{path.name}' does not hold two or more increasing frequencies")
+    return table
+
+
+def _row(row: list[str], name: str) -> tuple[float, float, float]:
+    try:
+        frequency, gain, phase = (float(cell) for cell in row)
+    except ValueError:
+        raise UnitError(f"'{name}': '{','.join(row)}' is no frequency, gain and phase") from None
+    if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
+        raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
+    return frequency, gain, math.radians(phase)
+
+
+# A sensitivity from a certificate: {certificate: probe7.xml, quantity: sensitivity}.
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateSettings(Settings):
+    """The certificate of a sensitivity, in place of its number."""
+
+    certificate: str = setting("text", "DCC (.xml) or table of certificates (.csv), relative to the rig file")
+    quantity: str = setting("text", "id, refType or name of the quantity that is the sensitivity")
+    number: str = setting("text", "number of the certificate, where a table holds several", default="")
+    serial: str = setting("text", "serial number of the sensor, which the certificate must name", default="")
+    date: str = setting(
+        "text", "day of the measurement, on which it must be valid; default: today", default=""
+    )
+    sha256: str = setting("text", "digest of the file, by which no change of it goes unseen", default="")
+    over: str = setting("text", "quantity with the frequencies of a sensitivity over frequency", default="")
+    at: float | None = setting(
+        "value",
+        "frequency of the stated sensitivity, to which the response is relative",
+        unit="Hz",
+        default=None,
+    )
+    phase: str = setting("text", "quantity with the phase over the same frequencies", default="")
+
+
+@dataclass(frozen=True)
+class Certified:
+    """What a certificate gives: the sensitivity as a *text*, its uncertainties, and rows (frequency [Hz],
+    gain [1], phase [rad]) of the response over frequency, none where it states one number.
+    """
+
+    text: str
+    uncertainties: tuple[ChannelUncertainty, ...]
+    response: tuple[tuple[float, float, float], ...] = ()
+
+
+def certified_sensitivity(node: Marked, key: str, faults: Faults) -> Certified | None:
+    """The sensitivity of a channel by its certificate; None and a fault for one that cannot be used."""
+    settings = read_settings(CertificateSettings, node, key, faults)
+    if settings is None:
+        return None
+    try:
+        return _certified(settings, Path(node.where.rsplit(":", 2)[0]).parent)
+    except UnitError as error:
+        faults.add_unit(node, key, error)
+        return None
+
+
+def _certified(settings: CertificateSettings, folder: Path) -> Certified:
+    certificate = read_certificate(folder / settings.certificate, settings.number, settings.sha256)
+    named = f"certificate '{certificate.number}'"
+    if certificate.refused:
+        raise UnitError(f"{named}: {certificate.refused}")
+    _check_day(settings, certificate.valid_until, named)
+    if settings.serial and settings.serial not in certificate.serials:
+        listed = ", ".join(certificate.serials) or "none"
+        raise UnitError(f"{named} is not of serial number '{settings.serial}'", f"it names: {listed}")
+    stated = certificate.quantity(settings.quantity)
+    if stated.std_errors is None:
+        raise UnitError(f"{named} states no uncertainty of '{settings.quantity}'")
+    if not all(stated.values):
+        raise UnitError(f"{named} states a sensitivity of zero")
+    source = f"certificate {certificate.number}"
+    relative = max(u / abs(value) for u, value in zip(stated.std_errors, stated.values, strict=True))
+    gain = ChannelUncertainty("gain", Uncertainty(source, relative, "1"))
+    if not settings.over:
+        if len(stated.values) > 1:
+            hint = f"over: {FREQUENCY}, at: 80 Hz"
+            raise UnitError(f"'{settings.quantity}' has {len(stated.values)} values, no single one", hint)
+        if settings.phase or settings.at is not None:
+            raise UnitError("'at' and 'phase' belong to a sensitivity over frequency", "add over: frequency")
+        return Certified(f"{stated.values[0]!r} {stated.unit}", (gain,) if relative else ())
+    frequencies = certificate.quantity(settings.over, stated.table)
+    phases = certificate.quantity(settings.phase, stated.table) if settings.phase else None
+    at, response = _over_frequency(settings, stated, frequencies, phases)
+    uncertainties = [gain] if relative else []
+    if phases is not None:
+        if phases.std_errors is None:
+            raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
+        error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
+        uncertainties.append(ChannelUncertainty("phase", Uncertainty(f"{source}, phase", error, "rad")))
+    return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
+
+
+def _check_day(settings: CertificateSettings, valid_until: datetime.date | None, named: str) -> None:
+    """UnitError where the certificate is not valid on the day of the measurement.
+
+    Only whether it is refused depends on the day, no number does.
+    """
+    try:
+        day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()
+    except ValueError:
+        raise UnitError(f"date: '{settings.date}' is no day", "write it as 2026-11-03") from None
+    if valid_until is not None and day > valid_until:
+        hint = "" if settings.date else "say when was measured, date: 2026-11-03, if it was valid then"
+        raise UnitError(f"{named} has expired: it was valid until {valid_until}", hint)
+
+
+def _over_frequency(
+    settings: CertificateSettings,
+    stated: CertifiedQuantity,
+    frequencies: CertifiedQuantity,
+    phases: CertifiedQuantity | None,
+) -> tuple[float, tuple[tuple[float, float, float], ...]]:
+    """The sensitivity at the frequency of reference, and the response relative to it."""
+    count = len(stated.values)
+    columns = [column for column in (frequencies, phases) if column is not None]
+    if count < 2 or any(len(column.values) != count for column in columns):
+        raise UnitError(f"'{settings.over}' or '{settings.phase}' does not have {count} values, two at least")
+    hertz = [parse_value(f"{f!r} {frequencies.unit}", "Hz") for f in frequencies.values]
+    if any(later <= earlier for earlier, later in pairwise(hertz)) or hertz[0] < 0:
+        raise UnitError(f"the frequencies '{settings.over}' do not increase from zero")
+    if any(value * stated.values[0] <= 0 for value in stated.values):
+        raise UnitError(f"'{settings.quantity}' changes its sign over frequency", "state the phase beside it")
+    if settings.at not in hertz:
+        listed = ", ".join(f"{f:g} Hz" for f in hertz[:12])
+        raise UnitError("'at' is none of the frequencies of the certificate", f"one of {listed}")
+    place = hertz.index(settings.at)
+    radians = [0.0] * count
+    if phases is not None:
+        radians = [parse_value(f"{phase!r} {phases.unit}", "rad") for phase in phases.values]
+    rows = zip(hertz, stated.values, radians, strict=True)
+    return stated.values[place], tuple((f, s / stated.values[place], phase) for f, s, phase in rows)

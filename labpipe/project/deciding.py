@@ -1,0 +1,268 @@
+"""Deciding by limits: a number with its uncertainty held against a rule with limits, and several together."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labpipe.display import amount_text, with_error
+from labpipe.errors import ConfigError
+from labpipe.project.rules import RISK, SIMPLE, Decision, Rule
+from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
+from labpipe.records.comparison import Comparison
+from labpipe.records.finding import NORMAL, Parameter
+from labpipe.records.identification import Fit, RuleDecision, RuleOutcome, changes_of
+from labpipe.records.uncertain import parse_uncertain
+from labpipe.uncertainty.decisions import (
+    CONDITIONAL_PASS,
+    FAIL,
+    PASS,
+    Limits,
+    acceptance_by_risk,
+    conformance,
+    global_risk,
+    guard_band,
+    joint_conformance,
+    least_joint_conformance,
+    outcome_by_guard,
+    outcome_by_risk,
+)
+
+# (value [SI], whether it meets the rule, the value in the rule's unit, how limits were decided on)
+Compared = tuple[float | str | None, bool, str, RuleDecision | None]
+# What the stated interval covers, over its standard uncertainty.
+STATED = 2 * NORMAL
+
+
+def stated_error(parameter: Parameter) -> float | None:
+    """The combined standard uncertainty behind the interval that is stated [unit of the parameter]: noise,
+    model error, repeats and given numbers; None where there is none.
+
+    Where draws or a profile gave the interval alone, half of it over the quantile of the normal distribution.
+    """
+    if parameter.full_error is not None or parameter.ci95 is None:
+        return parameter.full_error
+    return (parameter.ci95[1] - parameter.ci95[0]) / STATED
+
+
+def decided(rule: Rule, value: float | None, error: float | None, unit: str) -> Compared:
+    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits.
+
+    Without a value or an uncertainty it does not, and the text says so. ConfigError for limits of another
+    dimension.
+    """
+    decision = rule.decision
+    assert decision is not None
+    try:
+        limits = limits_of(decision, unit)
+        process = _process(decision, unit)
+        shown = "" if value is None else _shown(decision, value, error, unit)
+    except UnitError as fault:
+        raise ConfigError(
+            f"{rule.section}.{rule.address}: {fault.what}", where=rule.place, hint=fault.hint
+        ) from None
+    if value is None or not math.isfinite(value):
+        return None, False, "not judged: there is no value", None
+    if error is None or not math.isfinite(error):
+        return value, False, f"not judged: {shown} has no standard uncertainty", None
+    probability = conformance(value, error, limits)
+    outcome, acceptance = _outcome(decision, value, error, limits, probability)
+    risks = None if process is None else global_risk(process, error, limits, acceptance)
+    ends = (None, None) if acceptance is None else (_end(acceptance.low), _end(acceptance.high))
+    record = RuleDecision(
+        outcome=outcome,
+        probability=probability,
+        specific_risk=_specific(outcome, probability),
+        uncertainty=error,
+        unit=unit,
+        low=_end(limits.low),
+        high=_end(limits.high),
+        accept_low=ends[0],
+        accept_high=ends[1],
+        global_false_acceptance=None if risks is None else risks.false_acceptance,
+        global_false_rejection=None if risks is None else risks.false_rejection,
+    )
+    return value, outcome in decision.outcomes, f"{shown}: {outcome}, {within(probability)}", record
+
+
+def limits_of(decision: Decision, unit: str) -> Limits:
+    """The limits in SI; UnitError for those of another dimension, or where the lower one does not come
+    first.
+    """
+    limits = Limits(
+        parse_value(decision.low, unit) if decision.low else -math.inf,
+        parse_value(decision.high, unit) if decision.high else math.inf,
+    )
+    if not limits.low < limits.high:
+        raise UnitError(f"of the limits {decision.limits_text} the lower one comes first")
+    return limits
+
+
+def within(probability: float) -> str:
+    """The probability in words, never rounded to certainty."""
+    percent = 100 * probability
+    text = f"{percent:.2f} %" if 0.01 <= percent <= 99.99 else ("> 99.99 %" if percent > 50 else "< 0.01 %")
+    return f"within the limits with {text}"
+
+
+def _process(decision: Decision, unit: str) -> tuple[float, float] | None:
+    if not decision.process:
+        return None
+    process = parse_uncertain(decision.process, unit)
+    if not process.std_error > 0:
+        raise UnitError(f"the process '{decision.process}' has no spread")
+    return process.value, process.std_error
+
+
+def _shown(decision: Decision, value: float, error: float | None, unit: str) -> str:
+    """Value and uncertainty in the unit of the limits."""
+    written = written_unit(decision.low or decision.high)
+    if not written:
+        return amount_text(value, error, unit)
+    size = None if error is None else in_unit(error, unit, written) - in_unit(0.0, unit, written)
+    return with_error(in_unit(value, unit, written), size, written)
+
+
+def _outcome(
+    decision: Decision, value: float, error: float, limits: Limits, probability: float
+) -> tuple[str, Limits | None]:
+    """The outcome, and the values that pass; None where none does."""
+    if decision.rule == RISK:
+        return outcome_by_risk(probability, decision.risk), acceptance_by_risk(error, limits, decision.risk)
+    if decision.rule == SIMPLE:
+        return (PASS if limits.hold(value) else FAIL), limits
+    guard = guard_band(error, decision.risk) if decision.guard is None else decision.guard * NORMAL * error
+    if guard < 0:
+        # A band outwards: what passes lies within it, and nothing is conditional.
+        wide = limits.narrowed(guard)
+        return (PASS if wide.hold(value) else FAIL), wide
+    narrow = limits.narrowed(guard)
+    return outcome_by_guard(value, guard, limits), narrow if narrow.low <= narrow.high else None
+
+
+def _specific(outcome: str, probability: float) -> float:
+    """The risk of this decision: of a false acceptance where the value passes, of a false rejection else."""
+    return 1.0 - probability if outcome in (PASS, CONDITIONAL_PASS) else probability
+
+
+def _end(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+# Several limits together, by what their values have in common.
+
+
+@dataclass(frozen=True)
+class Limited:
+    """A number with the limits that it must keep: *value* and standard uncertainty *error* [its unit], None
+    where one is missing, with the reason in *why*; *changes* by one standard uncertainty of every systematic
+    source. owner: the fit or comparison that it is of, *name* there.
+    """
+
+    owner: Fit | Comparison
+    name: str
+    limits: Limits
+    value: float | None
+    error: float | None
+    changes: Mapping[str, float] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def random(self) -> float:
+        """Standard uncertainty [unit] without what systematic sources add."""
+        return math.sqrt(max((self.error or 0.0) ** 2 - sum(by**2 for by in self.changes.values()), 0.0))
+
+
+def limited_by_fit(rule: Rule, fit: Fit, parameter: Parameter) -> Limited:
+    """A parameter of a fit with its limits; UnitError for those of another dimension."""
+    assert rule.decision is not None
+    return Limited(
+        owner=fit,
+        name=parameter.name,
+        limits=limits_of(rule.decision, parameter.unit),
+        value=parameter.value if fit.converged else None,
+        error=stated_error(parameter),
+        changes=changes_of(fit, parameter),
+        why="" if fit.converged else "the fit did not converge",
+    )
+
+
+def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter) -> Limited:
+    """An amount of a comparison with its limits; UnitError for those of another dimension."""
+    assert rule.decision is not None
+    why = comparison.why_undecided(amount.name)
+    limits = limits_of(rule.decision, amount.unit)
+    return Limited(
+        comparison, amount.name, limits, None if why else amount.value, stated_error(amount), why=why
+    )
+
+
+def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
+    """The outcome of a rule that several limits hold at once, by the joint covariance of their values.
+
+    Of numbers whose correlation is not known (of fits to one test, derived ones) the least probability that
+    any correlation leaves counts.
+    """
+    decision = rule.decision
+    assert decision is not None
+    for number in numbers:
+        if number.value is None or number.error is None:
+            why = number.why or f"{number.name} has no standard uncertainty"
+            return RuleOutcome(rule.section, rule.text, None, False, shown=f"not judged: {why}")
+    values = np.array([number.value for number in numbers], dtype=float)
+    errors = np.array([number.error for number in numbers], dtype=float)
+    limits = [number.limits for number in numbers]
+    covariance = np.diag(errors**2)
+    known = True
+    for first, second in itertools.combinations(range(len(numbers)), 2):
+        common = _covariance(numbers[first], numbers[second])
+        known = known and common is not None
+        covariance[first, second] = covariance[second, first] = common or 0.0
+    if known:
+        probability = joint_conformance(values, covariance, limits)
+    else:
+        singles = [conformance(*single) for single in zip(values, errors, limits, strict=True)]
+        probability = least_joint_conformance(singles)
+    if decision.rule == RISK:
+        outcome = outcome_by_risk(probability, decision.risk)
+    else:
+        outcome = (
+            PASS if all(limit.hold(value) for limit, value in zip(limits, values, strict=True)) else FAIL
+        )
+    record = RuleDecision(
+        outcome=outcome,
+        probability=probability,
+        specific_risk=_specific(outcome, probability),
+        together=len(numbers),
+        least=not known,
+    )
+    least = "" if known else "at least: some correlations are not known; "
+    shown = f"{least}all {len(numbers)} {within(probability)}: {outcome}"
+    passed = outcome in decision.outcomes
+    return RuleOutcome(rule.section, rule.text, probability, passed, shown=shown, decision=record)
+
+
+def _covariance(first: Limited, second: Limited) -> float | None:
+    """The covariance of two numbers [product of their units]; None where it is not known."""
+    by_sources = sum(by * second.changes.get(source, 0.0) for source, by in first.changes.items())
+    if isinstance(first.owner, Comparison) or isinstance(second.owner, Comparison):
+        if first.owner is not second.owner or not isinstance(first.owner, Comparison):
+            return None
+        pairs = {frozenset(pair[:2]): pair[2] for pair in first.owner.correlations}
+        correlation = pairs.get(frozenset((first.name, second.name)))
+        return None if correlation is None else correlation * (first.error or 0.0) * (second.error or 0.0)
+    if first.owner is second.owner:
+        if first.name == second.name:
+            return (first.error or 0.0) ** 2
+        names = [parameter.name for parameter in first.owner.parameters if not parameter.derived]
+        matrix = first.owner.correlation
+        if {first.name, second.name} <= set(names) and matrix.shape == (len(names),) * 2:
+            correlation = float(matrix[names.index(first.name), names.index(second.name)])
+            return by_sources + correlation * first.random * second.random
+        return None
+    # Records of different tests have no noise in common; fits to one record do.
+    return by_sources if first.owner.test != second.owner.test else None

@@ -1,0 +1,460 @@
+"""Signatures of people: reports as PDF by PAdES, archives and other files by a detached CMS signature
+(CAdES).
+
+The signature is beside what it signs, never in an artefact: a report that is signed is a PDF of its own,
+and a detached signature is a file FILE.ROLE.p7s. Signing and verifying go through pyHanko, which the extra
+`sign` installs; nothing is fetched from a network, except a time stamp from a server that is named.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import hashlib
+import io
+import json
+import logging
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe.artefacts.header import code_digest
+from labpipe.artefacts.identification_file import NAME, read_identification
+from labpipe.artefacts.writing import output_file
+from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.report import drawn_from, stamped_source
+
+ROLES = ("measured", "checked", "approved")
+SIGNED_PDF, DETACHED = ".signed.pdf", ".p7s"
+# Content hints of CMS (RFC 2634, 2.9): what is signed, in words that are signed along.
+HINTS = "1.2.840.113549.1.9.16.2.4"
+# Uses of a key with which people sign.
+USAGES = {"non_repudiation", "digital_signature"}
+
+
+def _library(name: str) -> Any:
+    """A module of the extra; ConfigError where it is not installed."""
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ConfigError(
+            f"signatures need {name.partition('.')[0]}, which is not installed",
+            hint="pip install 'labpipe[sign]'",
+        ) from None
+
+
+# Keys.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Key:
+    """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 library (*module*) with the label of
+    its certificate; *secret*: password or PIN.
+    """
+
+    file: Path | None = None
+    module: str = ""
+    token: str = ""
+    label: str = ""
+    secret: str = ""
+
+
+@contextmanager
+def _signer(key: Key) -> Iterator[Any]:
+    """The signer of a key; ConfigError for one that cannot be read or is not valid today."""
+    signers = _library("pyhanko.sign.signers")
+    if key.file is not None:
+        if not key.file.is_file():
+            raise ConfigError(
+                "no such file", where=str(key.file), hint="name your key as PKCS#12 (.p12, .pfx)"
+            )
+        signer = signers.SimpleSigner.load_pkcs12(str(key.file), passphrase=key.secret.encode())
+        if signer is None or signer.signing_cert is None:
+            raise ConfigError("is no PKCS#12 file, or its password is another", where=str(key.file))
+        _check_valid(signer.signing_cert, str(key.file))
+        yield signer
+        return
+    hardware, config = _library("pyhanko.sign.pkcs11"), _library("pyhanko.config.pkcs11")
+    errors = _library("pkcs11.exceptions")
+    try:
+        criteria = config.TokenCriteria(label=key.token)
+        session = hardware.open_pkcs11_session(key.module, token_criteria=criteria, user_pin=key.secret)
+    except (errors.PKCS11Error, RuntimeError, OSError) as error:
+        what = str(error) or type(error).__name__
+        raise ConfigError(f"the token '{key.token}' cannot be opened ({what})", where=key.module) from None
+    with session:
+        signer = hardware.PKCS11Signer(session, cert_label=key.label, key_label=key.label)
+        try:
+            certificate = signer.signing_cert
+        except Exception as error:
+            raise ConfigError(f"no certificate '{key.label}' ({error})", where=key.token) from None
+        _check_valid(certificate, key.token)
+        yield signer
+
+
+def _check_valid(certificate: Any, where: str) -> None:
+    now = datetime.datetime.now(datetime.UTC)
+    begin, end = certificate.not_valid_before, certificate.not_valid_after
+    if not begin <= now <= end:
+        raise ConfigError(
+            f"the certificate of {person(certificate)} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only",
+            where=where,
+        )
+
+
+def person(certificate: Any) -> str:
+    """Whose certificate it is, in words."""
+    names = certificate.subject.native
+    return cut(str(names.get("common_name") or certificate.subject.human_friendly))
+
+
+# Signing.
+
+
+def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "") -> Path:
+    """Sign a file as somebody who *measured*, *checked* or *approved*; the file that holds the signature.
+
+    A PDF is signed by PAdES: the first signature makes NAME.signed.pdf beside it, further ones go into that.
+    Any other file has the signature FILE.ROLE.p7s. *timestamp*: URL of a time-stamp server (RFC 3161).
+    ConfigError for a key that cannot be used or a role that has signed; DataError for no file to sign.
+    """
+    if not path.is_file():
+        raise DataError(
+            "no such file", where=str(path), hint="sign a report (.pdf) or an archive (.zip, .eln)"
+        )
+    timestamper = _library("pyhanko.sign.timestamps").HTTPTimeStamper(timestamp) if timestamp else None
+    with _signer(key) as signer:
+        try:
+            if path.suffix.lower() == ".pdf":
+                return _sign_pdf(path, signer, role, reason, timestamper)
+            return _sign_detached(path, signer, role, reason, timestamper)
+        except (OSError, _library("pyhanko.sign.timestamps").TimestampRequestError) as error:
+            raise DataError(f"could not be signed ({error})", where=str(path)) from None
+
+
+def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
+    signers, fields = _library("pyhanko.sign.signers"), _library("pyhanko.sign.fields")
+    writer = _library("pyhanko.pdf_utils.incremental_writer")
+    target = path if path.name.endswith(SIGNED_PDF) else path.with_name(f"{path.stem}{SIGNED_PDF}")
+    if target != path and target.exists():
+        raise ConfigError("is there already", where=str(target), hint=f"sign {target.name} itself")
+    meta = signers.PdfSignatureMetadata(
+        field_name=role,
+        reason=f"{role}: {reason}" if reason else role,
+        name=person(signer.signing_cert),
+        md_algorithm="sha256",
+        subfilter=fields.SigSeedSubFilter.PADES,
+        signer_key_usage=set(),
+    )
+    try:
+        document = writer.IncrementalPdfFileWriter(io.BytesIO(path.read_bytes()))
+        if any(role == name for name, *_ in fields.enumerate_sig_fields(document)):
+            raise ConfigError(f"was signed as '{role}' already", where=str(path))
+        signed = signers.PdfSigner(meta, signer, timestamper=timestamper).sign_pdf(document)
+    except _library("pyhanko.pdf_utils.misc").PdfError as error:
+        raise DataError(f"is no PDF that can be signed ({error})", where=str(path)) from None
+    with output_file(target) as temporary:
+        temporary.write_bytes(signed.getvalue())
+    return target
+
+
+def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper: Any) -> Path:
+    target = path.with_name(f"{path.name}.{role}{DETACHED}")
+    if target.exists():
+        raise ConfigError(f"was signed as '{role}' already", where=str(target))
+    content = path.read_bytes()
+    words = {"file": path.name, "role": role, "reason": reason, "members": members_of(path)}
+    settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(
+        signing_time=datetime.datetime.now(datetime.UTC)
+    )
+    plain = signer._signed_attr_provider_spec(settings, timestamper, use_cades=False, is_pdf_sig=False)
+    signer.signed_attr_prov_spec = _with_hints(plain, json.dumps(words, sort_keys=True))
+    signature = asyncio.run(
+        signer.async_sign_general_data(content, "sha256", detached=True, timestamper=timestamper)
+    )
+    with output_file(target) as temporary:
+        temporary.write_bytes(signature.dump())
+    return target
+
+
+def members_of(path: Path) -> dict[str, str]:
+    """The digests (SHA-256) of the files in an archive by their names, by which a change is named; none of
+    what is no archive.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError, RuntimeError):
+        return {}
+
+
+def _with_hints(plain: Any, text: str) -> Any:
+    """The signed attributes of a signature with content hints added."""
+    core: Any = _library("asn1crypto.core")
+    cms = _library("asn1crypto.cms")
+    attributes: Any = _library("pyhanko.sign.attributes")
+
+    class ContentHints(core.Sequence):  # type: ignore[misc]
+        _fields = [("description", core.UTF8String), ("content_type", core.ObjectIdentifier)]  # noqa: RUF012
+
+    class Hints(attributes.CMSAttributeProvider):  # type: ignore[misc]
+        async def get_attribute(self, dry_run: bool = False) -> Any:  # noqa: ARG002 (as the library calls it)
+            hints = ContentHints({"description": text, "content_type": "1.2.840.113549.1.7.1"})
+            return cms.CMSAttribute({"type": HINTS, "values": [core.Any(hints)]})
+
+    class WithHints(attributes.SignedAttributeProviderSpec):  # type: ignore[misc]
+        def signed_attr_providers(self, data_digest: bytes, digest_algorithm: str) -> Iterator[Any]:
+            yield from plain.signed_attr_providers(data_digest, digest_algorithm)
+            yield Hints()
+
+    return WithHints()
+
+
+# Verifying.
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Certificates that vouch for signers, and lists of revoked ones, as files in PEM or DER."""
+
+    roots: tuple[Path, ...] = ()
+    revoked: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class Signature:
+    """A signature as it was found: of which *file*, by *signer* as *role*, for a *reason*, at the *time* that
+    the signer states or a time stamp proves (*stamped*). faults: what does not hold.
+    """
+
+    file: Path
+    signer: str
+    role: str = ""
+    reason: str = ""
+    time: str = ""
+    stamped: bool = False
+    faults: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The signature in words."""
+        what = f"{self.role} by {self.signer}" if self.role else f"signed by {self.signer}"
+        when = f", {'time stamp' if self.stamped else 'stated time'} {self.time}" if self.time else ""
+        return what + when + (f": {self.reason}" if self.reason else "")
+
+
+def signed_files(path: Path) -> list[Path]:
+    """The signed PDFs and detached signatures of a file or below a folder, in order."""
+    if path.is_dir():
+        return sorted(file for end in (SIGNED_PDF, DETACHED) for file in path.rglob(f"*{end}"))
+    if path.suffix.lower() in (".pdf", DETACHED):
+        return [path]
+    return sorted(path.parent.glob(f"{glob_of(path.name)}.*{DETACHED}"))
+
+
+def glob_of(name: str) -> str:
+    """A name as a pattern that matches nothing else."""
+    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+
+
+def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
+    """Every signature in a signed PDF or a detached signature; none in an unsigned PDF.
+
+    DataError where the file cannot be read; ConfigError for a certificate of *trust* that cannot.
+    """
+    for library in ("pyhanko", "pyhanko_certvalidator"):
+        # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.
+        logging.getLogger(library).setLevel(logging.CRITICAL + 1)
+    if path.suffix.lower() == ".pdf":
+        yield from _in_pdf(path, trust)
+    else:
+        yield _detached(path, trust)
+
+
+def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
+    """What vouches for a signer: nothing where no certificate is named."""
+    keys, crl = _library("pyhanko.keys"), _library("asn1crypto.crl")
+    roots: list[Any] = []
+    for file in trust.roots:
+        try:
+            roots += list(keys.load_certs_from_pemder([str(file)]))
+            [root.subject.native for root in roots]  # A damaged one shows when it is read.
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise ConfigError(f"is no certificate ({cut(str(error))})", where=str(file)) from None
+    lists = []
+    for file in trust.revoked:
+        try:
+            lists.append(crl.CertificateList.load(_unarmoured(file.read_bytes())))
+            lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise ConfigError(
+                f"is no list of revoked certificates ({cut(str(error))})", where=str(file)
+            ) from None
+    return _library("pyhanko_certvalidator").ValidationContext(
+        trust_roots=roots,
+        moment=moment,
+        allow_fetching=False,
+        crls=lists,
+        revocation_mode="require" if lists else "soft-fail",
+        retroactive_revinfo=True,
+    )
+
+
+def _unarmoured(content: bytes) -> bytes:
+    pem = _library("asn1crypto.pem")
+    return bytes(pem.unarmor(content)[2]) if pem.detect(content) else content
+
+
+def _usage() -> Any:
+    constraints = _library("pyhanko.sign.validation.settings").KeyUsageConstraints
+    return constraints(key_usage=USAGES, match_all_key_usages=False)
+
+
+def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
+    validation = _library("pyhanko.sign.validation")
+    reader = _library("pyhanko.pdf_utils.reader")
+    content = path.read_bytes()
+    try:
+        embedded = list(reader.PdfFileReader(io.BytesIO(content), strict=False).embedded_signatures)
+        states = []
+        for signature in embedded:
+            moment = None
+            for _ in range(2):
+                status = validation.validate_pdf_signature(
+                    signature, _context(trust, moment), _context(trust), key_usage_settings=_usage()
+                )
+                moment = _stamped(status)
+                if moment is None:
+                    break
+            states.append((signature, status))
+    except ConfigError:
+        raise
+    except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
+        raise DataError(f"its signatures cannot be read ({cut(str(error))})", where=str(path)) from None
+    whole = _library("pyhanko.sign.validation.status").SignatureCoverageLevel.ENTIRE_FILE
+    for number, (signature, status) in enumerate(states, 1):
+        faults = _faults(status, trust)
+        if not faults and number == len(states) and status.coverage != whole:
+            faults = ("something was added behind the last signature",)
+        if not faults and (status.modification_level is None or not status.bottom_line):
+            faults = ("was changed after it was signed",)
+        reason = str(signature.sig_object.get("/Reason", ""))
+        yield _stated(path, status, signature.field_name, reason.partition(": ")[2], faults)
+
+
+def _stated(path: Path, status: Any, role: str, reason: str, faults: tuple[str, ...]) -> Signature:
+    stamp = _stamped(status)
+    time = stamp or status.signer_reported_dt
+    return Signature(
+        file=path,
+        signer=person(status.signing_cert),
+        role=cut(role),
+        reason=cut(reason),
+        time="" if time is None else time.astimezone(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        stamped=stamp is not None,
+        faults=faults,
+    )
+
+
+def _stamped(status: Any) -> datetime.datetime | None:
+    """The time of a time stamp that holds and that somebody vouches for."""
+    stamp = status.timestamp_validity
+    return stamp.timestamp if stamp is not None and stamp.trusted else None
+
+
+def _faults(status: Any, trust: Trust) -> tuple[str, ...]:
+    """What does not hold of a signature: the bytes, the signature itself, who vouches for the signer."""
+    name = person(status.signing_cert)
+    if not status.intact:
+        return ("is not what was signed: a byte of it was changed",)
+    if not status.valid:
+        return (f"the signature is not by the key of {name}",)
+    if status.revoked:
+        return (f"the certificate of {name} was revoked",)
+    if status.trusted:
+        return ()
+    if not trust.roots:
+        return (f"nothing vouches for {name}: name the certificate that issued theirs by --trust",)
+    why = str(getattr(status.trust_problem_indic, "name", status.trust_problem_indic) or "unknown issuer")
+    if "EXPIRED" in why or "OUT_OF_BOUNDS" in why:
+        return (f"the certificate of {name} has expired, and no time stamp proves that it was signed before",)
+    if "REVOKED" in why:
+        return (f"the certificate of {name} was revoked",)
+    return (f"no certificate of --trust vouches for {name} ({why.lower().replace('_', ' ')})",)
+
+
+def drawn_from_another(path: Path) -> str:
+    """What is wrong with a signed report beside a result: that it was drawn from another one, so that result,
+    recording or configuration are not those that were signed. Empty where it was drawn from that result, by
+    the build that made it or by this one, and where there is none beside it.
+    """
+    result = path.with_name(NAME)
+    if not result.is_file():
+        return ""
+    builds = (read_identification(result).code, code_digest())
+    drawn = stamped_source(path.read_bytes()) in [drawn_from(result, code) for code in builds]
+    return "" if drawn else f"was not drawn from the {NAME} beside it, which is not what was signed"
+
+
+def _detached(path: Path, trust: Trust) -> Signature:
+    """A detached signature and the file beside it that it signs."""
+    cms, validation = _library("asn1crypto.cms"), _library("pyhanko.sign.validation")
+    signed = path.with_name(path.name.removesuffix(DETACHED).rpartition(".")[0])
+    try:
+        info = cms.ContentInfo.load(path.read_bytes(), strict=True)
+        data = info["content"]
+        words = _words(data["signer_infos"][0])
+        content = signed.read_bytes() if signed.is_file() else None
+        moment = None
+        for _ in range(2):
+            status = asyncio.run(
+                validation.async_validate_detached_cms(
+                    content or b"",
+                    data,
+                    _context(trust, moment),
+                    _context(trust),
+                    key_usage_settings=_usage(),
+                )
+            )
+            moment = _stamped(status)
+            if moment is None:
+                break
+    except ConfigError:
+        raise
+    except Exception as error:  # Damaged DER raises whatever it happens to be read as.
+        raise DataError(f"is no readable signature ({cut(str(error))})", where=str(path)) from None
+    faults = _faults(status, trust)
+    if content is None:
+        faults = (f"'{signed.name}', which it signs, is not there",)
+    elif not status.intact:
+        faults = tuple(_changed(signed, words.get("members", {}))) or faults
+    return _stated(signed, status, str(words.get("role", "")), str(words.get("reason", "")), faults)
+
+
+def _words(signer_info: Any) -> dict[str, Any]:
+    """The words that were signed along; none of a signature that another program made."""
+    for attribute in signer_info["signed_attrs"]:
+        if attribute["type"].dotted == HINTS:
+            text = attribute["values"][0].parse(_library("asn1crypto.core").Sequence)[0].native
+            words = json.loads(text)
+            return words if isinstance(words, dict) else {}
+    return {}
+
+
+def _changed(path: Path, members: dict[str, str]) -> Sequence[str]:
+    """The files of an archive that are not those that were signed, by their names."""
+    now = members_of(path)
+    changed = [name for name in members if name in now and now[name] != members[name]]
+    gone = [name for name in members if name not in now]
+    added = [name for name in now if name not in members]
+    kinds = (
+        (changed, "is not the file that was signed"),
+        (gone, "was signed, and is gone"),
+        (added, "was added"),
+    )
+    return [f"{cut(name)}: {what}" for names, what in kinds for name in names]

@@ -1,0 +1,469 @@
+"""Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables
+of plain certificates as CSV.
+
+A certificate is read without a network, without entities and without a schema file: its structure is held
+against what the published schema 3 asks for (https://ptb.de/dcc) where a number, its unit, its uncertainty,
+its validity or its identity depends on it. A signature inside the XML is not verified.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import hashlib
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+from labpipe.quantities import UnitError, parse_value
+from labpipe.registry import nearest
+
+DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
+MOST_BYTES, DEEPEST = 1 << 24, 200
+HINT = "a DCC of schema 3 is needed, as the laboratory issued it"
+
+# Names of D-SI units, which are written as \milli\volt\per\metre\tothe{2}, and what labpipe calls them.
+_UNITS = {
+    "one": "1", "percent": "%", "metre": "m", "gram": "g", "kilogram": "kg", "second": "s", "ampere": "A",
+    "kelvin": "K", "degreecelsius": "degC", "newton": "N", "pascal": "Pa", "bar": "bar", "joule": "J",
+    "watt": "W", "volt": "V", "henry": "H", "tesla": "T", "weber": "Wb", "coulomb": "C", "hertz": "Hz",
+    "radian": "rad", "degree": "deg", "minute": "min", "hour": "h", "litre": "l", "tonne": "t",
+}  # fmt: skip
+_PREFIXES = {
+    "giga": "G", "mega": "M", "kilo": "k", "deci": "d", "centi": "c", "milli": "m", "micro": "u", "nano": "n",
+    "pico": "p",
+}  # fmt: skip
+_TOKEN = re.compile(r"\s*\\([a-z]+)(?:\{([^{}]*)\})?")
+
+
+@dataclass(frozen=True)
+class CertifiedQuantity:
+    """A quantity of a certificate: the *names* by which it may be asked for, its *values* in *unit* as
+    labpipe writes it, and their standard uncertainties [unit], None where none is stated. table: number of
+    the table in which it stands, by which columns belong together.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    unit: str
+    std_errors: tuple[float, ...] | None
+    table: int
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A certificate: its *number*, the serial and other numbers of what was calibrated, the last day on which
+    it is valid (None: not stated), and what it states. *refused*: why it must not be used, empty for none.
+    """
+
+    number: str
+    serials: tuple[str, ...]
+    valid_until: datetime.date | None
+    quantities: tuple[CertifiedQuantity, ...]
+    refused: str = ""
+
+    def quantity(self, name: str, table: int | None = None) -> CertifiedQuantity:
+        """The quantity of a name, in a table if one is given; UnitError for none, or for several."""
+        quantities = [quantity for quantity in self.quantities if table is None or quantity.table == table]
+        named = [quantity for quantity in quantities if name in quantity.names]
+        if len(named) == 1:
+            return named[0]
+        if named:
+            raise UnitError(f"the certificate has {len(named)} quantities '{name}'", "name one by its id")
+        known = list(dict.fromkeys(name for quantity in quantities for name in quantity.names))
+        hint = nearest(name, known) or f"known: {', '.join(known[:12])}"
+        raise UnitError(f"the certificate has no quantity '{name}'", hint)
+
+
+def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certificate:
+    """The certificate of a file; of a table of several that of the *number*. *sha256*: what the file's digest
+    must be, if it is given.
+
+    UnitError for a file that cannot be read, that is no certificate, or is another one.
+    """
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise UnitError(f"'{path.name}' has more than {MOST_BYTES >> 20} MB", HINT)
+        content = path.read_bytes()
+    except OSError as error:
+        what = "no such file" if not path.exists() else (error.strerror or str(error)).lower()
+        raise UnitError(f"'{path.name}': {what}", "paths are relative to the rig file") from None
+    if sha256 and hashlib.sha256(content).hexdigest() != sha256.lower():
+        raise UnitError(f"'{path.name}' is not the file of that SHA-256", "use the file as it was issued")
+    if path.suffix.lower() == ".csv":
+        return _of_table(content, path.name, number)
+    certificate = _of_xml(content, path.name)
+    if number and certificate.number != number:
+        raise UnitError(f"'{path.name}' is the certificate '{certificate.number}', not '{number}'")
+    return certificate
+
+
+# The XML of a Digital Calibration Certificate.
+
+
+def _of_xml(content: bytes, name: str) -> Certificate:
+    root = _parsed(content, name)
+    if root.tag != f"{DCC}digitalCalibrationCertificate":
+        raise UnitError(f"'{name}' is no Digital Calibration Certificate", HINT)
+    if not re.fullmatch(r"3\.\d+\.\d+\S*", root.get("schemaVersion", "")):
+        raise UnitError(f"'{name}' is of schema '{root.get('schemaVersion', '')}'", HINT)
+    try:
+        _check_children(root, ("administrativeData", "measurementResults"), ("comment", "document"))
+        administrative = _only(root, "administrativeData")
+        needed = ("dccSoftware", "coreData", "items", "calibrationLaboratory", "respPersons", "customer")
+        _check_children(administrative, needed, ("refTypeDefinitions", "statements"))
+        core = _only(administrative, "coreData")
+        number = _text(_only(core, "uniqueIdentifier"))
+        begin, end = (_day(_only(core, f"{at}PerformanceDate")) for at in ("begin", "end"))
+        if end < begin:
+            raise UnitError("its calibration ends before it begins")
+        valid_until, refused = _validity(administrative, end)
+        return Certificate(
+            number=number,
+            serials=tuple(_serials(_only(administrative, "items"))),
+            valid_until=valid_until,
+            quantities=tuple(_quantities(_only(root, "measurementResults"))),
+            refused=refused,
+        )
+    except UnitError as error:
+        raise UnitError(f"'{name}' is no valid certificate: {error.what}", error.hint or HINT) from None
+
+
+def _parsed(content: bytes, name: str) -> ET.Element:
+    """The tree of an XML file that declares no document type, so that it can hold no entities of its own."""
+    depth = 0
+
+    def refuse(*_: object) -> None:
+        raise UnitError(f"'{name}' declares a document type, which no certificate needs", HINT)
+
+    def deeper(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            raise UnitError(f"'{name}' is nested too deeply", HINT)
+
+    def back(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = deeper, back
+    try:
+        parser.Parse(content, True)
+        return ET.fromstring(content)
+    except (expat.ExpatError, ET.ParseError, ValueError, LookupError) as error:
+        raise UnitError(f"'{name}' is no readable XML ({error})", HINT) from None
+
+
+def _local(element: ET.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _check_children(element: ET.Element, needed: Sequence[str], others: Sequence[str] = ()) -> None:
+    """UnitError unless an element of the DCC has every needed child once, and no other twice or unknown."""
+    names = [child.tag for child in element if not child.tag.endswith("}Signature")]
+    for tag in names:
+        if tag.removeprefix(DCC) not in (*needed, *others):
+            raise UnitError(f"unknown element '{tag.rpartition('}')[2]}' in '{_local(element)}'")
+        if names.count(tag) > 1:
+            raise UnitError(f"'{tag.rpartition('}')[2]}' is there twice")
+    for child in needed:
+        _only(element, child)
+
+
+def _only(element: ET.Element, name: str, space: str = DCC) -> ET.Element:
+    children = element.findall(f"{space}{name}")
+    if len(children) != 1:
+        what = f"'{_local(element)}' has no '{name}'" if not children else f"'{name}' is there twice"
+        raise UnitError(what)
+    return children[0]
+
+
+def _text(element: ET.Element) -> str:
+    text = (element.text or "").strip()
+    if not text or len(element):
+        raise UnitError(f"'{_local(element)}' is empty")
+    return " ".join(text.split())
+
+
+def _day(element: ET.Element) -> datetime.date:
+    text = _text(element)
+    try:
+        # A time zone behind a date moves it by less than a day.
+        return datetime.date.fromisoformat(text[:10])
+    except ValueError:
+        raise UnitError(f"'{_local(element)}' is '{text}', which is no day") from None
+
+
+def _validity(administrative: ET.Element, end: datetime.date) -> tuple[datetime.date | None, str]:
+    """The last day on which the certificate is valid, as its statements say, and why it must not be used."""
+    days: list[datetime.date] = []
+    refused = ""
+    for statement in administrative.iterfind(f"{DCC}statements/{DCC}statement"):
+        kinds = (statement.get("refType") or "").lower()
+        valid = statement.find(f"{DCC}valid")
+        if valid is not None and _text(valid) in ("false", "0"):
+            refused = "the laboratory states that it is not valid"
+        if "recalibration" in kinds or ("valid" in kinds and "from" not in kinds):
+            days += [_day(day) for day in statement.iterfind(f"{DCC}date")]
+            days += [_after(end, _text(period)) for period in statement.iterfind(f"{DCC}period")]
+    return (min(days) if days else None), refused
+
+
+_PERIOD = re.compile(r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)D)?")
+
+
+def _after(day: datetime.date, period: str) -> datetime.date:
+    """The day after a period such as P2Y or P6M."""
+    match = _PERIOD.fullmatch(period)
+    if match is None or not any(match.groups()):
+        raise UnitError(f"the period '{period}' is none of years, months and days")
+    years, months, days = (int(part or 0) for part in match.groups())
+    month = day.year * 12 + day.month - 1 + 12 * years + months
+    try:
+        start = datetime.date(month // 12, month % 12 + 1, 1)
+        return start + datetime.timedelta(days=day.day - 1 + days)
+    except (ValueError, OverflowError):
+        raise UnitError(f"the period '{period}' is too long") from None
+
+
+def _serials(items: ET.Element) -> Iterator[str]:
+    """The numbers of the items that were calibrated."""
+    if items.find(f"{DCC}item") is None:
+        raise UnitError("'items' has no 'item'")
+    for value in items.iterfind(f".//{DCC}identification/{DCC}value"):
+        yield _text(value)
+
+
+def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:
+    """The quantities of all results, each list of quantities as a table; what stands inside a quantity as its
+    metadata is none of them.
+    """
+    table = 0
+    for result in results.iterfind(f"{DCC}measurementResult/{DCC}results/{DCC}result"):
+        pending = [_only(result, "data")]
+        while pending:
+            owner = pending.pop(0)
+            table += 1
+            for quantity in owner.iterfind(f"{DCC}quantity"):
+                yield from _quantity(quantity, table)
+            pending += owner.findall(f"{DCC}list")
+
+
+def _quantity(quantity: ET.Element, table: int) -> Iterator[CertifiedQuantity]:
+    """A quantity with every number that it states: of a hybrid one for each unit; of texts none."""
+    contents = quantity.findall(f"{DCC}name/{DCC}content")
+    names = [quantity.get("id") or "", *(quantity.get("refType") or "").split()]
+    names += [" ".join((content.text or "").split()) for content in contents]
+    numbers = [child for child in quantity if child.tag.startswith(SI)]
+    if len(numbers) > 1:
+        raise UnitError(f"the quantity '{next(filter(None, names), '')}' has several numbers")
+    hybrid = [child for child in numbers if _local(child) == "hybrid"]
+    for number in [*hybrid[0]] if hybrid else numbers:
+        if _local(number) not in _NUMBERS:
+            continue
+        end = _NUMBERS[_local(number)]
+        values = _listed(_only(number, f"value{end}", SI))
+        unit = unit_text(_text(_only(number, f"unit{end}", SI)))
+        errors = _std_errors(number, end, len(values))
+        if hybrid and number is not hybrid[0][0]:
+            # Another unit of the same: the first one is what the laboratory states.
+            continue
+        yield CertifiedQuantity(tuple(filter(None, names)), values, unit, errors, table)
+
+
+# Elements that hold numbers, and how the names of their parts end.
+_NUMBERS = {"real": "", "realListXMLList": "XMLList", "constant": ""}
+_PARTS = ("label", "value", "unit", "dateTime", "significantDigit", "quantityType")
+# Ways to state an uncertainty: the elements, that of its size, and what it is divided by.
+_UNCERTAINTIES = (
+    (("expandedUnc",), "uncertainty", "coverageFactor"),
+    (("measurementUncertaintyUnivariate", "expandedMU"), "valueExpandedMU", "coverageFactor"),
+    (("measurementUncertaintyUnivariate", "standardMU"), "valueStandardMU", ""),
+    (("coverageInterval",), "standardUnc", ""),
+    (("measurementUncertaintyUnivariate", "coverageIntervalMU"), "standardMU", ""),
+)
+
+
+def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] | None:
+    """The standard uncertainties of a number or a list; one for all of a list may be stated once."""
+    known = {f"{part}{end}" for part in (*_PARTS, *(path[0] for path, _, _ in _UNCERTAINTIES))}
+    known |= {f"{part}{ending}" for part in ("uncertainty", "distribution") for ending in ("", end)}
+    for child in number:
+        if not child.tag.startswith(SI) or _local(child) not in known:
+            raise UnitError(f"unknown element '{_local(child)}' in '{_local(number)}'")
+    stated = [
+        (element, size, factor)
+        for path, size, factor in _UNCERTAINTIES
+        for element in number.findall("/".join(f"{SI}{part}{end}" for part in path))
+    ]
+    blocks = [child for child in number if "nc" in _local(child) or "Interval" in _local(child)]
+    if len(stated) > 1 or len(blocks) > len(stated):
+        raise UnitError(f"the uncertainty in '{_local(number)}' is stated twice, or in no known way")
+    if not stated:
+        return None
+    element, size, factor = stated[0]
+    sizes = _spread(_listed(_only(element, f"{size}{end}", SI)), count)
+    factors = _spread(_listed(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
+    if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
+        raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
+    return tuple(u / k for u, k in zip(sizes, factors, strict=True))
+
+
+def _spread(values: tuple[float, ...], count: int) -> tuple[float, ...]:
+    if len(values) not in (1, count):
+        raise UnitError(f"{len(values)} entries stand beside {count} values")
+    return values * count if len(values) == 1 else values
+
+
+def _listed(element: ET.Element) -> tuple[float, ...]:
+    return tuple(_finite(text, _local(element)) for text in _text(element).split())
+
+
+def _finite(text: str, name: str) -> float:
+    if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", text) or not math.isfinite(float(text)):
+        raise UnitError(f"'{name}' has '{text[:80]}', which is no number")
+    return float(text)
+
+
+def unit_text(text: str) -> str:
+    r"""A D-SI unit as labpipe writes it: \\milli\\volt\\per\\metre is mV.m^-1; UnitError for none."""
+    if "\\" not in text:
+        return text
+    parts: list[list[str]] = []
+    prefix, sign, place = "", "", 0
+    while place < len(text):
+        match = _TOKEN.match(text, place)
+        if match is None:
+            raise UnitError(f"the unit '{text[:80]}' is not of D-SI")
+        word, power = match[1], match[2]
+        place = match.end()
+        if word == "tothe" and parts and power and re.fullmatch(r"[+-]?\d+(\.\d+)?", power) and not prefix:
+            parts[-1][1] += power.lstrip("+") if not parts[-1][1] else _negated(power)
+        elif power is None and word == "per" and not sign and not prefix:
+            sign = "-"
+        elif power is None and word in _PREFIXES and not prefix:
+            prefix = _PREFIXES[word]
+        elif power is None and word in _UNITS:
+            parts.append([prefix + _UNITS[word], sign])
+            prefix = sign = ""
+        else:
+            raise UnitError(f"the unit '{text[:80]}' is not known at '\\{word}'")
+    if prefix or sign or not parts:
+        raise UnitError(f"the unit '{text[:80]}' ends too early")
+    return ".".join(
+        f"{symbol}^{power}1" if power == "-" else f"{symbol}^{power}" if power else symbol
+        for symbol, power in parts
+    )
+
+
+def _negated(power: str) -> str:
+    """The digits of a power behind the sign of \\per."""
+    if power.startswith("-"):
+        raise UnitError(f"a negative power '{power}' behind \\per says two things")
+    return power.lstrip("+")
+
+
+_UNIT_PART = re.compile(r"([./]?)\(?([A-Za-z%]+|1)(?:\^\(?([+-]?\d+(?:\.\d+)?)\)?)?\)?")
+
+
+def dsi_unit(text: str) -> str:
+    r"""N.s/m as D-SI writes it, \newton\second\per\metre; the text as it is where D-SI has no name for it."""
+    names = {symbol: name for name, symbol in _UNITS.items()}
+    written, place, per = "", 0, False
+    while place < len(text):
+        match = _UNIT_PART.match(text, place)
+        if match is None or match[2] not in names:
+            return text
+        per = per or match[1] == "/"
+        power = f"\\tothe{{{match[3]}}}" if match[3] else ""
+        written += ("\\per" if per else "") + f"\\{names[match[2]]}{power}"
+        place = match.end()
+    return written
+
+
+# Tables of plain certificates.
+
+NEEDED = ("certificate", "quantity", "value", "unit", "uncertainty", "coverage_factor")
+OPTIONAL = ("serial", "valid_until", "frequency_hz", "phase_deg", "phase_uncertainty_deg")
+FREQUENCY, PHASE = "frequency_hz", "phase_deg"
+
+
+def _of_table(content: bytes, name: str, number: str) -> Certificate:
+    """The certificate of a table: that of the *number*, or the only one."""
+    rows = _rows(content, name)
+    numbers = list(dict.fromkeys(row["certificate"] for row in rows))
+    if not number and len(numbers) > 1:
+        raise UnitError(f"'{name}' holds {len(numbers)} certificates", f"add number: {numbers[0]}")
+    if number and number not in numbers:
+        raise UnitError(f"'{name}' holds no certificate '{number}'", nearest(number, numbers))
+    rows = [row for row in rows if row["certificate"] == (number or numbers[0])]
+    names = list(dict.fromkeys(row["quantity"] for row in rows))
+    days = [row["valid_until"] for row in rows if row.get("valid_until")]
+    try:
+        until = min(map(datetime.date.fromisoformat, days)) if days else None
+        quantities = tuple(
+            quantity
+            for table, named in enumerate(names)
+            for quantity in _columns(named, [row for row in rows if row["quantity"] == named], table)
+        )
+    except UnitError as error:
+        raise UnitError(f"'{name}': {error.what}", error.hint) from None
+    except ValueError:
+        raise UnitError(f"'{name}': '{days[0]}' is no day", "write it as 2026-11-03") from None
+    serials = tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
+    return Certificate(rows[0]["certificate"], serials, until, quantities)
+
+
+def _rows(content: bytes, name: str) -> list[dict[str, str]]:
+    try:
+        lines = [line for line in content.decode("utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
+    except UnicodeDecodeError:
+        raise UnitError(f"'{name}' is no text table", f"columns: {', '.join(NEEDED)}") from None
+    reader = list(csv.reader(lines, skipinitialspace=True))
+    heads = [cell.strip() for cell in reader[0]] if reader else []
+    missing = [column for column in NEEDED if column not in heads]
+    unknown = [column for column in heads if column not in (*NEEDED, *OPTIONAL)]
+    if missing or unknown or len(set(heads)) < len(heads):
+        what = f"has no column '{missing[0]}'" if missing else f"has an unknown or double column in {heads}"
+        raise UnitError(f"'{name}' {what}", f"columns: {', '.join((*NEEDED, *OPTIONAL))}")
+    if any(len(row) != len(heads) for row in reader[1:]) or len(reader) < 2:
+        raise UnitError(f"'{name}' has no rows, or one with more or fewer cells than columns")
+    return [dict(zip(heads, (cell.strip() for cell in row), strict=True)) for row in reader[1:]]
+
+
+def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator[CertifiedQuantity]:
+    """A quantity of a table, and the frequency and phase beside it, where it has these."""
+    units = {row["unit"] for row in rows}
+    if len(units) > 1:
+        raise UnitError(f"'{named}' has several units: {', '.join(sorted(units))}")
+
+    def column(key: str) -> tuple[float, ...]:
+        return tuple(_finite(row[key], key) for row in rows)
+
+    def relative(text: str, value: str) -> float:
+        if text.endswith("%"):
+            return abs(_finite(value, "value")) * parse_value(text, "1")
+        return _finite(text, "uncertainty")
+
+    sizes = [relative(row["uncertainty"], row["value"]) for row in rows]
+    factors = column("coverage_factor")
+    if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
+        raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
+    errors = tuple(u / k for u, k in zip(sizes, factors, strict=True))
+    yield CertifiedQuantity((named,), column("value"), units.pop(), errors, table)
+    if rows[0].get(FREQUENCY):
+        yield CertifiedQuantity((FREQUENCY,), column(FREQUENCY), "Hz", None, table)
+    if rows[0].get(PHASE):
+        stated = "phase_uncertainty_deg" in rows[0]
+        phase_errors = (
+            tuple(u / k for u, k in zip(column("phase_uncertainty_deg"), factors, strict=True))
+            if stated
+            else None
+        )
+        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", phase_errors, table)
