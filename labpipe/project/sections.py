@@ -5,226 +5,28 @@ What computes is loaded by a run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from labpipe.arrays import FloatArray
-from labpipe.bearings.kinds import BearingCoefficients
-from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.bearing_file import open_bearing
 from labpipe.project.judging import comparison_outcome, matrix_outcome
-from labpipe.project.marked_yaml import set_entry
 from labpipe.project.pipeline_file import read_comparison, read_fit, read_matrix
-from labpipe.project.work import COMPARE_PREFIX, Work, run_fits
-from labpipe.quantities import UnitError, parse_unit
-from labpipe.raw_files.table import open_table
-from labpipe.records.comparison import (
-    Comparison,
-    Comparisons,
-    ConditionMatrices,
-    ConditionMatrix,
-    findings,
-    matrix_findings,
-    names,
-)
+from labpipe.project.work import Work, run_fits
+from labpipe.records.comparison import Comparisons, ConditionMatrices, findings, matrix_findings, names
 from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Failed, Identification, ListedParameter
-from labpipe.records.settings import COEFFICIENT_UNITS
-from labpipe.registry import nearest
+from labpipe.records.identification import Identification, ListedParameter
 from labpipe.report.document import Section
 from labpipe.sections import PipelineSection
-from labpipe.uncertainty.compare import Evidence, compare
-from labpipe.uncertainty.matrix import PointTheory, condition_matrix
-from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, MatrixTheorySettings, levels_of
-
-# The sections compare and matrix: fits of all tests held against each other, against theory, and ordered
-# by conditions.
-
-# compare: the fits of all tests held against each other, and against the theory of a bearing file at each
-# test's condition.
-
-
-def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
-    """The section compare: every comparison in its order. One that lacks a failed test is named among the
-    work's failures.
-
-    Otherwise LabpipeError names the comparison.
-    """
-    conditions = {test.name: test.conditions for test in work.tests}
-    evidence = Evidence(
-        tuple(work.fits),
-        tuple(work.responses),
-        work.pipeline.fits,
-        conditions=conditions,
-        spectra=tuple(work.spectra),
-        folder=work.pipeline.path.parent,
-    )
-    comparisons: list[Comparison] = []
-    for comparison in settings:
-        try:
-            comparisons.append(_compared(work.pipeline.path, comparison, evidence))
-        except LabpipeError as error:
-            if not work.go_on:
-                raise
-            work.failed.append(Failed(COMPARE_PREFIX + comparison.name, str(error)))
-    return tuple(comparisons)
-
-
-def _compared(path: Path, settings: CompareSettings, evidence: Evidence) -> Comparison:
-    try:
-        return compare(settings, evidence)
-    except LabpipeError as error:
-        error.where = error.where or f"{path}: compare.{settings.name}"
-        raise
-
-
-# The section matrix: the fits of all tests ordered by their conditions, with a theory beside them.
-
-MATRIX_PREFIX = "matrix."
-# Stands for a condition that the theory does not know.
-NO_ENTRY = "none"
-# Dofs of bearings that are the x and y of a rig, where a theory names none.
-DEFAULT_AXES = (("x", "y"), ("y", "z"))
-
-
-def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    """Every matrix in its order; LabpipeError names the matrix.
-
-    One that lacks a failed test is named among the work's failures.
-    """
-    conditions = {test.name: test.conditions for test in work.tests}
-    matrices: list[ConditionMatrix] = []
-    for matrix in settings:
-        try:
-            matrices.append(
-                condition_matrix(matrix, work.fits, conditions, _theory(matrix, work.pipeline.folder))
-            )
-        except LabpipeError as error:
-            error.where = error.where or f"{work.pipeline.path}: {MATRIX_PREFIX}{matrix.name}"
-            if not work.go_on:
-                raise
-            work.failed.append(Failed(MATRIX_PREFIX + matrix.name, str(error)))
-    return tuple(matrices)
-
-
-def _theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
-    if settings.theory is None:
-        return None
-    if settings.theory.bearing:
-        return _bearing_theory(folder / settings.theory.bearing, settings.theory)
-    return table_theory(folder / settings.theory.table, settings.over, settings.tolerance)
-
-
-def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    """K and C of a bearing file at the conditions of a point, in the rig's x and y.
-
-    ConfigError for unknown dofs.
-    """
-    theories: dict[tuple[float, ...], Mapping[str, float]] = {}
-
-    def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
-        if conditions not in theories:
-            file = open_bearing(path)
-            for entry, value, unit in zip(theory.entries, conditions, units, strict=True):
-                if entry != NO_ENTRY:
-                    set_entry(file.tree, f"{entry}={value!r} {unit}")
-            (coefficients,) = file.coefficients([file.settings()])
-            theories[conditions] = _in_rig_axes(coefficients, theory.axes)
-        return theories[conditions]
-
-    return at
-
-
-def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
-    """k_xx ...
-
-    c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point the other way.
-    """
-    named = axes or next(
-        (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]
-    )
-    dofs = [axis.lstrip("-") for axis in named]
-    unknown = next((dof for dof in dofs if dof not in coefficients.dofs), None)
-    if unknown is not None:
-        raise ConfigError(f"the bearing has no dof '{unknown}'", hint=nearest(unknown, coefficients.dofs))
-    places = [coefficients.dofs.index(dof) for dof in dofs]
-    signs = [-1.0 if axis.startswith("-") else 1.0 for axis in named]
-    return {
-        f"{letter}_{'xy'[i]}{'xy'[j]}": signs[i] * signs[j] * float(matrix[places[i], places[j]])
-        for letter, matrix in (("k", coefficients.stiffness), ("c", coefficients.damping))
-        for i in (0, 1)
-        for j in (0, 1)
-    }
-
-
-def table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
-    """Coefficients of another program: linear between the rows of a table along the first condition, at the
-    level of all others.
-
-    Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the
-    table has no theory. DataError where a column of a condition is missing, or a unit does not fit.
-    """
-    columns = _si_columns(path)
-    for name in over:
-        if name not in columns:
-            raise DataError(
-                f"has no column of the condition '{name}'", where=str(path), hint=nearest(name, columns)
-            )
-    coefficients = {name: values for name, values in columns.items() if name not in over}
-    places = [columns[name] for name in over]
-
-    def at(conditions: tuple[float, ...], _units: tuple[str, ...]) -> Mapping[str, float]:
-        matching = np.ones(places[0].size, bool)
-        for values, condition in zip(places[1:], conditions[1:], strict=True):
-            _, number = levels_of(np.append(values, condition), tolerance)
-            matching &= number[:-1] == number[-1]
-        order = np.flatnonzero(matching)[np.argsort(places[0][matching], kind="stable")]
-        x = places[0][order]
-        reach = tolerance * float(np.max(np.abs(x), initial=0.0))
-        if not x.size or not x[0] - reach <= conditions[0] <= x[-1] + reach:
-            return {}
-        return {
-            name: float(np.interp(conditions[0], x, values[order])) for name, values in coefficients.items()
-        }
-
-    return at
-
-
-def _si_columns(path: Path) -> dict[str, FloatArray]:
-    """The columns of a table in SI by their names without the unit."""
-    table = open_table(path)
-    values = np.concatenate(list(table.chunks(table.columns)))
-    columns: dict[str, FloatArray] = {}
-    for column, numbers in zip(table.columns, values.T, strict=True):
-        name, _, rest = column.partition("[")
-        text = rest.rstrip("] ").strip() or table.units.get(column, "")
-        try:
-            unit = parse_unit(text) if text else None
-            if unit is not None and name.strip()[:2] in {f"{letter}_" for letter in COEFFICIENT_UNITS}:
-                _check_coefficient(name.strip(), text)
-        except UnitError as error:
-            raise DataError(f"column '{column}': {error.what}", where=str(path), hint=error.hint) from None
-        columns[name.strip()] = numbers if unit is None else numbers * unit.factor + unit.offset
-    return columns
-
-
-def _check_coefficient(name: str, text: str) -> None:
-    expected = parse_unit(COEFFICIENT_UNITS[name[0]])
-    if parse_unit(text).dimension != expected.dimension:
-        raise UnitError(f"{text} is no unit of '{name}'", f"for example {COEFFICIENT_UNITS[name[0]]}")
+from labpipe.uncertainty.settings import CompareSettings, MatrixSettings
 
 
 def _run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
-    from labpipe.project.sections import run_comparisons
+    from labpipe.project.compare import run_comparisons
 
     return run_comparisons(settings, work)
 
 
 def _run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    from labpipe.project.sections import run_matrices
+    from labpipe.project.compare import run_matrices
 
     return run_matrices(settings, work)
 

@@ -14,9 +14,9 @@ import pytest
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
 from labpipe.errors import ConfigErrors, DataError
+from labpipe.project.compare import table_theory
 from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
 from labpipe.project.pipeline_file import load_pipeline
-from labpipe.project.sections import table_theory
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 

@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.bearings.kinds import BearingCoefficients
 from labpipe.errors import ConfigError
-from labpipe.project.sections import _in_rig_axes
+from labpipe.project.compare import _in_rig_axes
 
 STIFFNESS = np.arange(1.0, 10.0).reshape(3, 3)
 BEARING = BearingCoefficients(("y", "z", "by"), STIFFNESS, 10 * STIFFNESS)
