@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
 from labpipe.estimation.derived import BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
 from labpipe.estimation.leakage import expected
-from labpipe.estimation.measured import Measured
+from labpipe.estimation.measured import SHARE, Measured, across_ports, turned
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
@@ -52,101 +52,6 @@ from labpipe.records.uncertain import (
     Uncertainty,
     uncertainty_of,
 )
-
-# Systematic errors of a measured matrix: of the gain, delay and phase of its ports, and of the sums of
-# channels among them.
-
-# Errors are tried at this share of their standard uncertainty on either side, so that slopes are those at the
-# estimate.
-SHARE = 1e-3
-# Sine of the angle between directions below which they do not tell the plane.
-PARALLEL = 0.02
-
-
-def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[MatrixError, ...]:
-    """dH (n_line, n_output, n_input) [m/N] by one standard uncertainty of every source; numbers of one source
-    err together.
-
-    An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n
-    of COURSES. With *directions* an error d of an angle changes row or column by -d times that at right
-    angles, where ports of known direction tell it; else directions are left to the models that know them.
-    Equation (unc-port).
-    """
-    uncertainties: dict[str, Uncertainty] = {}
-    changes: dict[str, ComplexArray] = {}
-
-    def add(uncertainty: Uncertainty, change: ComplexArray) -> None:
-        uncertainties.setdefault(uncertainty.source, uncertainty)
-        changes[uncertainty.source] = changes.get(uncertainty.source, np.zeros_like(change)) + change
-
-    whole = measured.plus_offset(measured.matrix)
-    for ports, sign in ((measured.outputs, 1.0), (measured.inputs, -1.0)):
-        for number, port in enumerate(ports):
-            for calibration in port.uncertainties:
-                if calibration.effect in COURSES:
-                    slope, power = COURSES[calibration.effect]
-                    change = np.zeros_like(whole)
-                    at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
-                    change[at] = (sign * calibration.uncertainty.std_error * slope * measured.omega**power)[
-                        :, None
-                    ] * whole[at]
-                    add(calibration.uncertainty, change)
-                elif directions and (across := across_ports(ports)) is not None:
-                    add(
-                        calibration.uncertainty,
-                        calibration.uncertainty.std_error
-                        * turned(measured.matrix, number, across, of_forces=sign < 0),
-                    )
-    for error in measured.errors:
-        add(error.uncertainty, error.change)
-    return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())
-
-
-def across_ports(ports: Sequence[Port]) -> FloatArray | None:
-    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None
-    where they do not tell.
-
-    Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at
-    a + 90 deg. Equation (unc-across).
-    """
-    with_angle = [number for number, port in enumerate(ports) if port.angle is not None]
-    angles = np.array([ports[number].angle for number in with_angle], float)
-    plane = np.column_stack([np.cos(angles), np.sin(angles)])
-    if len(with_angle) < 2 or np.linalg.svd(plane, compute_uv=False)[-1] < PARALLEL:
-        return None
-    across = np.zeros((len(ports), len(ports)))
-    across[np.ix_(with_angle, with_angle)] = np.column_stack(
-        [-np.sin(angles), np.cos(angles)]
-    ) @ np.linalg.pinv(plane)
-    return across
-
-
-def turned(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
-    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one
-    port was written too large.
-
-    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation
-    (unc-direction).
-    """
-    change = np.zeros_like(matrix)
-    if of_forces:
-        change[:, :, number] = -matrix @ across[number]
-    else:
-        change[:, number] = -(across[number] @ matrix)
-    return change
-
-
-def changes_by(
-    errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]
-) -> list[tuple[Uncertainty, FloatArray]]:
-    """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix
-    [m/N], one for each error.
-    """
-    return [
-        (error.uncertainty, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE))
-        for error in errors
-    ]
-
 
 # The uncertainty budget of a fit of a linear model: what systematic errors of sensors, mass and directions
 # do to its parameters.

@@ -1,16 +1,8 @@
 """One file that holds a result with all it was made from: an RO-Crate in a ZIP.
 
-``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1
-(https://w3id.org/ro/crate/1.1).
-
-No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said
-to be not stated.
-
-The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no size.
-
-Files are stored as they are, in the order of their names, at the first moment that ZIP knows: compression
-would make the bytes depend on the library that compresses. A recording that is compressed itself (.csv.gz)
-stays so.
+The same bytes for the same content, and reading that trusts no name and no size. Files are stored as they
+are, in the order of their names, at the first moment that ZIP knows: compression would make the bytes depend
+on the library that compresses. A recording that is compressed itself (.csv.gz) stays so.
 """
 
 from __future__ import annotations
@@ -18,7 +10,6 @@ from __future__ import annotations
 import datetime
 import glob
 import hashlib
-import json
 import os
 import stat
 import zipfile
@@ -27,18 +18,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
-from urllib.parse import quote, unquote
+from typing import IO
 
-from labpipe import __version__
 from labpipe.artefacts.digest import DamagedError
-from labpipe.artefacts.header import code_digest, commit, source_ref
+from labpipe.artefacts.header import code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME as IDENTIFICATION
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import is_remote, output_file, path_of, shown
 from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, metadata, read_metadata
 from labpipe.project.identify import rig_entry, settings_entry
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.measured import files_of_test
@@ -51,48 +41,11 @@ from labpipe.records.identification import Identification
 # What an archive holds: the files of a result, the pipeline, and every file that the pipeline names, with
 # all their digests.
 
-# The one folder of an archive, and the two in it.
-EXPERIMENT = "experiment"
+# The two folders in that of an archive.
 PROJECT, RESULTS = f"{EXPERIMENT}/project", f"{EXPERIMENT}/results"
 YAML = (".yaml", ".yml")
 # The result as a certificate, made for the archive.
 CERTIFICATE = "result.dcc.xml"
-
-
-@dataclass(frozen=True)
-class Member:
-    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256.
-
-    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the
-    result depends on that.
-    """
-
-    name: str
-    role: str
-    path: Path
-    sha256: str = ""
-    size: int | None = None
-    kept: bool = True
-    day: str = ""
-
-
-@dataclass(frozen=True)
-class Contents:
-    """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*.
-
-    left_out: of no result.
-    """
-
-    identification: Identification
-    pipeline: str
-    of: tuple[Member, ...]
-    results: tuple[Member, ...]
-    left_out: tuple[Path, ...] = ()
-
-    @property
-    def members(self) -> tuple[Member, ...]:
-        """All files, in the order of their names."""
-        return tuple(sorted((*self.of, *self.results), key=lambda member: member.name))
 
 
 def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: bool) -> Contents:
@@ -298,170 +251,6 @@ def _texts(node: Marked) -> Iterator[Marked]:
         yield node
     for part in parts:
         yield from _texts(part)
-
-
-# ``ro-crate-metadata.json``: what an archive holds, as linked data by RO-Crate 1.1
-# (https://w3id.org/ro/crate/1.1).
-
-NAME = "ro-crate-metadata.json"
-VERSION = "https://w3id.org/ro/crate/1.1"
-# Of the context of version 1.1 the term is no part; that of 1.2 defines it so.
-CONTEXT = [f"{VERSION}/context", {"sha256": "http://schema.org/sha256"}]
-FAMILY = "https://w3id.org/ro/crate/"
-NO_LICENCE = "Not stated. Whoever made this archive decides what may be done with it."
-UNKNOWN = "application/octet-stream"
-FORMATS = {
-    ".csv": "text/csv", ".txt": "text/plain", ".dat": "text/plain", ".asc": "text/plain",
-    ".lvm": "text/plain", ".md": "text/markdown",
-    ".html": "text/html", ".pdf": "application/pdf", ".json": "application/json", ".yaml": "application/yaml",
-    ".yml": "application/yaml", ".xml": "application/xml",
-    ".parquet": "application/vnd.apache.parquet", ".h5": "application/x-hdf5", ".hdf5": "application/x-hdf5",
-    ".wav": "audio/vnd.wave",
-    ".mat": "application/x-matlab-data", ".gz": "application/gzip", ".zst": "application/zstd",
-    ".xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
-}  # fmt: skip
-
-Entity = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Listed:
-    """A file as the metadata list it; *day*: on which it was last changed, empty where it does not matter."""
-
-    name: str
-    size: int
-    sha256: str
-    day: str = ""
-
-
-@dataclass(frozen=True)
-class Crate:
-    """What verification reads of the metadata: the files, the pipeline's name, and how many files are listed
-    by their digest only.
-    """
-
-    files: tuple[Listed, ...]
-    pipeline: str
-    left_out: int
-
-
-def metadata(contents: Contents, date: str) -> bytes:
-    """The metadata of an archive; the same bytes for the same contents and *date* (ISO 8601)."""
-    graph = [*_heads(contents, date), *(_entity(member) for member in contents.members), *_run(contents)]
-    return (json.dumps({"@context": CONTEXT, "@graph": graph}, indent=1, ensure_ascii=False) + "\n").encode()
-
-
-def _heads(contents: Contents, date: str) -> Iterator[Entity]:
-    """The metadata file itself, the archive as a whole, its one folder."""
-    title = contents.identification.title
-    files = [{"@id": _id(member)} for member in contents.members if member.kept]
-    yield {"@id": NAME, "@type": "CreativeWork", "conformsTo": {"@id": VERSION}, "about": {"@id": "./"}}
-    yield {
-        "@id": "./",
-        "@type": "Dataset",
-        "name": title,
-        "description": f"{title}: procedure, rig and recordings of a test, the result that labpipe made of "
-        "them, and its report.",
-        "datePublished": date,
-        "license": NO_LICENCE,
-        "conformsTo": {"@id": VERSION},
-        "mainEntity": {"@id": quote(contents.pipeline)},
-        "mentions": {"@id": "#run"},
-        "hasPart": [{"@id": f"{EXPERIMENT}/"}, *files],
-    }
-    yield {"@id": f"{EXPERIMENT}/", "@type": "Dataset", "name": title, "hasPart": files}
-
-
-def _id(member: Member) -> str:
-    """The identifier of a file: its path, or what stands for a file that the archive does not hold."""
-    return quote(member.name) if member.kept else f"#left-out/{quote(member.name)}"
-
-
-def _entity(member: Member) -> Entity:
-    path = PurePosixPath(member.name)
-    entity = {
-        "@id": _id(member),
-        "@type": "File" if member.kept else "CreativeWork",
-        "name": path.name if member.kept else member.name,
-        "description": member.role
-        if member.kept
-        else f"{member.role}; not in the archive, known by its digest",
-        "encodingFormat": FORMATS.get(path.suffix.lower(), UNKNOWN),
-        "sha256": member.sha256,
-    }
-    sized = {} if member.size is None else {"contentSize": str(member.size)}
-    return entity | sized | ({"dateModified": member.day} if member.day else {})
-
-
-def _run(contents: Contents) -> Iterator[Entity]:
-    """The run as an action, and the software that did it."""
-    commit_hash = commit()
-    yield {
-        "@id": "#run",
-        "@type": "CreateAction",
-        "name": f"labpipe run {PurePosixPath(contents.pipeline).name}",
-        "instrument": {"@id": "#labpipe"},
-        "object": [{"@id": _id(member)} for member in contents.of],
-        "result": [{"@id": _id(member)} for member in contents.results],
-    }
-    yield {
-        "@id": "#labpipe",
-        "@type": "SoftwareApplication",
-        "name": "labpipe",
-        "version": __version__ + (f" (commit {commit_hash})" if commit_hash else ""),
-        "softwareVersion": __version__,
-        "identifier": [{"@id": "#code"}, *([{"@id": "#commit"}] if commit_hash else [])],
-    }
-    yield {"@id": "#code", "@type": "PropertyValue", "name": "SHA-256 of the source", "value": code_digest()}
-    if commit_hash:
-        yield {"@id": "#commit", "@type": "PropertyValue", "name": "commit", "value": commit_hash}
-
-
-def read_metadata(content: bytes, where: str) -> Crate:
-    """What the metadata say; DataError where they are no RO-Crate, or not one of labpipe's."""
-    try:
-        graph = json.loads(content.decode("utf-8"))["@graph"]
-        entities: Mapping[str, Entity] = {entity["@id"]: entity for entity in graph}
-        main = _root(entities)
-        files = tuple(_listed(entity, where) for entity in entities.values() if entity["@type"] == "File")
-        left_out = sum(name.startswith("#left-out/") for name in entities)
-        pipeline = unquote(main["mainEntity"]["@id"])
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DataError(
-            f"is no RO-Crate of labpipe ({cut(f'{type(error).__name__}: {error}')})",
-            where=where,
-            hint=f"{VERSION}",
-        ) from None
-    if pipeline not in {file.name for file in files}:
-        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where=where)
-    return Crate(files, pipeline, left_out)
-
-
-def _root(entities: Mapping[str, Entity]) -> Entity:
-    """The entity that the metadata are about, found as RO-Crate says."""
-    crates = (
-        entity for entity in entities.values() if str(_reference(entity.get("conformsTo"))).startswith(FAMILY)
-    )
-    descriptor = next((described for described in crates if "about" in described), {})
-    return entities[descriptor["about"]["@id"]]
-
-
-def _reference(entry: Any) -> Any:
-    return entry.get("@id") if isinstance(entry, dict) else entry
-
-
-def _listed(entity: Entity, where: str) -> Listed:
-    name, day = unquote(entity["@id"]), entity.get("dateModified", "")
-    size, sha256 = entity["contentSize"], entity["sha256"]
-    if not (
-        isinstance(size, str)
-        and size.isascii()
-        and size.isdigit()
-        and isinstance(sha256, str)
-        and isinstance(day, str)
-    ):
-        raise DataError(f"lists '{cut(name)}' without its size and digest", where=where)
-    return Listed(name, int(size), sha256, day)
 
 
 # The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no

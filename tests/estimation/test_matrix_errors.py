@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.estimation.budget import across_ports, changes_by, matrix_errors
-from labpipe.estimation.measured import Measured
+from labpipe.estimation.measured import Measured, across_ports, changes_by, matrix_errors
 from labpipe.records.response import Port
 from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertainty
 

@@ -11,15 +11,16 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
-from labpipe.estimation.budget import (
+from labpipe.estimation.budget import mass_uncertainty, support_uncertainties
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.measured import (
+    Measured,
     across_ports,
-    mass_uncertainty,
     matrix_errors,
-    support_uncertainties,
+    measured_part,
+    select_ports,
     turned,
 )
-from labpipe.estimation.fitting import identify
-from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
 from labpipe.estimation.weights import whitened, whitener
 from labpipe.methods.magnetic_bearing.bearing import Magnet, MagneticFile

@@ -11,9 +11,8 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.budget import matrix_errors
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.measured import chosen_ports, measured_part
+from labpipe.estimation.measured import chosen_ports, matrix_errors, measured_part
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, loop_fit

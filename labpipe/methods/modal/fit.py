@@ -12,10 +12,10 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.budget import Source, changes_by, mass_source, matrix_errors, with_sources
+from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
-from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled

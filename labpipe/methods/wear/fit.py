@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.budget import Source, changes_by, with_sources
+from labpipe.estimation.budget import Source, with_sources
 from labpipe.estimation.derived import drawn_densely, reported_fit
 from labpipe.estimation.diagnostics import (
     MISMATCH_P,
@@ -21,6 +21,7 @@ from labpipe.estimation.diagnostics import (
     excess_findings,
     quality_findings,
 )
+from labpipe.estimation.measured import changes_by
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import (

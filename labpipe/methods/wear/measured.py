@@ -9,8 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.estimation.budget import matrix_errors
-from labpipe.estimation.measured import Measured, measured_part
+from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.estimation.model import labels
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import equal_weights, has_noise, weight_uncertainty, whitened, whitener

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.estimation.budget import matrix_errors
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.measured import matrix_errors
 from labpipe.methods.rotor.rig import UncertainBearing
 from labpipe.methods.wear.measured import worn_receptance
 from labpipe.records.response import FrequencyResponse, Port
