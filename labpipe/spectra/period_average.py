@@ -39,8 +39,6 @@ class LineSpectrum:
     def dof(self) -> float:
         """Complex degrees of freedom of the lines together: 1 / mean(1 / nu_k), since what weights that are
         estimated cost goes with 1 / nu_k.
-
-        Equation (spec-smoothed-noise).
         """
         return float(1 / np.mean(1 / self.line_dof)) if self.line_dof.size else 0.0
 

@@ -187,7 +187,7 @@ def measured_margins(
 
     L follows a polynomial over neighbouring lines, since noise makes it cross several times; where it does so
     all the same, one parabola over all these crossings and as much again, since the least of several would be
-    too small. Equations (comp-course) and (comp-margins).
+    too small. Equation (comp-margins).
     """
     dof, quantile = noise
     if frequency.size < LOCAL:
@@ -335,7 +335,7 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     Newton from there.
 
     What noise does on average is taken off: beside its maximum |S| is lower; where one polynomial tells both,
-    the maximum seeks the noise; a modulus has the noise across it. Equation (comp-peak).
+    the maximum seeks the noise; a modulus has the noise across it.
     """
     part = slice(top - 1, top + 2)
     at = np.log(near.omega[part])

@@ -169,7 +169,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
     itself.
 
-    The highest line alone would be biased upwards by its noise. Equations (comp-peak) and (comp-peak-change).
+    The highest line alone would be biased upwards by its noise. Equation (comp-peak-change).
     """
     frequency, error = measured.frequency, measured.error
     changes = np.array([one.change[:, 0, 0] for one in measured.errors]).reshape(-1, frequency.size)
