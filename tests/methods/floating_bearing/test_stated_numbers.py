@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import labpipe
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
@@ -74,3 +75,35 @@ def test_numbers_within_what_was_stated_are_not_named() -> None:
         ).findings
     ]
     assert not {"mass", "stated-value", "model-mismatch"} & set(named)
+
+
+def test_a_baseline_from_python() -> None:
+    """A stator on hoses of 1.1 MN/m: the fit of the dry test is handed over by `earlier`."""
+    rig = replace(
+        BENCH,
+        conditions=(("film", FILM), ("dry", Condition())),
+        baseline_stiffness=((1.1e6, 0.0), (0.0, 1.1e6)),
+    )
+    dry, film = (
+        channel_spectra(recordings(rig, 1, [f"{name}-plus", f"{name}-minus"]), LINES)
+        for name in ("dry", "film")
+    )
+    of_hoses = FitSettings(
+        "dynamic-stiffness",
+        name="hoses",
+        model_settings=DynamicStiffnessSettings(stator_mass="25 kg", form="kc", motion="absolute"),
+    )
+    asked = replace(
+        of_hoses,
+        name="film",
+        model_settings=DynamicStiffnessSettings(stator_mass="25 kg", form="kcm", baseline="hoses"),
+    )
+    # A fit carries the name of its test, by which it is told from those that build on it.
+    hoses = [replace(fit, test="dry") for fit in identify(dry, of_hoses)]
+    (fit,) = identify(film, asked, earlier=hoses)
+    stiffness = fit.parameter("k_xx")
+    assert stiffness.combined is not None and stiffness.combined < 2e4
+    # Without the hoses it would be 1.1 MN/m more.
+    assert abs(stiffness.value - 8e6) < 4 * stiffness.combined
+    with pytest.raises(labpipe.LabpipeError, match="no earlier fit 'hoses'"):
+        identify(film, asked, earlier=(replace(hoses[0], name="other"),))

@@ -113,9 +113,7 @@ def test_a_peak_at_the_edge_of_the_band_is_not_judged(
     assert ended.code == 1 and "undecided: the largest |S| lies at the edge of the band" in ended.out
 
 
-def test_a_pipeline_holds_a_certificate_per_test(
-    certified, columns, tmp_path: Path, labpipe_without_report
-) -> None:
+def test_a_pipeline_holds_a_certificate_per_test(columns, tmp_path: Path, labpipe_without_report) -> None:
     """Two recordings of one loop, both by one bearing file; a test must be named, and be there."""
     file = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS)
     written(tmp_path, AXIS, AXIS.record(np.random.default_rng(6)), name="again.parquet")
