@@ -18,6 +18,7 @@ from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import condition_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
@@ -98,7 +99,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
     if settings.fit:
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
     certificate_settings = resolved(settings)
-    tests = [*evidence.responses, *evidence.spectra]
+    tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
     names = ", ".join(test.name for test in tests)
     if certificate_settings.test:
         tests = [test for test in tests if test.name == certificate_settings.test]
