@@ -29,6 +29,8 @@ _MODULES = {
     "labpipe.estimation.fitting": "fit=identify",
     "labpipe.methods.calibration.section": "fit_line",
     "labpipe.uncertainty.study": "run_study StudySettings",
+    "labpipe.uncertainty.compare": "compare Evidence",
+    "labpipe.uncertainty.settings": "CompareSettings",
     "labpipe.simulate.virtual_rigs": "recordings simulated_response",
     "labpipe.raw_files.excitation": "design_multisine",
     "labpipe.document.render": "html_report markdown_report",

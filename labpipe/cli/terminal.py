@@ -84,7 +84,7 @@ def _parameter_line(parameter: Parameter) -> str:
     mark = "" if parameter.significant is not False or parameter.derived else " *"
     if parameter.full_error is None:
         return f"{name:<14}{value:>12} {unit}".rstrip()
-    what = "standard error" if parameter.systematic is None else "combined uncertainty"
+    what = "combined uncertainty" if parameter.systematic else "standard error"
     return f"{name:<14}{value:>12} +- {error:<9} {unit:<6} ({what}){mark}"
 
 

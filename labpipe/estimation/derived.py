@@ -419,8 +419,11 @@ def with_systematic(
 
 def _expanded(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     noise = parameter.full_error
-    if noise is None or systematic == 0:
+    if noise is None:
         return parameter
+    # Declared uncertainties that do not move a parameter are stated as zero.
+    if systematic == 0:
+        return replace(parameter, systematic=0.0)
     combined = math.hypot(noise, systematic)
     reach = combined * coverage_factor(INTERVAL, dof)
     value, interval = parameter.value, parameter.ci95

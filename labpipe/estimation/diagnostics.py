@@ -317,11 +317,7 @@ def parameter_findings(
         )
         warnings.append(Finding("insignificant", message))
     judged = [p for p in parameters if driving and is_direct(p.name) and not (held and is_stiffness(p))]
-    negative = [
-        p.name
-        for p in (*judged, *(p for p in parameters if p.name == "eta"))
-        if p.value < 0 and p.significant
-    ]
+    negative = [p.name for p in (*judged, *(p for p in parameters if p.name == "eta")) if p.is_negative]
     if negative:
         warnings.append(
             Finding(
@@ -345,9 +341,7 @@ def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
         for p in ratios
         if p.value > 1
     ]
-    unstable = [
-        p.name for p in ratios if p.value < 0 and p.std_error is not None and p.value < -2 * p.std_error
-    ]
+    unstable = [p.name for p in ratios if p.is_negative]
     if unstable:
         over.append(
             Finding("unphysical", f"{', '.join(unstable)} is negative: the identified system is unstable")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -74,15 +74,22 @@ Band = tuple[float, float]
 
 
 def identify(
-    measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, *, judging: bool = True
+    measured: FrequencyResponse | FreeDecays | ChannelSpectra,
+    settings: FitSettings,
+    *,
+    judging: bool = True,
+    earlier: Sequence[Fit] = (),
 ) -> tuple[Fit, ...]:
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
     *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held
     against a free one; without it the intervals are those of the estimator alone, which a study counts, at a
-    fraction of the time. Raises ConfigError where settings and measurement do not fit together, FitError
+    fraction of the time. *earlier*: fits that the settings name, such as the baseline of a floating
+    bearing. Raises ConfigError where settings and measurement do not fit together, FitError
     where the data cannot support the fit.
     """
+    if earlier:
+        settings = settings.kind.begin(settings, tuple(earlier))
     check_kind(settings, _kind_of(measured))
     if isinstance(measured, FrequencyResponse):
         form_view(measured.form, settings)

@@ -10,7 +10,7 @@ nothing does, there are none.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -106,6 +106,9 @@ LEAST_CERTAIN = 4.0
 MOST_VALUES = 300_000
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
+# A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
+# many hertz to either side, and where it is a multiple of the mains' frequency [Hz].
+OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -253,7 +256,12 @@ def judge(
         return _biased(judged, minimum)
     if judged.uneven(minimum):
         return _of_uneven_noise(judged, minimum)
-    return _with_model_error(judged, minimum) or _explained(judged, minimum) or _unexplained(judged, minimum)
+    return (
+        _of_one_line(judged, minimum)
+        or _with_model_error(judged, minimum)
+        or _explained(judged, minimum)
+        or _unexplained(judged, minimum)
+    )
 
 
 def excess(estimate: Estimate) -> float | None:
@@ -303,6 +311,42 @@ def _of_uneven_noise(judged: _Judge, own: _Minimum) -> Judgement:
         judged.finding(said, "Look for a gain that is not steady, or a response that is not linear"),
         covariance,
     )
+
+
+def _of_one_line(judged: _Judge, own: _Minimum) -> Judgement | None:
+    """One line alone is what the model does not follow, as a hum that repeats with the periods leaves it;
+    None where the fit without it is not good either.
+    """
+    measured, estimate = judged.measured, judged.estimate
+    n_line = measured.omega.size
+    if own.structure is not None or measured.covariance is None or measured.noise is not None:
+        return None
+    if n_line <= FEWEST_LINES:
+        return None
+    squares = np.sum(own.problem.residual(own.values).reshape(2, n_line, -1) ** 2, axis=(0, 2))
+    line = int(np.argmax(squares))
+    covariance = np.array(measured.covariance)
+    covariance[line] *= OUT
+    without = replace(judged, measured=replace(measured, covariance=covariance))
+    other = without.minimum(own.problem.model, own.values)
+    if other is None or other.p_value < MISMATCH_P:
+        return None
+    frequency = float(measured.omega[line] / (2 * np.pi))
+    mains = next((base for base in MAINS if abs(frequency / base - round(frequency / base)) < 0.01), None)
+    hum = "" if mains is None else f", a multiple of the mains' {mains:g} Hz"
+    away = other.values - estimate.values
+    wide = _apart(_not_below(other.assessed.covariance, estimate.covariance), away)
+    ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
+    worst = int(np.argmax(ratios))
+    said = (
+        f"{_said(own)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats "
+        "with the periods acts there besides the force. Without it the fit is good "
+        f"(p = {other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors "
+        "away. "
+        f"{_grown(estimate, wide)} since they include the distance"
+    )
+    remedy = f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`"
+    return Judgement(judged.finding(said, remedy), wide)
 
 
 def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:

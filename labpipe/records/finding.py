@@ -13,6 +13,8 @@ NOTE, WARNING = "note", "warning"
 
 # Standard uncertainties of a 95 % interval of the normal distribution.
 NORMAL = 1.959963984540054
+# Standard uncertainties below zero from which a sign counts as certain: by chance in 0.1 % of cases.
+CERTAIN = 3.0
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,12 @@ class Parameter:
         return self.value + share * (self.ci95[0] - self.value), self.value + share * (
             self.ci95[1] - self.value
         )
+
+    @property
+    def is_negative(self) -> bool:
+        """Whether the value lies below zero by more than CERTAIN of its combined standard uncertainties."""
+        error = self.full_error if self.combined is None else self.combined
+        return error is not None and self.value < -CERTAIN * error
 
     @property
     def full_error(self) -> float | None:

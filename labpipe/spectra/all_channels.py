@@ -46,6 +46,8 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # Degrees of freedom below which the loss of efficiency exceeds a tenth.
 ENOUGH_DOF = 13.0
+# Degrees of freedom beyond which more of them would gain less than a twentieth.
+PLENTY_DOF = 60.0
 # Runs share their noise unless it differs by more than this share and by more standard errors than this.
 SAME_SHARE, SAME_ERRORS = 0.1, 4.0
 
@@ -87,9 +89,10 @@ def periodic_lines(
         vectors=vectors,
         covariance=covariance,
         runs=tuple(source.name or f"run {number}" for number, source in enumerate(sources, 1)),
-        dof=min(spectrum.dof for spectrum in spectra),
+        dof=min(spectrum.select(lines).dof for spectrum in spectra),
         findings=(*(finding for _, unsettled in both for finding in unsettled), *findings),
         weak=weak,
+        acting=np.any(excited[lines], axis=2),
     )
 
 
@@ -111,7 +114,11 @@ def _averaged(
     spectrum = spectrum.select(lines_left(spectrum.frequency, settings))
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
     picked = LineSpectrum(
-        spectrum.frequency, layout.picked(number, spectrum.mean, 1), noise, spectrum.n_period, spectrum.dof
+        spectrum.frequency,
+        layout.picked(number, spectrum.mean, 1),
+        noise,
+        spectrum.n_period,
+        spectrum.line_dof,
     )
     return picked, settling_finding(average.differences, source.channels, source.name, settings.skip)
 
@@ -122,7 +129,7 @@ def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
     assert spectrum.noise is not None
     noise = transform @ spectrum.noise @ transform.conj().swapaxes(1, 2)
     mean = np.einsum("lcr,lr->lc", transform, spectrum.mean)
-    return LineSpectrum(spectrum.frequency, mean, noise, spectrum.n_period, spectrum.dof)
+    return LineSpectrum(spectrum.frequency, mean, noise, spectrum.n_period, spectrum.line_dof)
 
 
 def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
@@ -139,12 +146,13 @@ def _pooled(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
         single = [pooled * _present(noise) for noise in single]
     else:
         dof = min(spectrum.dof for spectrum in spectra)
-    half_width = smooth
+    # Noise that the loop shapes is not the same on lines far apart: no more of them than weights need.
+    half_width = min(smooth, max(int(np.ceil((PLENTY_DOF / dof - 1) / 2)), 0))
     while smooth and (2 * half_width + 1) * dof < ENOUGH_DOF:
         half_width += 1
     return [
         smoothed_noise(
-            LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, dof),
+            LineSpectrum(s.frequency, s.mean, noise / s.n_period, s.n_period, np.full(s.frequency.size, dof)),
             half_width,
             with_inverse=True,
         )
@@ -222,7 +230,9 @@ def channel_spectra(
     lines = EXCITATIONS[settings.excitation](monitors, settings, layout)
     outputs = {channel.name for channel in layout.recorded if channel.role == "output"}
     aliasing = aliasing_findings(monitors, settings.band, outputs - lines.weak)
-    shaft = (*shaft, *lines_of_shaft(sources, settings, lines.frequency))
+    acting = np.ones((lines.frequency.size, len(sources)), bool) if lines.acting is None else lines.acting
+    excited = [lines.frequency[of_run] for of_run in acting.T]
+    shaft = (*shaft, *lines_of_shaft(sources, settings, excited))
     findings = (*source_findings(monitors), *mask_findings(bands), *shaft, *aliasing, *lines.findings)
     return ChannelSpectra(
         frequency=lines.frequency,

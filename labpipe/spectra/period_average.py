@@ -16,6 +16,8 @@ from labpipe.spectra.settling import Differences
 # Level of the F-test by which a line's noise exceeds that of its neighbours (a shaft-speed line, for
 # example).
 OUTLIER_LEVEL = 1e-3
+# Standard deviation of a line as a share of the channel's strongest line below which it is rounding.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -24,14 +26,21 @@ class LineSpectrum:
 
     frequency  (n_line,) [Hz] mean       (n_line, n_channel) complex amplitudes, X = 2/N sum x exp(-j w t)
     [unit of the channel] noise      (n_line, n_channel, n_channel) complex covariance of the mean, E[e e^H],
-    or None with a single period dof        complex degrees of freedom behind each line of the noise
+    or None with a single period line_dof   (n_line,) complex degrees of freedom behind each line of the noise
     """
 
     frequency: FloatArray
     mean: ComplexArray
     noise: ComplexArray | None
     n_period: int
-    dof: float
+    line_dof: FloatArray
+
+    @property
+    def dof(self) -> float:
+        """Complex degrees of freedom of the lines together: 1 / mean(1 / nu_k), since what weights that are
+        estimated cost goes with 1 / nu_k.
+        """
+        return float(1 / np.mean(1 / self.line_dof)) if self.line_dof.size else 0.0
 
     def select(self, lines: BoolArray) -> LineSpectrum:
         """The spectrum at the lines of the mask *lines* (n_line,).
@@ -39,7 +48,9 @@ class LineSpectrum:
         Mean and noise keep their units [unit of the channel].
         """
         noise = None if self.noise is None else self.noise[lines]
-        return LineSpectrum(self.frequency[lines], self.mean[lines], noise, self.n_period, self.dof)
+        return LineSpectrum(
+            self.frequency[lines], self.mean[lines], noise, self.n_period, self.line_dof[lines]
+        )
 
 
 def samples_per_period(period: float, sample_rate: float) -> int:
@@ -115,7 +126,7 @@ class PeriodAverage:
             )
         frequency = self._line_numbers * (sample_rate / self._n_sample)
         noise = None if n == 1 else self._scatter / (n * (n - 1))
-        return LineSpectrum(frequency, self._mean.copy(), noise, n, float(n - 1))
+        return LineSpectrum(frequency, self._mean.copy(), noise, n, np.full(frequency.size, n - 1.0))
 
 
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
@@ -129,10 +140,15 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
-    broadband = _broadband_lines(np.einsum("fii->fi", spectrum.noise).real, spectrum.dof, half_width)
+    power = np.einsum("fii->fi", spectrum.noise).real
+    # What rounding leaves of a signal that repeats to the last digit goes with the signal.
+    size = np.max(np.abs(spectrum.mean), axis=0, initial=0.0)
+    power = np.where(power > (ROUNDING * size) ** 2, power, 0.0)
+    broadband = _broadband_lines(power, float(np.min(spectrum.line_dof)), half_width)
     smooth = neighbourhood_mean(spectrum.noise, broadband, half_width)
     own = spectrum.noise
-    if with_inverse and spectrum.dof < own.shape[-1]:
+    without_inverse = with_inverse and np.min(spectrum.line_dof) < own.shape[-1]
+    if without_inverse:
         power, around = (np.einsum("fii->fi", noise).real for noise in (own, smooth))
         raised = np.sqrt(np.maximum(np.divide(power, around, out=np.ones_like(power), where=around > 0), 1))
         own = np.where(
@@ -142,8 +158,8 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
         )
     noise = np.where(broadband[:, None, None], smooth, own)
     count = _neighbourhood_count(broadband, half_width, centre=True)
-    dof = spectrum.dof * float(np.median(count[broadband])) if np.any(broadband) else spectrum.dof
-    return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, dof)
+    line_dof = spectrum.line_dof * np.where(broadband | without_inverse, count, 1.0)
+    return LineSpectrum(spectrum.frequency, spectrum.mean, noise, spectrum.n_period, line_dof)
 
 
 def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:

@@ -65,7 +65,7 @@ def check_moved(
 class MeasuredLines:
     """frequency (n_line,) [Hz], vectors (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
     n_channel) [SI], as in ChannelSpectra; dof: complex degrees of freedom of the covariance; weak: outputs
-    that are mostly noise.
+    that are mostly noise; acting (n_line, n_run): where a force acts in a run, None for all lines.
     """
 
     frequency: FloatArray
@@ -76,6 +76,7 @@ class MeasuredLines:
     line_correlation: tuple[complex, ...] = ()
     findings: tuple[Finding, ...] = ()
     weak: set[str] = field(default_factory=set)
+    acting: BoolArray | None = None
 
 
 def snr_findings(

@@ -424,10 +424,10 @@ def without_shaft(
 
 
 def lines_of_shaft(
-    sources: Sequence[SampleSource], settings: FrfSettings, frequency: FloatArray
+    sources: Sequence[SampleSource], settings: FrfSettings, excited: Sequence[FloatArray]
 ) -> tuple[Finding, ...]:
-    """Warnings for measured lines, *frequency* (n_line,) [Hz], that lie on 1x or 2x of the shaft by a tacho
-    that no setting names.
+    """Warnings for lines on which a force acts in a recording, *excited* (n_line,) [Hz] of each, that lie on
+    1x or 2x of the shaft by a tacho that no setting names.
 
     The scatter between periods does not show a runout there. The tacho is taken to give a pulse per
     revolution.
@@ -435,7 +435,7 @@ def lines_of_shaft(
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:
         return ()
     findings = []
-    for source in sources:
+    for source, frequency in zip(sources, excited, strict=True):
         tacho = next((channel.name for channel in source.channels if channel.quantity == "tacho"), None)
         if tacho is None or at_rest(source, ShaftLines(tacho=tacho)):
             continue

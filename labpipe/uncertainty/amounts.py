@@ -77,8 +77,8 @@ def with_budget(
     dof: float | None = None,
     logarithmic: Collection[str] = (),
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The amounts with combined uncertainties, expanded intervals and shares, and their budget; as they are
-    where every source cancels.
+    """The amounts with combined uncertainties, expanded intervals and shares, and their budget, whose sources
+    are zero where all of them cancel; as they are without sources.
 
     changes (n_source, n_amount) [unit of the amount]: by one standard uncertainty of every source. dof:
     degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
@@ -88,9 +88,9 @@ def with_budget(
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
     smallest = CANCELLED * np.hypot(np.nan_to_num(random), whole.systematic)
     counted = np.where((np.abs(changes) > smallest) & np.isfinite(random), changes, 0.0)
-    kept = [number for number, row in enumerate(counted) if np.any(row)]
-    if not kept:
+    if not sources:
         return tuple(amounts), None
+    kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
     stated = contributed(with_systematic(amounts, budget), budget, INTERVAL)
     return tuple(_as_factor(amount) if amount.name in logarithmic else amount for amount in stated), budget

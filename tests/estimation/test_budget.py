@@ -240,7 +240,7 @@ def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
 def test_a_ring_down_s_stiffness_takes_the_uncertainty_of_its_mass() -> None:
     """k = m w_n^2: relative uncertainties of k and c are that of the mass and of the pole.
 
-    F_n and zeta have none of it.
+    F_n and zeta have none of it, and say so.
     """
     # One record in a hundred is called coloured by chance, and has no intervals then; this one is not.
     rng = np.random.default_rng(1)
@@ -255,7 +255,7 @@ def test_a_ring_down_s_stiffness_takes_the_uncertainty_of_its_mass() -> None:
     k, f_n = fit.parameter("k"), fit.parameter("f_n_1")
     assert k.systematic == pytest.approx(0.01 * k.value)
     assert k.full_error == pytest.approx(np.hypot(0.01 * k.value, k.std_error))
-    assert f_n.systematic is None and f_n.std_error_inflated is None
+    assert f_n.systematic == 0 and f_n.combined == f_n.std_error and f_n.std_error_inflated is None
 
 
 def test_parameters_state_their_parts(rng) -> None:

@@ -69,6 +69,12 @@ def chi2_of_balance(found: ChannelSpectra) -> np.ndarray:
     return np.einsum("lri,lrij,lrj->lr", e.conj(), np.linalg.inv(s), e).real / 2
 
 
+def pooled_dof(dof: float, half_width: int) -> float:
+    """1 / mean(1 / nu_k) of 91 lines whose noise is averaged over so many lines to either side."""
+    counts = [min(k, half_width) + min(90 - k, half_width) + 1 for k in range(91)]
+    return dof / float(np.mean(1 / np.array(counts)))
+
+
 @pytest.mark.parametrize("runs", [("seal-x", "seal-y"), ("seal-plus", "seal-minus"), ("seal-zipper",)])
 def test_noise_of_the_vectors_is_that_of_their_covariance(runs: tuple[str, ...]) -> None:
     """Against the same excitation without noise: e^H C^-1 e over 6 channels, averaged over lines and runs, is
@@ -86,7 +92,9 @@ def test_noise_of_the_vectors_is_that_of_their_covariance(runs: tuple[str, ...])
             np.mean(np.einsum("lrc,lrcd,lrd->lr", e.conj(), np.linalg.inv(noisy.covariance), e).real) / 6
         )
     nu = noisy.covariance_dof
-    assert nu == 77 * len(runs) and noisy.vectors.shape == (91, len(runs), 6)
+    # Sixty degrees of freedom are plenty: of one run 9 lines are averaged, of two that share their noise 5.
+    expected = pooled_dof(7.0, 4) if len(runs) == 1 else pooled_dof(14.0, 2)
+    assert nu == pytest.approx(expected, rel=0.05) and noisy.vectors.shape == (91, len(runs), 6)
     assert np.mean(ratios) == pytest.approx(nu / (nu - 6), abs=0.07)
 
 
@@ -100,8 +108,11 @@ def test_the_balance_holds_line_by_line(runs: tuple[str, ...]) -> None:
 def test_few_periods_are_pooled_until_weights_by_them_are_worth_it() -> None:
     """Two periods in one run have one degree of freedom a line: 13 lines are needed, not the usual 11."""
     short = seal(periods=2)
-    assert spectra(short, "seal-zipper").covariance_dof == 13
-    assert spectra(short, "seal-plus", "seal-minus").covariance_dof == 22
+    found = (
+        spectra(short, "seal-zipper").covariance_dof,
+        spectra(short, "seal-plus", "seal-minus").covariance_dof,
+    )
+    assert found == pytest.approx((pooled_dof(1.0, 6), pooled_dof(2.0, 5)), rel=0.05)
     assert spectra(short, "seal-plus", "seal-minus", settings=replace(PERIODIC, smooth=0)).covariance_dof == 2
 
 
@@ -120,7 +131,9 @@ def test_runs_share_their_noise_only_where_it_is_the_same() -> None:
     found = channel_spectra(mixed, PERIODIC)
     d = [channel.name for channel in found.channels].index("d_x")
     first, second = found.covariance[:, :, d, d].real.mean(axis=0)
-    assert second / first == pytest.approx(4.0, rel=0.1) and found.covariance_dof == 77
+    assert second / first == pytest.approx(4.0, rel=0.1)
+    # Lines whose noise stands out by chance keep their own.
+    assert 0.8 * pooled_dof(7.0, 4) < found.covariance_dof <= pooled_dof(7.0, 4)
 
 
 def with_sums(recordings: Sequence[Recording], **changes: float) -> list[Recording]:

@@ -179,3 +179,37 @@ def test_the_scatter_of_pulses_is_smoothed_and_a_real_course_kept() -> None:
     assert np.max(np.abs(rising.revolutions - np.interp(rising.times, t, counts))) < 0.01
     waving = ShaftMotion(exact + 0.01 * np.sin(2 * np.pi * 5 * exact), np.arange(199.0))
     assert smooth_motion(waving, 1000.0) is waving
+
+
+def test_a_line_is_named_where_a_force_acts_alone() -> None:
+    """One force at odd lines in the first recording and at even ones in the second: the shaft's 33 Hz is
+    excited in one of them, its 66 Hz in the other.
+    """
+    rig = turning(33.0)
+    names = [channel.name for channel in rig_channels(rig)]
+    plus, minus = (
+        with_lines(run, kept, [n for n, name in enumerate(names) if name.startswith("f")])
+        for run, kept in zip(recordings(rig, 1, RUNS), (1, 0), strict=True)
+    )
+    said = shaft_lines(channel_spectra([plus, minus], PERIODIC))
+    assert [(text.split(":")[0], text.split()[4]) for text in said] == [
+        ("seal-plus", "33"),
+        ("seal-minus", "66"),
+    ]
+
+
+def rig_channels(rig: FloatingRig) -> tuple[Channel, ...]:
+    return recordings(rig, 1, RUNS)[0].channels
+
+
+def with_lines(run: Recording, rest: int, forces: list[int]) -> Recording:
+    """The recording whose force has the lines of 1 s that leave this rest by two alone."""
+    samples = run.samples.copy()
+    count = round(run.sample_rate)
+    for column in forces:
+        periods = samples[:, column].reshape(-1, count)
+        noise = periods - periods.mean(axis=0)
+        lines = np.fft.rfft(periods.mean(axis=0))
+        lines[np.arange(lines.size) % 2 != rest] = 0.0
+        samples[:, column] = (np.fft.irfft(lines, count) + noise).ravel()
+    return replace(run, samples=samples)

@@ -21,7 +21,8 @@ UNSEEN = 1e-3
 def budgeted(
     valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
-    """The parameters with their systematic part, and the budget; none without uncertainties that count.
+    """The parameters with their systematic part, which may be zero, and the budget; none without
+    uncertainties.
 
     A source of several independent errors, the noise of a baseline, is listed as so many, since they are
     common to all fits on it.
@@ -33,7 +34,7 @@ def budgeted(
     for uncertainty in uncertainties:
         for number, row in enumerate(uncertainty.changes, start=1):
             change = slopes @ row
-            if np.nanmax(change**2 / whole**2) > UNSEEN:
+            if len(uncertainty.changes) == 1 or np.nanmax(change**2 / whole**2) > UNSEEN:
                 name = (
                     uncertainty.source
                     if len(uncertainty.changes) == 1
@@ -48,5 +49,5 @@ def budgeted(
     budget = Budget(tuple(p.name for p in parameters), random, float(dof), tuple(sources), np.array(changes))
     stated = zip(parameters, systematic, strict=True)
     return tuple(
-        p if p.full_error is None or not size else replace(p, systematic=float(size)) for p, size in stated
+        p if p.full_error is None else replace(p, systematic=float(size)) for p, size in stated
     ), budget

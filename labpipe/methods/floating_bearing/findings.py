@@ -137,9 +137,8 @@ def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:
 
 
 def shaft_motion(stator: Stator) -> tuple[float, float] | None:
-    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s.
-
-    over all lines, and how many standard errors it is [1].
+    """Motion of the shaft X_r = -A / w^2 - D over the relative motion, r.m.s. over all lines by their noise,
+    and how many standard errors it is [1].
     """
     if not stator.accelerated or not np.any(stator.to_axes[2:4]):
         return None
@@ -150,11 +149,19 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
     to_shaft = np.zeros((stator.omega.size, 2, 6))
     to_shaft[:, :, 2:4], to_shaft[:, :, 4:] = -np.eye(2), -np.eye(2) / absolute
     covariance = to_shaft[:, None] @ stator.axes_covariance @ to_shaft.swapaxes(-1, -2)[:, None]
-    noise = float(np.sum(np.trace(covariance, axis1=-2, axis2=-1).real))
-    power = float(np.sum(np.abs(shaft) ** 2))
-    spread = noise / np.sqrt(shaft.size)
-    excess = (power - noise) / spread if spread > 0 else np.inf
-    return float(np.sqrt(max(power - noise, 0.0) / np.sum(np.abs(relative) ** 2))), excess
+    # -A / w^2 is noisier the lower the line: every line and run counts by its own noise.
+    noise = np.trace(covariance, axis1=-2, axis2=-1).real
+    weight = 1 / np.maximum(noise, np.finfo(float).tiny)
+    size = np.sum(np.abs(shaft) ** 2, axis=-1)
+    known = stator.spectra.covariance_dof
+    excess = float(np.sum(weight * size)) - noise.size * (known / (known - 1) if np.isfinite(known) else 1.0)
+    # |X|^2 of complex noise of covariance C has the variance tr C^2; lines share noise, and its estimate.
+    square = np.sum(np.abs(covariance) ** 2, axis=(-2, -1)) * weight**2
+    lines = stator.omega.size
+    shared = stator.shared_power * (1 + 1 / known if np.isfinite(known) else 1.0)
+    spread = float(np.sqrt(shared * np.sum(square) + noise.size**2 / min(known * lines, 1e300)))
+    relatively = float(np.sum(weight * np.sum(np.abs(relative) ** 2, axis=-1)))
+    return float(np.sqrt(max(excess, 0.0) / relatively)), excess / spread
 
 
 def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
@@ -252,12 +259,9 @@ def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding,
 
 
 def physical_findings(parameters: tuple[Parameter, ...]) -> tuple[Finding, ...]:
-    """A warning for direct damping or added mass that is significantly negative."""
-    wrong = [
-        p.name
-        for p in parameters
-        if p.name in ("c_xx", "c_yy", "m_xx", "m_yy") and p.value < 0 and p.significant and not p.derived
-    ]
+    """A warning for direct damping or added mass that is negative beyond its uncertainty."""
+    judged = ("c_xx", "c_yy", "m_xx", "m_yy")
+    wrong = [p.name for p in parameters if p.name in judged and not p.derived and p.is_negative]
     if not wrong:
         return ()
     verb = "is" if len(wrong) == 1 else "are"

@@ -50,6 +50,7 @@ from labpipe.methods.floating_bearing.given import (
     Baseline,
     Given,
     balance_of,
+    contradictions,
     errors_by_given,
     given_errors,
     given_uncertainties,
@@ -359,7 +360,7 @@ LS_NOTE = (
 @dataclass(frozen=True)
 class Solved:
     """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors,
-    and compared forms.
+    compared forms, and findings on given numbers that the data contradict.
     """
 
     best: Estimate
@@ -367,6 +368,7 @@ class Solved:
     amplification: FloatArray | None
     excitations: tuple[OtherExcitation, ...] = ()
     candidates: tuple[Candidate, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
@@ -416,6 +418,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     fit = _reported(settings, balance, solved, whole_band, parameters)
     findings = (
         *fit.findings,
+        *solved.findings,
         *(mismatch_findings(best) if likely else ()),
         *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
         *(noise_findings(best, noise) if likely else ()),
@@ -502,8 +505,12 @@ def _solved_fit(
     )
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     uncertainties = given_uncertainties(errors, response_of(state, columns))
+    contradicted: tuple[Finding, ...] = ()
+    if best.pulls is not None:
+        uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
-    return Solved(best, uncertainties, amplification, other_excitations(stator, best, columns), candidates)
+    others = other_excitations(stator, best, columns)
+    return Solved(best, uncertainties, amplification, others, candidates, contradicted)
 
 
 def _most_likely(

@@ -8,14 +8,17 @@ instead is wrong by Z_b X_r D^-1 as soon as the shaft moves.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.estimation.causes import stated_findings
+from labpipe.estimation.statistics import Pulls
 from labpipe.methods.floating_bearing.forms import StiffnessModel
 from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times
 from labpipe.methods.floating_bearing.stator import Stator
+from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 
@@ -213,3 +216,25 @@ def response_of(state: Whitened, columns: FloatArray) -> Respond:
 def mass_source(mass: Uncertain) -> str:
     """The same number with the same uncertainty is the same error, in whichever fit it stands."""
     return f"{MASS}, {mass.value:g} kg +- {mass.std_error:g} kg"
+
+
+def contradictions(
+    given: Given, uncertainties: Sequence[GivenUncertainty], pulls: Pulls
+) -> tuple[tuple[GivenUncertainty, ...], tuple[Finding, ...]]:
+    """The uncertainties, of numbers that the data contradict as large as the distance to what they ask for,
+    and the findings that name these numbers.
+
+    pulls: of all independent errors of all sources, one after the other.
+    """
+    sources = [
+        Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit)
+        for uncertainty in uncertainties
+        for _ in uncertainty.changes
+    ]
+    ends = np.cumsum([len(uncertainty.changes) for uncertainty in uncertainties])[:-1]
+    widened = tuple(
+        replace(uncertainty, changes=uncertainty.changes * factors[:, None])
+        for uncertainty, factors in zip(uncertainties, np.split(pulls.factors, ends), strict=True)
+    )
+    values = {} if given.mass is None else {mass_source(given.mass): given.mass.value}
+    return widened, tuple(stated_findings(sources, pulls, values))

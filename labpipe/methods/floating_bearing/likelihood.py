@@ -19,7 +19,7 @@ A covariance from nu complex degrees of freedom is complex Wishart; of p equatio
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.regression import triangle_of
+from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
 
 # Errors in variables by maximum likelihood: e = G - H(p) m with noise in the force side G and in the motion
@@ -269,7 +270,7 @@ class Estimate:
 
     squares: 2 V [1] corrected for estimated covariances and uncertain given numbers, chi-square with *dof* if
     the model is right; p_value of it. design: triangle (n_parameter, n_parameter) [1] of the Jacobian with
-    columns of length 1.
+    columns of length 1. pulls: what the data say of given numbers that are uncertain.
     """
 
     model: StiffnessModel
@@ -281,6 +282,7 @@ class Estimate:
     converged: bool
     steps: int
     design: FloatArray
+    pulls: Pulls | None = None
 
     @property
     def reduced(self) -> float:
@@ -385,39 +387,38 @@ def estimate(
     best = _lowest(problem)
     squares = 2 * problem.chi2(best.values)
     jacobian = problem.columns(best.values)
-    if uncertain is not None:
-        squares -= _explained(problem, best.values, jacobian, uncertain, noise.excess)
+    pulls = None if uncertain is None else _pulls(problem, best.values, jacobian, uncertain, noise)
+    if pulls is not None:
+        squares -= pulls.explained
     squares /= noise.excess
     design = triangle_of(jacobian)
     covariance = noise.inflation * inverse_information(jacobian)
     p_value = noise.p_value(squares, dof)
-    return Estimate(model, best.values, covariance, squares, dof, p_value, best.converged, best.steps, design)
+    minimum = best.values, covariance, squares, dof, p_value, best.converged, best.steps, design
+    return Estimate(model, *minimum, pulls)
 
 
-def _explained(
-    problem: ErrorsInVariables,
-    values: FloatArray,
-    jacobian: FloatArray,
-    uncertain: GivenErrors,
-    excess: float,
-) -> float:
-    """What chi-square loses if given numbers take their most likely values, each standard deviation of theirs
-    counting as one.
+def _pulls(
+    problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
+) -> Pulls | None:
+    """What the data say of given numbers, each 0 +- 1 standard deviation of its own; None without any.
 
-    min over d of 2 |r + U^T d|^2 / excess + d^T d, U the whitened changes of e less what the parameters can
-    follow.
+    Chi-square loses what their most likely values explain by noise of the *excess* alone; the numbers that
+    data ask for have the errors of estimates.
     """
     state = problem.at(values)
     errors = uncertain(problem.model, values, state)
     if not len(errors):
-        return 0.0
-    scale = np.linalg.norm(jacobian, axis=0)
-    basis = np.linalg.qr(jacobian / np.where(scale > 0, scale, 1.0))[0]
-    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
-    changes = changes - (changes @ basis) @ basis.T
-    along = 2 * changes @ problem.residual(values) / excess
-    stiff = np.eye(len(errors)) + 2 * changes @ changes.T / excess
-    return float(excess * along @ np.linalg.solve(stiff, along))
+        return None
+    stated = Stated.of(np.sqrt(2) * real_rows(state.whiten(errors).reshape(len(errors), -1)))
+    residual, slopes = np.sqrt(2) * problem.residual(values), np.sqrt(2) * jacobian
+    inverse = inverse_information(jacobian)
+    # The columns are not the whole derivative of e^H S^-1 e, whose minimum leaves a part along them.
+    residual = residual - slopes @ (inverse @ (slopes.T @ residual))
+    by_noise, by_estimate = (
+        pulls_of(residual, stated, slopes, inverse, variance) for variance in (noise.excess, noise.inflation)
+    )
+    return replace(by_estimate, explained=by_noise.explained)
 
 
 def _lowest(problem: ErrorsInVariables) -> Minimum:

@@ -39,8 +39,9 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
+from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
 from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
-from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, measured_margins, peak_of
+from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.methods.magnetic_bearing.stability import (
     ZONES,
     Levitated,
@@ -386,7 +387,8 @@ def _measured_amounts(
         amounts += peak.amounts(matrix.quantile, suffix)
         changes += [peak.changes, peak.frequency_changes]
         transfer, moved = matrix.loop_transfer(number), matrix.transfer_changes(number)
-        for margin, change in measured_margins(matrix.frequency, transfer, moved, matrix.quantile, suffix):
+        noise = matrix.dof, matrix.quantile
+        for margin, change in measured_margins(matrix.frequency, transfer, moved, noise, suffix):
             amounts.append(margin)
             changes.append(change)
     if len(peaks) > 1:

@@ -17,7 +17,8 @@ from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Finding
-from labpipe.records.response import Port
+from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import condition_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
@@ -97,15 +98,21 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
     """The certificate of a closed loop, or of the decrements of a fit."""
     if settings.fit:
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
-    tests = [*evidence.responses, *evidence.spectra]
-    if len(tests) != 1:
-        raise ConfigError(
-            f"a certificate is that of one test, not of {len(tests)}",
-            hint="one pipeline per setting of the loop",
-        )
-    response = evidence.responses[0] if evidence.responses else per_injection(evidence.spectra[0])
-    comparison = certificate(settings, response, _file_of(settings, evidence))
     certificate_settings = resolved(settings)
+    tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
+    names = ", ".join(test.name for test in tests)
+    if certificate_settings.test:
+        tests = [test for test in tests if test.name == certificate_settings.test]
+    if len(tests) != 1:
+        wanted = (
+            f"no test '{certificate_settings.test}'" if certificate_settings.test else "one test is needed"
+        )
+        raise ConfigError(
+            f"a certificate is that of one loop: {wanted} among {names}",
+            hint="one comparison per test, certificate: {test: NAME}",
+        )
+    response = tests[0] if isinstance(tests[0], FrequencyResponse) else per_injection(tests[0])
+    comparison = certificate(settings, response, _file_of(settings, evidence))
     outputs = [port for port in response.outputs if port.label in certificate_settings.recorded]
     return _with_directions_left_out(
         comparison, [*outputs, *(() if certificate_settings.before else response.inputs)]

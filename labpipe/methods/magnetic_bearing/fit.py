@@ -151,7 +151,7 @@ def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[
     """A warning where a magnet's force per current along its own axis is negative beyond its uncertainty."""
     pairs = zip(model.places, parameters, strict=False)
     own = [parameter for (kind, row, column), parameter in pairs if kind == "k_i" and row == column]
-    negative = [parameter.name for parameter in own if parameter.ci95 is not None and parameter.ci95[1] < 0]
+    negative = [parameter.name for parameter in own if parameter.is_negative]
     if not negative:
         return ()
     what = f"{', '.join(negative)} is negative: the sign of a current or of a reading is wrong"

@@ -35,6 +35,7 @@ class CertificateSettings(Settings):
         "names", "responses ahead of the sums at which excitations are added, one per loop", default=()
     )
     after: tuple[str, ...] = setting("names", "responses behind those sums, one per loop", default=())
+    test: str = setting("text", "test whose loop it is, where the pipeline has several", default="")
     output: str = setting("text", "response that is the command behind the controller, [V]", default="")
     displacement: str = setting("text", "response that is the reading of the probe", default="")
     current: str = setting("text", "response that is the current", default="")

@@ -113,8 +113,6 @@ def _weights(measured: Measured) -> ComplexArray:
 
 # Lines in the half-power width below which a window is as wide as the mode.
 LEAST_LINES = 2.0
-# Standard errors beyond which a mass counts as negative.
-SURE = 3.0
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
@@ -203,11 +201,7 @@ def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     structure has one.
     """
     negative = [
-        parameter
-        for parameter in parameters
-        if parameter.name.startswith("m_")
-        and parameter.std_error is not None
-        and parameter.value < -SURE * parameter.std_error
+        parameter for parameter in parameters if parameter.name.startswith("m_") and parameter.is_negative
     ]
     modes = [mode.name.removeprefix("m_") for mode in negative]
     if not modes:

@@ -113,6 +113,34 @@ def test_a_peak_at_the_edge_of_the_band_is_not_judged(
     assert ended.code == 1 and "undecided: the largest |S| lies at the edge of the band" in ended.out
 
 
+def test_a_pipeline_holds_a_certificate_per_test(columns, tmp_path: Path, labpipe_without_report) -> None:
+    """Two recordings of one loop, both by one bearing file; a test must be named, and be there."""
+    file = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS)
+    written(tmp_path, AXIS, AXIS.record(np.random.default_rng(6)), name="again.parquet")
+    text = file.read_text()
+    recording = next(line for line in text.splitlines() if line.startswith("recordings:"))
+    tests = [
+        f"  - {{name: {name}, recordings: {recording.partition(': ')[2].replace('axis', source)}}}"
+        for name, source in (("first", "axis"), ("second", "again"))
+    ]
+    text = text.replace(recording, "\n".join(["tests:", *tests]))
+    body = text[text.index("  certificate:\n") : text.index("accept:")]
+    other = body.replace("  certificate:\n", "  second:\n").replace("{after", "{test: second, after")
+    named = body.replace("{after", "{test: first, after")
+    file.write_text(text.replace(body, named + other))
+    ended = labpipe_without_report("run", file, "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    found = json.loads((tmp_path / "out/identification.json").read_text())["comparisons"]
+    assert [one["verdict"] for one in found] == ["accepted", "accepted"]
+    values = [
+        next(amount["value"] for amount in one["amounts"] if amount["name"] == "delay") for one in found
+    ]
+    assert values[0] != values[1]
+    file.write_text(text)
+    ended = labpipe_without_report("run", file, "-o", tmp_path / "again")
+    assert ended.code == 2 and "one loop" in ended.err and "first, second" in ended.err
+
+
 # What a fit cannot tell, its rules and its certificate cannot accept.
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.magnetic_bearing.sensitivity import measured_margins
+from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
 
 FREQUENCY = np.arange(400.0, 702.0, 2.0)
 # Im L = 0 at 550 Hz, where L = -0.06: the gain may rise by 1 / 0.06.
@@ -22,7 +22,7 @@ def of_noise(rng) -> dict[str, tuple[float, float, bool]]:
     noisy = TRANSFER + NOISE * (
         rng.standard_normal(FREQUENCY.size) + 1j * rng.standard_normal(FREQUENCY.size)
     )
-    found = measured_margins(FREQUENCY, (noisy, np.full(FREQUENCY.size, 2 * NOISE**2)), NONE, 1.96)
+    found = measured_margins(FREQUENCY, (noisy, np.full(FREQUENCY.size, 2 * NOISE**2)), NONE, (np.inf, 1.96))
     return {one.name: (one.value, one.std_error, one.ci95[0] <= 1 / 0.06 <= one.ci95[1]) for one, _ in found}
 
 
@@ -41,6 +41,8 @@ def test_a_crossing_that_noise_repeats_is_one(rng) -> None:
 
 
 def test_without_noise_the_margin_is_that_of_the_curve() -> None:
-    ((gain, _),) = measured_margins(FREQUENCY, (TRANSFER, np.full(FREQUENCY.size, 1e-20)), NONE, 1.96)
+    ((gain, _),) = measured_margins(
+        FREQUENCY, (TRANSFER, np.full(FREQUENCY.size, 1e-20)), NONE, (np.inf, 1.96)
+    )
     assert gain.name == "measured_gain_margin_upper"
     assert gain.value == pytest.approx(1 / 0.06, rel=1e-9)

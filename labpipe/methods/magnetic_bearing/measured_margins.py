@@ -1,0 +1,364 @@
+"""Peak of S and margins of L without a model: polynomials through neighbouring lines, over as many of them as
+a parabola follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.distributions import chi2_quantile, f_quantile
+from labpipe.records.finding import Parameter
+from labpipe.uncertainty.amounts import with_error
+
+# A margin by its name, of a response (2,) at two places omega (2,) [rad/s] around a crossing.
+Margin = Callable[[ComplexArray, FloatArray], float]
+# A margin or a place, its standard error, and its changes (n_source,), all in its unit.
+Found = tuple[float, float, FloatArray]
+# Step of differences as a share of a value: far below what neighbouring places differ by.
+STEP = 1e-7
+# Lines of a polynomial: the fewest, the most around a crossing, and how fast they become more around a peak.
+FEWEST, LOCAL, GROWTH = 5, 11, 1.3
+# Coefficients of the polynomial that tells how many lines go together, and of the one through them: what the
+# second leaves of the first is no more than noise, so that it has no bias that counts beside it.
+PARABOLA, QUARTIC = 3, 5
+# Chance below which a parabola leaves more than noise of its lines.
+ENOUGH = 0.05
+# Standard errors within which a function is zero all the way from one crossing to the next: both are one,
+# crossed by noise.
+SURE = 3.0
+# Places between the lines on either side of a crossing.
+FINE = 32
+# Share of a response below which what is left is rounding.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Course:
+    """A response at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every
+    source (n_source, n_line), all [1].
+
+    dof: complex degrees of freedom behind the variance.
+    """
+
+    omega: FloatArray
+    plain: ComplexArray
+    variance: FloatArray
+    changes: ComplexArray
+    dof: float
+
+    def follows(self, starts: IntArray, width: int) -> BoolArray:
+        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
+        (n,) on.
+
+        Equation (comp-course).
+        """
+        if width <= PARABOLA:
+            return np.ones(starts.size, dtype=bool)
+        lines = starts[:, None] + np.arange(width)
+        plain, variance = self.plain[lines], self.variance[lines]
+        basis = np.linalg.qr(_powers(self.omega[lines], self.omega[lines], PARABOLA))[0]
+        left = plain - np.einsum("nwk,nk->nw", basis, np.einsum("nwk,nw->nk", basis, plain))
+        expected = np.sum(variance * (1 - np.sum(basis**2, axis=2)), axis=1)
+        degrees = 2.0 * (width - PARABOLA)
+        limit = (
+            f_quantile(1 - ENOUGH, degrees, 2 * self.dof)
+            if np.isfinite(self.dof)
+            else chi2_quantile(1 - ENOUGH, degrees) / degrees
+        )
+        # Rounding of a response that is free of noise.
+        rounding = ROUNDING**2 * np.sum(np.abs(plain) ** 2, axis=1)
+        return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
+
+    def smoother(self) -> FloatArray:
+        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
+        parabola follows, up to LOCAL.
+        """
+        count = self.omega.size
+        weights, open_lines = np.zeros((count, count)), np.arange(count)
+        for width in range(LOCAL, FEWEST - 1, -2):
+            starts = np.clip(open_lines - width // 2, 0, count - width)
+            follows = self.follows(starts, width)
+            for chosen, degree in ((follows, PARABOLA), (~follows & (width <= FEWEST), QUARTIC)):
+                lines, at = starts[chosen, None] + np.arange(width), open_lines[chosen]
+                weights[at[:, None], lines] = _through(self.omega[at, None], self.omega[lines], degree)[:, 0]
+            open_lines = open_lines[~follows]
+        return weights
+
+    def around(self, first: int, last: int, most: int) -> slice:
+        """The lines first ... last and as many to either side as a parabola follows, *most* in all."""
+        for width in range(most, FEWEST + 1, -2):
+            lines = window(first, last, width, self.omega.size)
+            if self.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
+                return lines
+        return window(first, last, max(FEWEST, last - first + 1), self.omega.size)
+
+    def at(self, omega: FloatArray, lines: slice, coefficients: int = QUARTIC) -> Smooth:
+        """The response at other places *omega* (n_place,) [rad/s] by a polynomial through the *lines*."""
+        return self.by(omega, _through(omega, self.omega[lines], coefficients), lines)
+
+    def by(self, omega: FloatArray, weights: FloatArray, lines: slice) -> Smooth:
+        """The response at *omega* (n_place,) [rad/s] by *weights* (n_place, n_line) [1] of the *lines*."""
+        return Smooth(
+            omega,
+            weights @ self.plain[lines],
+            (weights * self.variance[lines]) @ weights.T,
+            self.changes[:, lines] @ weights.T,
+        )
+
+
+def window(first: int, last: int, width: int, count: int) -> slice:
+    """*width* of *count* lines about first ... last, moved inwards at the ends."""
+    width = min(width, count)
+    start = min(max((first + last + 1 - width + 1) // 2, 0), count - width)
+    return slice(start, start + width)
+
+
+def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatArray:
+    """(..., n_place, n_line) [1]: from values at omega (..., n_line) [rad/s] to those of their polynomial
+    over log omega at other places (..., n_place) [rad/s].
+    """
+    count = min(coefficients, omega.shape[-1])
+    weights: FloatArray = _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
+    return weights
+
+
+def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
+    """(..., n_place, count) [1]: powers of log omega at some places [rad/s], from -1 to 1 over the lines
+    omega (..., n_line) [rad/s].
+    """
+    low, high = np.log(omega[..., :1]), np.log(omega[..., -1:])
+    x = (2 * np.log(places) - low - high) / (high - low)
+    return np.asarray(x[..., None] ** np.arange(count))
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A smoothed response at omega (n_place,) [rad/s] with its covariance (n_place, n_place) and changes
+    (n_source, n_place), all [1].
+    """
+
+    omega: FloatArray
+    values: ComplexArray
+    covariance: FloatArray
+    changes: ComplexArray
+
+    def of(self, margin: Margin, n: int) -> Found:
+        """A margin between the places n and n + 1, its standard error and its changes.
+
+        Half of the covariance (n_place, n_place) [1] of a response is of its real and half of its imaginary
+        part. Equation (comp-margins-change).
+        """
+        part = slice(n, n + 2)
+        pair, places, total = self.values[part], self.omega[part], 0.0
+        moved = np.zeros(len(self.changes))
+        for direction, change in ((1.0, self.changes[:, part].real), (1.0j, self.changes[:, part].imag)):
+            steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
+            slopes = np.array(
+                [
+                    (margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max())
+                    for step in steps
+                ]
+            )
+            total += float(slopes @ self.covariance[part, part] @ slopes) / 2
+            moved += change @ slopes
+        return margin(pair, places), float(np.sqrt(total)), moved
+
+
+# Margins of a measured loop transfer function.
+
+
+def measured_margins(
+    frequency: FloatArray,
+    transfer: tuple[ComplexArray, FloatArray],
+    changes: ComplexArray,
+    noise: tuple[float, float],
+    suffix: str = "",
+) -> list[tuple[Parameter, FloatArray]]:
+    """Gain margins to either side, phase and delay margin of L (n_line,) [1] with its variance (n_line,) [1],
+    as far as it crosses.
+
+    Each with its change (n_source,) [its unit] by one standard uncertainty of every systematic source, that
+    changes L by *changes* (n_source, n_line) [1]. noise: complex degrees of freedom behind the variance, and
+    standard errors to either side of a 95 % interval. *frequency* (n_line,) [Hz].
+
+    L follows a polynomial over neighbouring lines, since noise makes it cross several times; where it does so
+    all the same, one parabola over all these crossings and as much again, since the least of several would be
+    too small. Equation (comp-margins).
+    """
+    dof, quantile = noise
+    if frequency.size < LOCAL:
+        return []
+    course = Course(2 * np.pi * frequency, *transfer, changes, dof)
+    smooth = course.by(course.omega, course.smoother(), slice(None))
+    candidates: dict[str, list[Found]] = {}
+    for near, n in _crossings(course, smooth, np.imag):
+        if near.values[n].real + near.values[n + 1].real < 0:
+            gain = near.of(_gain, n)
+            candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(
+                gain
+            )
+    for near, n in _crossings(course, smooth, lambda values: np.abs(values) - 1):
+        for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
+            candidates.setdefault(name, []).append(near.of(margin, n))
+    units = {"phase_margin": "rad", "delay_margin": "s"}
+    chosen = {
+        name: (max if name == "gain_margin_lower" else min)(margins, key=_value)
+        for name, margins in candidates.items()
+    }
+    return [
+        (with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile), moved)
+        for name, (value, error, moved) in chosen.items()
+    ]
+
+
+def _value(found: Found) -> float:
+    return found[0]
+
+
+def _crossings(
+    course: Course, smooth: Smooth, function: Callable[[ComplexArray], FloatArray]
+) -> Iterator[tuple[Smooth, int]]:
+    """Places, and the number of the one behind which a real function of L changes its sign there."""
+    signed = function(smooth.values)
+    error = np.sqrt(np.diag(smooth.covariance) / 2)
+    for first, last in _together(_changes(signed), np.abs(signed) > SURE * error):
+        ends = course.omega[[first, last + 1]]
+        places = np.geomspace(ends[0], ends[1], max(FINE, last + 1 - first) + 1)
+        single = first == last
+        most = LOCAL + 1 if single else max(LOCAL + last - first, 2 * (last - first + 1))
+        lines = course.around(first, last + 1, most)
+        near = course.at(places, lines, QUARTIC if single else PARABOLA)
+        again = _changes(function(near.values))
+        if len(again) == 1:
+            yield near, again[0]
+        else:
+            yield from ((smooth, n) for n in _changes(signed) if first <= n <= last)
+
+
+def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
+    """First and last of the *crossings* between which no line is *sure* (n_line,) of its sign."""
+    groups: list[tuple[int, int]] = []
+    for n in crossings:
+        if groups and not np.any(sure[groups[-1][1] + 1 : n + 1]):
+            groups[-1] = (groups[-1][0], n)
+        else:
+            groups.append((n, n))
+    return groups
+
+
+def _changes(values: FloatArray) -> list[int]:
+    """Numbers of the places behind which a function changes its sign."""
+    return [int(n) for n in np.flatnonzero(values[:-1] * values[1:] < 0)]
+
+
+def _gain(values: ComplexArray, _: FloatArray) -> float:
+    """-1 / Re L where Im L = 0."""
+    share = values[0].imag / (values[0].imag - values[1].imag)
+    return float(-1 / (values[0] + share * (values[1] - values[0])).real)
+
+
+def _crossing(values: ComplexArray) -> float:
+    """Share of the way to the next place where |L| = 1."""
+    sizes = np.log(np.abs(values))
+    return float(sizes[0] / (sizes[0] - sizes[1]))
+
+
+def _phase(values: ComplexArray, _: FloatArray) -> float:
+    share = _crossing(values)
+    return float(abs(np.angle(-(values[0] + share * (values[1] - values[0])))))
+
+
+def _delay(values: ComplexArray, omega: FloatArray) -> float:
+    share = _crossing(values)
+    angle = float(np.angle(-(values[0] + share * (values[1] - values[0])))) % (2 * np.pi)
+    return angle / float(omega[0] + share * (omega[1] - omega[0]))
+
+
+# Peak of a measured sensitivity.
+
+
+@dataclass(frozen=True)
+class Crest:
+    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
+    changes (n_source,) by every source.
+    """
+
+    value: Found
+    place: Found
+
+
+def crest_of(course: Course) -> Crest | None:
+    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
+    lies at an end of the lines.
+
+    Place and curvature are those of the parabola where that follows the lines; from there the polynomial of
+    fourth degree tells the rest. Equation (comp-peak).
+    """
+    count = course.omega.size
+    if count < FEWEST:
+        return None
+    lines, follows = _crest_lines(course)
+    # A polynomial is not to be trusted at the ends of its lines.
+    inside = (lines.stop - lines.start) // 4
+    low = lines.start + (inside if lines.start else 0)
+    high = lines.stop - 1 - (inside if lines.stop < count else 0)
+    places = np.geomspace(course.omega[low], course.omega[high], FINE * (high - low) + 1)
+    of_place = course.at(places, lines, PARABOLA if follows else QUARTIC)
+    top = int(np.argmax(np.abs(of_place.values)))
+    if (top == 0 and low == 0) or (top == places.size - 1 and high == count - 1):
+        return None
+    return _crest(course.at(places, lines), of_place, min(max(top, 1), places.size - 2), follows)
+
+
+def _crest_lines(course: Course) -> tuple[slice, bool]:
+    """The most lines that a parabola follows around the highest |S|, each time about the maximum of the last;
+    False where it does not follow the fewest.
+    """
+    count = course.omega.size
+    top = int(np.argmax(np.abs(course.plain)))
+    chosen, follows, width = window(top, top, FEWEST, count), False, float(FEWEST)
+    while width < GROWTH * count:
+        lines = window(top, top, round(width) | 1, count)
+        if course.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
+            chosen, follows = lines, True
+            top = lines.start + int(np.argmax(np.abs(course.at(course.omega[lines], lines, PARABOLA).values)))
+        width *= GROWTH
+    return window(top, top, chosen.stop - chosen.start, count), follows
+
+
+def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
+    """|S| of *near* where that of *of_place* is highest, the place number *top*, and its place, a step of
+    Newton from there.
+
+    What noise does on average is taken off: beside its maximum |S| is lower; where one polynomial tells both,
+    the maximum seeks the noise; a modulus has the noise across it.
+    """
+    part = slice(top - 1, top + 2)
+    at = np.log(near.omega[part])
+    step = float(at[1] - at[0])
+    slope, bend = np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
+    outline, noise, moved = _modulus(of_place, part)
+    size, covariance, changes = _modulus(near, part)
+    curvature = -float(bend @ outline)
+    height, error = float(size[1]), float(np.sqrt(covariance[1, 1]))
+    sideways, of_slope = (float(slope @ each @ slope) / curvature for each in (noise, covariance))
+    height += min(sideways / 2, error) * (1 if follows else -1) - error**2 / (2 * height)
+    spread = float(np.sqrt(of_slope / curvature))
+    shift = float(np.clip(slope @ size / curvature, -step - spread, step + spread))
+    place = float(np.exp(at[1] + shift))
+    shifts = (changes @ slope + shift * (moved @ bend)) / curvature
+    return Crest((height, error, changes[:, 1]), (place, place * spread, place * shifts))
+
+
+def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The modulus at some places (n,), its covariance (n, n) by noise and its changes (n_source, n), all
+    [1].
+    """
+    values = near.values[part]
+    along = values.conj() / np.abs(values)
+    covariance = np.real(along[:, None] * along.conj()[None]) * near.covariance[part, part] / 2
+    return np.abs(values), covariance, np.real(near.changes[:, part] * along)

@@ -1,0 +1,205 @@
+"""Coverage and warnings from raw files of rigs that do not ship, in worlds drawn from what is stated.
+
+python -m tests.draws.raw_files [STUDY ...] [--draws N] [--faults N] [--seed S]
+
+Studies: certificate, floating, loop, budget. A world draws every stated number within its uncertainty, and
+the noise; the recording follows from the rig's equations, the pipeline reads it with the numbers as they are
+stated. Counted are how often 95 % intervals hold the truth and which warnings come; then the same with the
+study's fault, for its warning alone. docs/pages/statistics.md has what was counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+from scipy import stats
+
+import labpipe
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
+from labpipe.records.finding import WARNING, Finding, Parameter
+from labpipe.simulate.virtual_rigs import recordings
+from labpipe.spectra.all_channels import channel_spectra
+from tests.methods.floating_bearing.test_stated_numbers import BENCH, FILM, LINES
+from tests.methods.magnetic_bearing.recorded_axis import Axis, certificate_pipeline, fit_pipeline, written
+
+# One world: the parameters that were found, the findings, and the truth by name.
+World = tuple[Iterable[Parameter], Iterable[Finding], dict[str, float]]
+Draw = Callable[[Path, np.random.Generator, bool], World]
+
+# Standard uncertainties of a gain, as a share; of a mass [kg]; of the stator's mass [kg].
+GAIN, MASS, STATOR = 0.003, 0.02, 0.12
+SPARSE = Axis(lines=np.unique(np.round(np.geomspace(3, 450, 60))).astype(int))
+LEVITATED = Axis(lines=np.unique(np.round(np.geomspace(4, 400, 120))).astype(int))
+STATED = ", uncertainty: {gain: 0.3 %}"
+
+
+def certificate(folder: Path, rng: np.random.Generator, fault: bool) -> World:
+    """A sampled reading and a current whose gains are off by 0.3 %; fault: the derivative gain of the file is
+    0.6 of the true one.
+    """
+    columns = SPARSE.record(rng)
+    columns = {name: gained(rng, samples) if name in "ix" else samples for name, samples in columns.items()}
+    asked = "{before: before, after: u, displacement: x, current: i, injection: output}"
+    file = SPARSE.other(derivative=0.6 * SPARSE.derivative) if fault else SPARSE
+    pipeline = certificate_pipeline(written(folder, file, columns), file, certificate=asked)
+    with_uncertainty(folder / "rig.yaml", "i", "x")
+    (found,) = labpipe.run(pipeline).sections["compare"]
+    pole = SPARSE.pole()
+    truth = {
+        "log_decrement_1": SPARSE.log_decrement(),
+        "pole_real_1": pole.real,
+        "pole_imag_1": pole.imag,
+        "negative_stiffness": SPARSE.k_n,
+        "force_per_current": SPARSE.k_i,
+        "bandwidth": SPARSE.bandwidth,
+        "delay": SPARSE.delay,
+        "sensitivity_peak": SPARSE.peak(),
+        "phase_margin": SPARSE.phase_margin(),
+        "peak": SPARSE.peak(),
+        "measured_phase_margin": SPARSE.phase_margin(),
+    }
+    return found.amounts, found.findings, truth
+
+
+def floating(folder: Path, rng: np.random.Generator, fault: bool) -> World:
+    """A stator whose mass is off by 0.12 kg; fault: by 3 %."""
+    mass = 25.0 + (0.75 if fault else STATOR * rng.standard_normal())
+    seed = int(rng.integers(1 << 31))
+    runs = recordings(replace(BENCH, stator_mass=mass), seed, ["film-plus", "film-minus"])
+    section = DynamicStiffnessSettings(stator_mass="25 kg +- 0.12 kg", form="kcm")
+    settings = FitSettings("dynamic-stiffness", name="film", model_settings=section)
+    (fit,) = identify(channel_spectra(runs, LINES), settings.kind.begin(settings, ()))
+    matrices = {"k": FILM.stiffness, "c": FILM.damping, "m": FILM.mass}
+    truth = {
+        f"{letter}_{row}{column}": matrix["xy".index(row)]["xy".index(column)]
+        for letter, matrix in matrices.items()
+        for row in "xy"
+        for column in "xy"
+    }
+    return fit.parameters, fit.findings, truth
+
+
+def loop(folder: Path, rng: np.random.Generator, fault: bool) -> World:
+    """A levitated mass by the force of its magnet, whose gain is off by 0.3 %, its mass by 20 g; fault: the
+    command of the controller named as the reference, under random excitation.
+    """
+    axis = LEVITATED.other(mass=LEVITATED.mass + MASS * rng.standard_normal())
+    axis = axis.other(random=True, periods=40, disturbance=10.0) if fault else axis
+    columns = axis.record(rng)
+    columns["i"] = gained(rng, columns["i"])
+    written(folder, LEVITATED, columns)
+    frf = (
+        "{excitation: random, block: 500 ms, band: 6-800 Hz, reference: u}"
+        if fault
+        else "{excitation: periodic, period: 500 ms, band: 6-800 Hz, reference: e}"
+    )
+    force = f"{{i: {{quantity: force, sensitivity: 0.0083333333333333 A/N{STATED}}}}}"
+    pipeline = fit_pipeline(folder, frf, "{model: sdof, mass: 6.5 kg +- 20 g}", force)
+    (fit,) = labpipe.run(pipeline).fits
+    return fit.parameters, fit.findings, {"k": -LEVITATED.k_n, "c": 0.0}
+
+
+SUPPORT = """name: Support of a gearbox
+sample_rate: 2000 Hz
+channels:
+  f: {quantity: force, unit: N, role: input, dof: z, uncertainty: {gain: 0.3 %}}
+  z: {quantity: displacement, unit: m, role: output, dof: z, uncertainty: {gain: 0.3 %}}
+"""
+
+
+def budget(folder: Path, rng: np.random.Generator, fault: bool) -> World:
+    """A mass of 38 kg +- 20 g on 2.6 MN/m and 900 N s/m, gains of force and response off by 0.3 %; fault:
+    the mass off by 5 %.
+    """
+    stiffness, damping, mass = 2.6e6, 900.0, 38.0 + (1.9 if fault else MASS * rng.standard_normal())
+    periods, count, rate = 12, 2000, 2000.0
+    lines = np.arange(5, 200)
+    omega = 2 * np.pi * lines * rate / count
+    spectrum = np.zeros(count // 2 + 1, complex)
+    spectrum[lines] = 4.0 * count / 2 * np.exp(-1j * np.pi * np.arange(lines.size) ** 2 / lines.size)
+    answer = spectrum.copy()
+    answer[lines] /= stiffness + 1j * omega * damping - mass * omega**2
+    force, motion = (np.tile(np.fft.irfft(each, count), periods) for each in (spectrum, answer))
+    columns = {
+        "f": gained(rng, force + 0.5 * rng.standard_normal(force.size)),
+        "z": gained(rng, motion + 2e-7 * rng.standard_normal(force.size)),
+    }
+    parquet.write_table(pa.table(columns), folder / "axis.parquet")
+    (folder / "rig.yaml").write_text(SUPPORT)
+    frf = "{excitation: periodic, period: 1 s, skip: 0, band: 5-199 Hz}"
+    (fit,) = labpipe.run(fit_pipeline(folder, frf, "{model: sdof, mass: 38 kg +- 20 g}")).fits
+    return fit.parameters, fit.findings, {"k": stiffness, "c": damping}
+
+
+def gained(rng: np.random.Generator, samples: np.ndarray) -> np.ndarray:
+    """A channel whose gain is off within what is stated."""
+    return samples * (1 + GAIN * rng.standard_normal())
+
+
+def with_uncertainty(rig: Path, *channels: str) -> None:
+    """The rig file with a gain of 0.3 % at these channels."""
+    lines = rig.read_text().splitlines()
+    changed = [
+        line[:-1] + STATED + "}" if line.strip().partition(":")[0] in channels else line for line in lines
+    ]
+    rig.write_text("\n".join(changed))
+
+
+STUDIES: dict[str, Draw] = {"certificate": certificate, "floating": floating, "loop": loop, "budget": budget}
+
+
+def study(draw: Draw, draws: int, seed: int, fault: bool) -> tuple[dict[str, list[bool]], Counter[str]]:
+    """By parameter whether its interval held in each world, and in how many worlds each warning came; a
+    refused fit counts as the warning *refused*.
+    """
+    held: dict[str, list[bool]] = {}
+    warned: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(draws):
+            try:
+                parameters, findings, truth = draw(Path(folder), np.random.default_rng([seed, number]), fault)
+            except labpipe.LabpipeError:
+                warned["refused"] += 1
+                continue
+            warned.update({finding.code for finding in findings if finding.level == WARNING})
+            for one in parameters:
+                if one.name in truth and one.ci95 is not None:
+                    low, high = one.ci95
+                    held.setdefault(one.name, []).append(low <= truth[one.name] <= high)
+    return held, warned
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], default=[])
+    parser.add_argument("--draws", type=int, default=400)
+    parser.add_argument("--faults", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=36)
+    options = parser.parse_args()
+    for name in options.studies or STUDIES:
+        held, warned = study(STUDIES[name], options.draws, options.seed, fault=False)
+        print(f"== {name}, {options.draws} worlds: {dict(warned)}")
+        low, high = stats.binom.ppf([0.005, 0.995], options.draws, 0.95) / options.draws
+        for parameter, each in held.items():
+            coverage = np.mean(each)
+            outside = "" if low <= coverage <= high else f" outside {low:.3f} to {high:.3f}"
+            print(f"  {parameter:24s} {coverage:.3f} of {len(each)}{outside}")
+        print(f"  all {np.mean([one for each in held.values() for one in each]):.4f}")
+        _, warned = study(STUDIES[name], options.faults, options.seed, fault=True)
+        print(f"  with the fault, {options.faults} worlds: {dict(warned)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
