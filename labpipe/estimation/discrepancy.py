@@ -57,8 +57,9 @@ class Course:
     before: float = 0.0
 
 
-def _matern(frequency: FloatArray, length: float) -> FloatArray:
-    u = np.sqrt(3) * np.abs(frequency[:, None] - frequency) / length
+def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
+    """kappa(|f_i - f_j| / l), (n_first, n_second) [1], of frequencies and a *length* l [Hz]."""
+    u = np.sqrt(3) * np.abs(first[:, None] - second) / length
     return np.asarray((1 + u) * np.exp(-u))
 
 
@@ -85,7 +86,7 @@ def course(base: Fitted, kind: str, length: float) -> Course:
     """
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
-    matrix = size[:, None] * _matern(curve.frequency, length) * size
+    matrix = size[:, None] * matern(curve.frequency, curve.frequency, length) * size
     values, vectors = linalg.eigh(
         matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
     )
@@ -104,7 +105,7 @@ def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, leng
     curve, b = base.model.curve, _shape(base, kind)
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
     whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T
-    matrix = (whitening * b) @ _matern(curve.frequency, length) @ (whitening * b).conj().T
+    matrix = (whitening * b) @ matern(curve.frequency, curve.frequency, length) @ (whitening * b).conj().T
     # Relative to the measured noise, as a first course is.
     scale = curve.frequency.size / float(np.sum(np.abs(b / curve.std) ** 2))
     values, vectors = linalg.eigh(matrix * scale, driver="evd", check_finite=False)

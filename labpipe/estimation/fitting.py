@@ -30,7 +30,6 @@ from labpipe.estimation.derived import (
     reported_parameters,
     widened_parameters,
     with_systematic,
-    without_intervals,
 )
 from labpipe.estimation.diagnostics import (
     MISMATCH_P,
@@ -54,7 +53,7 @@ from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
-from labpipe.estimation.model_error import with_interval_parts
+from labpipe.estimation.model_error import ModelError, with_interval_parts
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
@@ -334,10 +333,14 @@ def _with_honest_intervals(
     setup: Setup,
 ) -> tuple[Parameter, ...]:
     """The parameters with the intervals that the judgement of the residual leaves them."""
-    if judgement.model_error is not None:
+    if isinstance(judgement.model_error, ModelError):
         return judgement.model_error.stated(parameters)
-    if judgement.refused:
-        return without_intervals(parameters)
+    if judgement.model_error is not None:
+
+        def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
+            return reported_parameters(replace(estimate, values=values, covariance=covariance), model, setup)
+
+        return judgement.model_error.stated(parameters, reported)
     if judgement.covariance is None:
         return parameters
     pair = [
