@@ -58,6 +58,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.estimation.unstated import with_unstated
 from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve
@@ -91,7 +92,12 @@ def identify(
         fits = settings.kind.fit(measured, settings)
     if isinstance(measured, FrequencyResponse):
         fits = tuple(
-            with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits
+            with_unstated(
+                with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                measured,
+                settings,
+            )
+            for fit in fits
         )
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
