@@ -193,7 +193,7 @@ def model_error(
         return None
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))
     try:
-        placed = replace(built.mode, curve=_thinned(curve, built.mode, built.start))
+        placed = replace(built.mode, curve=thinned(curve, built.mode, built.start))
         return ModelError(mixture(placed.fitted(placed.started(built.start))), built.rows)
     except (FitError, np.linalg.LinAlgError):
         return None
@@ -264,9 +264,9 @@ def _transfer(by_name: dict[str, float]) -> _Built:
     return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
 
 
-def _thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
-    """At most about MOST_LINES lines: those around the resonance, then means of neighbours as far as these
-    leave its peak as it is.
+def thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
+    """At most about MOST_LINES lines of a *curve*: those around the *mode* as at *start* (n,) [1], then
+    means of neighbours as far as these leave its peak as it is.
     """
     if curve.frequency.size <= MOST_LINES:
         return curve

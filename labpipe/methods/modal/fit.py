@@ -13,7 +13,6 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.budget import Source, changes_by, mass_source, matrix_errors, with_sources
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.model_error import ModelError
@@ -162,13 +161,15 @@ def modal_findings(
         )
     elif unexplained(estimate, p_noise):
         said = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
+    elif errors:
+        modes = ", ".join(str(number) for number in errors)
+        said = f"the FRFs, filtered for mode {modes} alone, show more than one mode and noise"
     if said:
         reasons = dict.fromkeys(f"mode {number}: {error.likely}" for number, error in errors.items())
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
         message = (
             f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained "
-            "in its band; a mode without an "
-            "interval has no line of its own there. Name a missing mode in `poles`, or narrow the band"
+            "in its band. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -260,6 +261,8 @@ def modal_notes(
 # Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
 # likelihood.
 
+# Share of the band by which lines on either side are looked at as well.
+BEYOND = 0.15
 # Lines per order of the denominator below which a polynomial follows the noise.
 LINES_PER_ORDER = 4
 
@@ -331,7 +334,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
-    fit = _reported(settings, band, sides, whole, estimate)
+    fit = _reported(
+        settings,
+        band,
+        sides,
+        whole,
+        estimate,
+        _beyond(response, rows, columns, band, sides, estimate.refined),
+    )
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     window_known = has_noise(sides.measured) or bool(response.line_correlation)
     narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
@@ -370,6 +380,26 @@ def _sides(measured: Measured, form: str, *, hysteretic: bool) -> _Sides:
     matrix = turned.matrix * factor[:, None, None]
     lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
     return _Sides(turned, lines, forces_move)
+
+
+def _beyond(
+    response: FrequencyResponse,
+    rows: list[int],
+    columns: list[int],
+    band: tuple[float, float],
+    sides: _Sides,
+    refined: Refined,
+) -> Measured:
+    """The same FRFs in a wider band, the lines around it that a mode must survive: by BEYOND of the band, or
+    by the largest half-power width that it does not hold three times.
+    """
+    widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, band[1] - band[0])
+    more = max(
+        BEYOND * (band[1] - band[0]), *(2 * width for width in widths if 3 * width > band[1] - band[0]), 0.0
+    )
+    lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
+    measured = measured_part(response, rows, columns, lines)
+    return _turned(measured) if sides.forces_move else measured
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
@@ -462,18 +492,23 @@ def _sources(
 
 
 def _reported(
-    settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate
+    settings: FitSettings,
+    band: tuple[float, float],
+    sides: _Sides,
+    whole: Completed,
+    estimate: ModalEstimate,
+    beyond: Measured,
 ) -> Fit:
     """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
-    errors = model_errors(measured, estimate, parameters) if misfit else {}
-    if misfit:
-        parameters = with_model_errors(
-            without_intervals(parameters) if estimate.chi2_reduced is None else parameters, errors
-        )
+    errors: dict[int, ModelError] = {}
+    if refined.converged and (misfit or (estimate.chi2_reduced is None and whole.p_noise > 0)):
+        errors = model_errors(measured, beyond, estimate, parameters, misfit)
+    if misfit or errors:
+        parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi))
     r2, adjusted = determination(
         measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof
     )
