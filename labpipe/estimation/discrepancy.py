@@ -257,13 +257,13 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Settled(Mixture):
-    """A mixture with the same mode in *others*: other bands, other numbers of residual terms."""
+    """A mixture with the same mode in *others*: other bands, other terms. Equation (modal-settled)."""
 
     others: tuple[Mixture, ...] = ()
 
     def stated(self, row: FloatArray) -> tuple[float, float, float]:
         """Of *row* (n_kept,) [any unit] the mixture of N(c, (h / 1.96)^2) over them all, h the half-width of
-        each, with weights 1 / (h^2 + median h^2): its mean, 2.5 and 97.5 %. Equation (modal-settled).
+        each, with weights 1 / (h^2 + median h^2): its mean, 2.5 and 97.5 %.
         """
         ends = np.array([super().stated(row), *(other.stated(row) for other in self.others)])
         centres, reach = (ends[:, 1] + ends[:, 2]) / 2, (ends[:, 2] - ends[:, 1]) / 2

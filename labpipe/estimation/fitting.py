@@ -55,6 +55,7 @@ from labpipe.estimation.mismatch import Judgement, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError, with_interval_parts
 from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import TransferMode, transfer_of
@@ -84,13 +85,10 @@ def identify(
     where the data cannot support the fit.
     """
     check_kind(settings, _kind_of(measured))
+    fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
-        form_view(measured.form, settings)
-    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
-        fits = fit_linear(measured, settings, judging=judging)
-    else:
-        fits = settings.kind.fit(measured, settings)
-    if isinstance(measured, FrequencyResponse):
+        if judging and settings.repeats == "each" and measured.repeats is not None:
+            fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             with_unstated(
                 with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
@@ -102,6 +100,16 @@ def identify(
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
+
+
+def _fits(
+    measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, judging: bool
+) -> tuple[Fit, ...]:
+    if isinstance(measured, FrequencyResponse):
+        form_view(measured.form, settings)
+    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
+        return fit_linear(measured, settings, judging=judging)
+    return settings.kind.fit(measured, settings)
 
 
 def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:

@@ -33,7 +33,7 @@ EVERY = ("model", "estimator", "band", "coverage", "test")
 # Keys that every model linear in its parameters takes besides.
 LINEAR = (
     *("mass", "input", "output", "bands", "sliding", "subtract", "share", "eliminate", "fixed", "weight"),
-    *("bootstrap", "monte_carlo", "compare"),
+    *("bootstrap", "monte_carlo", "compare", "repeats"),
 )
 
 
@@ -66,6 +66,7 @@ class ModelKind:
     optional: bool = False
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
+    of_repeat: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
     times_mass: bool = False
     keys: tuple[str, ...] = ("mass", "input", "output", "bands")
@@ -163,7 +164,7 @@ class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
     section that its model has.
 
-    *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
+    *between*: scatter between repeats of a test, from the section ``uncertainty:``.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
@@ -229,10 +230,16 @@ class FitSettings(Settings):
     )
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
+    repeats: str = setting(
+        "choice",
+        "several recordings of one test: each fitted, and their mean; or pool, one fit of all",
+        choices=("each", "pool"),
+        default="each",
+    )
     name: str = ""
     model_settings: Any = None
     uncertainties: Uncertainties = ()
-    repeats: tuple[RepeatSource, ...] = ()
+    between: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_keys()

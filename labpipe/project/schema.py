@@ -11,7 +11,7 @@ from labpipe.bearings.kinds import BEARINGS
 from labpipe.estimation.settings import MODELS, FitSettings, model_kind, models_text
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
-from labpipe.project.tests import BY
+from labpipe.project.tests import BY, REPEATS
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import Registry
@@ -122,6 +122,10 @@ def pipeline_schema() -> dict[str, Any]:
         },
         "conditions": conditions,
         "frf": {**object_schema(FrfSettings), "description": "in place of the pipeline's, for this test"},
+        "repeats": {
+            "enum": list(REPEATS),
+            "description": "what fits make of several recordings of the same FRFs: in place of their own",
+        },
     }
     rules = {
         "type": "object",
