@@ -460,6 +460,20 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     )
 
 
+def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Finding]:
+    """A warning for a mode narrower than the *spacing* [Hz] of the lines: no line shows its peak."""
+    by_name = {parameter.name: parameter.value for parameter in parameters}
+    f_n, zeta = by_name.get("f_n"), by_name.get("zeta")
+    if f_n is None or zeta is None or not 0 < 2 * zeta * f_n < spacing:
+        return []
+    message = (
+        f"the mode at {f_n:.5g} Hz is {2 * zeta * f_n:.2g} Hz wide (half power), less than the "
+        f"{spacing:.2g} Hz from line to line: no line shows its peak, and it may be a dip of the force, or "
+        "hum. Measure with finer lines, or look at the figure"
+    )
+    return [Finding("leakage", message)]
+
+
 def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
     said = []
     mass, zeta = by_name.get("m"), by_name.get("zeta")

@@ -41,6 +41,7 @@ from labpipe.estimation.diagnostics import (
     leakage_findings,
     mode_findings,
     motion_notes,
+    narrow_findings,
     parameter_findings,
     quality_findings,
     with_feedback,
@@ -105,7 +106,7 @@ def identify(
 def _fits(
     measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, judging: bool
 ) -> tuple[Fit, ...]:
-    if isinstance(measured, FrequencyResponse):
+    if isinstance(measured, FrequencyResponse) and not settings.kind.any_input:
         form_view(measured.form, settings)
     if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
         return fit_linear(measured, settings, judging=judging)
@@ -282,6 +283,7 @@ def _fit_band(
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
             *_parameter_findings(parameters, band, setup),
+            *([] if leakage or setup.closed_loop else _narrow(parameters, measured)),
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),
@@ -329,6 +331,11 @@ def _with_budget(
         return _Budgeted(expanded, budget)
     drawn = propagated(case, expanded, budget, fitted, _refit, draws)
     return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
+
+
+def _narrow(parameters: tuple[Parameter, ...], measured: Measured) -> list[Finding]:
+    spacing = np.diff(measured.omega)
+    return narrow_findings(parameters, float(np.median(spacing)) / (2 * np.pi)) if spacing.size else []
 
 
 def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:

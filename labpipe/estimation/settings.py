@@ -54,7 +54,8 @@ class ModelKind:
 
     one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and
     zeta. matrix_modes: the modes of its K, C and M are derived. one_direction: a stiffness and a damping for
-    each direction, uncoupled. of_base: its input is the motion of a base. own_damping: every mode has one
+    each direction, uncoupled. of_base: its input is the motion of a base; any_input: no force is
+    needed. own_damping: every mode has one
     damping of its own. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare
     with.
     """
@@ -78,6 +79,7 @@ class ModelKind:
     matrix_modes: bool = False
     one_direction: bool = False
     of_base: bool = False
+    any_input: bool = False
     own_damping: bool = False
     frees_mass: bool = False
     richer: str = ""

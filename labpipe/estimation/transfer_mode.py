@@ -19,6 +19,8 @@ ACROSS = 0.5
 REWEIGHTINGS = 12
 # Damping ratio of a start without another.
 LIGHT = 0.01
+# Peaks that a fit starts from as well, and damping ratios there.
+PEAKS, DAMPED = 3, (0.005, 0.03)
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,26 @@ def transfer_start(measured: Measured) -> FloatArray:
     if start is None:
         peak = float(w[np.argmax(np.abs(h))])
         start = np.array([peak**2, 2 * LIGHT * peak])
+    return _with_amounts(measured, start)
+
+
+def peak_starts(measured: Measured) -> list[FloatArray]:
+    """Start values (6,) [parameter units] at the largest peaks of |H|, with light and with more damping.
+
+    A dip of the force beside a peak may draw the least squares away.
+    """
+    size, w = np.abs(measured.matrix[:, 0, 0]), measured.omega
+    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
+    peaks = np.flatnonzero(inner) + 1
+    largest = peaks[np.argsort(size[peaks])[::-1][:PEAKS]]
+    return [
+        _with_amounts(measured, np.array([w[n] ** 2, 2 * zeta * w[n]])) for n in largest for zeta in DAMPED
+    ]
+
+
+def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:
+    """Start values (6,) of w_n^2 and 2 zeta w_n (2,) with the residue and the constant of least squares."""
+    h, w, unit = measured.matrix[:, 0, 0], measured.omega, np.ones(measured.omega.size, np.complex128)
     below = start[0] - w**2 + 1j * w * start[1]
     rows = stacked(np.array([1 / below, 1j / below, unit, 1j * unit])).T
     amounts = solve_scaled(rows, stacked(h))[0]

@@ -263,6 +263,7 @@ def modal_notes(
 
 # Share of the band by which lines on either side are looked at as well.
 BEYOND = 0.15
+RECEPTANCE = "receptance"
 # Lines per order of the denominator below which a polynomial follows the noise.
 LINES_PER_ORDER = 4
 
@@ -272,12 +273,14 @@ class _Sides:
     """The FRFs with the smaller side, the references, as columns: as receptance, and in the measured form,
     whose noise is the more even.
 
-    forces_move: the larger side are the forces (a roving hammer).
+    forces_move: the larger side are the forces (a roving hammer). by_force: the inputs are forces, which
+    modal masses need.
     """
 
     measured: Measured
     lines: Lines
     forces_move: bool
+    by_force: bool
 
     @property
     def points(self) -> tuple[Port, ...]:
@@ -290,7 +293,7 @@ class _Sides:
     @property
     def driving_points(self) -> tuple[DrivingPoint, ...]:
         """The points that are references as well."""
-        dofs = [port.dof for port in self.references]
+        dofs = [port.dof for port in self.references] if self.by_force else []
         return tuple(
             DrivingPoint(row, dofs.index(port.dof), port.dof)
             for row, port in enumerate(self.points)
@@ -307,6 +310,10 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     if not isinstance(settings.mass, float | str):
         raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
     modal: ModalSettings = settings.model_settings
+    form = response.form
+    if form not in DERIVATIVES:
+        # Poles and shapes need no unit of force; what powers of s the form holds are residual terms.
+        response = replace(response, form=RECEPTANCE)
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
@@ -314,6 +321,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         measured_part(response, rows, columns, chosen),
         response.form,
         hysteretic=_is_hysteretic(settings, modal),
+        by_force=form in DERIVATIVES,
     )
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
@@ -357,7 +365,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     )
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
     modes = replace(modes, driving_points=driving, geometry=modal.structure)
-    curve = _curve(response.form, sides, estimate)
+    curve = replace(_curve(response.form, sides, estimate), form=form)
     return replace(fit, findings=(*fit.findings, *quality), curve=curve, details=(modes,))
 
 
@@ -373,13 +381,13 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     return True
 
 
-def _sides(measured: Measured, form: str, *, hysteretic: bool) -> _Sides:
+def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turned(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
-    return _Sides(turned, lines, forces_move)
+    return _Sides(turned, lines, forces_move, by_force)
 
 
 def _beyond(

@@ -72,6 +72,7 @@ MODAL = ModelKind(
     of_repeat=_of_repeat,
     times_mass=True,
     own_damping=True,
+    any_input=True,
     keys=("mass", "input", "output", "damping", "repeats"),
     estimators=("ml",),
 )
