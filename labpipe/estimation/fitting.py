@@ -59,7 +59,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
-from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.estimation.transfer_mode import TransferMode, place_notes, transfer_of
 from labpipe.estimation.unstated import with_unstated
 from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
@@ -263,7 +263,7 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
-    notes = (*notes, *motion_notes(measured))
+    notes = (*notes, *motion_notes(measured), *place_notes(setup))
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     ml_estimate = estimate if of_model else None

@@ -86,12 +86,15 @@ def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
 def is_transfer(output: Port, force: Port) -> bool:
     """True where force and response are at different points, or across each other at one: by their dofs.
 
-    A dof that is no more than the name of a channel or column ("acc", "f") is no point: only names with a
-    number count without a rig file.
+    A dof that is no more than the name of a channel or column ("acc", "f") is no point: without a rig file
+    only names with a number are. Where one of the two is a point without a direction, the other is elsewhere,
+    or its dof would say so.
     """
-    if output.dof == force.dof or not (_is_place(output) and _is_place(force)):
+    if not output.dof or not force.dof or output.dof == force.dof:
         return False
     angles = angle_of(output), angle_of(force)
+    if not (_is_place(output) and _is_place(force)):
+        return angles == (None, None) and (_is_place(output) or _is_place(force))
     if angles[0] is not None and angles[1] is not None:
         return bool(abs(np.cos(angles[0] - angles[1])) < ACROSS)
     return angles[0] is None and angles[1] is None
@@ -105,6 +108,20 @@ def _is_place(port: Port) -> bool:
         angle_of(port) is not None
         or port.dof not in (port.label, port.channel)
         or any(letter.isdigit() for letter in port.dof)
+    )
+
+
+def place_notes(setup: Setup) -> tuple[str, ...]:
+    """As what a single FRF between two dofs is taken, where they have different names."""
+    if setup.shape != (1, 1) or not setup.settings.kind.one_frf:
+        return ()
+    output, force = setup.outputs[0], setup.inputs[0]
+    if output.dof == force.dof or not (output.dof and force.dof):
+        return ()
+    taken = "a transfer FRF" if transfer_of(setup) else "a driving point"
+    return (
+        f"{setup.settings.model}: the response at dof '{output.dof}' to the force at dof '{force.dof}' is "
+        f"taken as {taken}; `dof` in the rig file, or in the entry under frfs:, says where both are.",
     )
 
 

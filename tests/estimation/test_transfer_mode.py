@@ -127,6 +127,14 @@ def test_a_transfer_is_told_by_its_dofs() -> None:
     # Columns of a file without a rig: what they are named after is not known.
     assert not is_transfer(port("y"), port("f")) and not is_transfer(port("acc"), port("force"))
     assert is_transfer(Port("acc", "acc", "tip"), Port("f", "f", "root"))
+    # A point with a number beside a column that is no point: not the same place.
+    assert is_transfer(port("1"), port("f")) and is_transfer(port("f"), port("1"))
+    assert not is_transfer(port("x"), port("f"))
+
+
+def test_what_an_frf_is_taken_for_is_said() -> None:
+    (fit,) = identify(transfer(1.0), FitSettings("sdof"))
+    assert any("is taken as a transfer FRF" in text for text in fit.notes)
 
 
 def test_slopes_are_those_of_the_function() -> None:
