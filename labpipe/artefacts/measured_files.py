@@ -67,6 +67,9 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
         if beside is not None:
             yield f":{attribute}_re", beside[:, o, i].real
             yield f":{attribute}_im", beside[:, o, i].imag
+    for number, repeat in enumerate(() if response.repeats is None else response.repeats):
+        yield f"{_repeat(number)}:re", repeat[:, o, i].real
+        yield f"{_repeat(number)}:im", repeat[:, o, i].imag
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
             yield f"{_gain(neighbour)}:re", gains.real
@@ -75,6 +78,10 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
 
 def _gain(neighbour: int) -> str:
     return f":gain:{neighbour}"
+
+
+def _repeat(number: int) -> str:
+    return f":repeat:{number}"
 
 
 def _error(number: int) -> str:
@@ -116,6 +123,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
+        **({"repeats": list(response.repeat_names)} if response.repeat_names else {}),
         "conditions": response.conditions,
     }
 
@@ -166,6 +174,8 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         line_gains=_line_gains(columns, pairs, contents.get("line_gains", 0)),
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=_errors(columns, pairs, contents.get("errors", [])),
+        repeats=_repeats(columns, pairs, len(contents.get("repeats", ()))),
+        repeat_names=tuple(contents.get("repeats", ())),
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],
@@ -191,6 +201,17 @@ def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) 
     if f"{pairs[0][0]}:{name}_re" not in columns:
         return None
     return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
+
+
+def _repeats(columns: dict[str, FloatArray], pairs: list[list[str]], n_repeat: int) -> ComplexArray | None:
+    """H of every recording (n_repeat, n_line, n_output, n_input), None where there are none."""
+    if not n_repeat:
+        return None
+    parts = [
+        np.stack([_matrix(columns, pairs, f"{_repeat(number)}:{part}") for number in range(n_repeat)])
+        for part in ("re", "im")
+    ]
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
 def _errors(

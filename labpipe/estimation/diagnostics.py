@@ -454,6 +454,25 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     )
 
 
+def narrow_findings(parameters: Sequence[Parameter], spacing: float) -> list[Finding]:
+    """A warning for a mode narrower than the *spacing* [Hz] of the lines: no line shows its peak."""
+    by_name = {parameter.name: parameter for parameter in parameters}
+    if "f_n" not in by_name or "zeta" not in by_name:
+        return []
+    f_n, of_damping = by_name["f_n"].value, by_name["zeta"]
+    zeta = of_damping.value
+    # A damping that cannot be told from none is said to be insignificant.
+    told = of_damping.ci95 is None or of_damping.ci95[0] > 0
+    if not told or not 0 < 2 * zeta * f_n < spacing:
+        return []
+    message = (
+        f"the mode at {f_n:.5g} Hz is {2 * zeta * f_n:.2g} Hz wide (half power), less than the "
+        f"{spacing:.2g} Hz from line to line: no line shows its peak, and it may be a dip of the force, or "
+        "hum. Measure with finer lines, or look at the figure"
+    )
+    return [Finding("leakage", message)]
+
+
 def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
     said = []
     mass, zeta = by_name.get("m"), by_name.get("zeta")

@@ -14,7 +14,7 @@ O'Hagan, Inverse Problems 30 (2014) 114007).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy import linalg, optimize, special
@@ -57,8 +57,9 @@ class Course:
     before: float = 0.0
 
 
-def _matern(frequency: FloatArray, length: float) -> FloatArray:
-    u = np.sqrt(3) * np.abs(frequency[:, None] - frequency) / length
+def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
+    """kappa(|f_i - f_j| / l), (n_first, n_second) [1], of frequencies and a *length* l [Hz]."""
+    u = np.sqrt(3) * np.abs(first[:, None] - second) / length
     return np.asarray((1 + u) * np.exp(-u))
 
 
@@ -85,7 +86,7 @@ def course(base: Fitted, kind: str, length: float) -> Course:
     """
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
-    matrix = size[:, None] * _matern(curve.frequency, length) * size
+    matrix = size[:, None] * matern(curve.frequency, curve.frequency, length) * size
     values, vectors = linalg.eigh(
         matrix * (curve.frequency.size / np.trace(matrix)), driver="evd", check_finite=False
     )
@@ -104,7 +105,7 @@ def course_beside(base: Fitted, first: Course, amplitude: float, kind: str, leng
     curve, b = base.model.curve, _shape(base, kind)
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
     whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T
-    matrix = (whitening * b) @ _matern(curve.frequency, length) @ (whitening * b).conj().T
+    matrix = (whitening * b) @ matern(curve.frequency, curve.frequency, length) @ (whitening * b).conj().T
     # Relative to the measured noise, as a first course is.
     scale = curve.frequency.size / float(np.sum(np.abs(b / curve.std) ** 2))
     values, vectors = linalg.eigh(matrix * scale, driver="evd", check_finite=False)
@@ -222,17 +223,12 @@ class Mixture:
         """
         means = np.array([component.mean @ row for component in self.components])
         deviations = np.sqrt([row @ component.covariance @ row for component in self.components])
-        centre = float(self.weights @ means)
+        return float(self.weights @ means), *_quantiles(self.weights, means, deviations)
 
-        def above(x: float, p: float) -> float:
-            return float(self.weights @ special.ndtr((x - means) / deviations)) - p
-
-        ends = []
-        for p in (0.025, 0.975):
-            reach = special.ndtri(p) * deviations
-            low, high = float(np.min(means + reach)) - 1e-12, float(np.max(means + reach)) + 1e-12
-            ends.append(float(optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13)))
-        return centre, ends[0], ends[1]
+    @property
+    def sound(self) -> float:
+        """Share of the evidence for the model as it is, beside noise as measured [1]."""
+        return self.shares.get("none", 0.0)
 
     def stated(self, row: FloatArray) -> tuple[float, float, float]:
         """The interval of *row* (n_kept,) [any unit] whose excess over that of noise counts by CALIBRATION:
@@ -257,6 +253,45 @@ class Mixture:
             name = component.member + (component.kind if component.amplitude else "")
             shares[name or "none"] = shares.get(name or "none", 0.0) + float(weight)
         return shares
+
+
+@dataclass(frozen=True)
+class Settled(Mixture):
+    """A mixture with the same mode in *others*: other bands, other terms. Equation (modal-settled)."""
+
+    others: tuple[Mixture, ...] = ()
+
+    def stated(self, row: FloatArray) -> tuple[float, float, float]:
+        """Of *row* (n_kept,) [any unit] the mixture of N(c, (h / 1.96)^2) over them all, h the half-width of
+        each, with weights 1 / (h^2 + median h^2): its mean, 2.5 and 97.5 %.
+        """
+        ends = np.array([super().stated(row), *(other.stated(row) for other in self.others)])
+        centres, reach = (ends[:, 1] + ends[:, 2]) / 2, (ends[:, 2] - ends[:, 1]) / 2
+        weights = 1 / (reach**2 + np.median(reach) ** 2)
+        weights /= np.sum(weights)
+        return float(weights @ ends[:, 0]), *_quantiles(weights, centres, reach / NORMAL)
+
+
+def settled(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
+    """The mixture, with *others* of the same mode beside it where there are any."""
+    if not others:
+        return first
+    parts = {field.name: getattr(first, field.name) for field in fields(first)}
+    return Settled(**parts, others=others)
+
+
+def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -> tuple[float, float]:
+    """2.5 and 97.5 % of a mixture of normal distributions."""
+
+    def above(x: float, p: float) -> float:
+        return float(weights @ special.ndtr((x - means) / deviations)) - p
+
+    ends = []
+    for p in (0.025, 0.975):
+        reach = special.ndtri(p) * deviations
+        low, high = float(np.min(means + reach)) - 1e-12, float(np.max(means + reach)) + 1e-12
+        ends.append(float(optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13)))
+    return ends[0], ends[1]
 
 
 def mixture(base: Fitted) -> Mixture:

@@ -30,7 +30,6 @@ from labpipe.estimation.derived import (
     reported_parameters,
     widened_parameters,
     with_systematic,
-    without_intervals,
 )
 from labpipe.estimation.diagnostics import (
     MISMATCH_P,
@@ -42,6 +41,7 @@ from labpipe.estimation.diagnostics import (
     leakage_findings,
     mode_findings,
     motion_notes,
+    narrow_findings,
     parameter_findings,
     quality_findings,
     with_feedback,
@@ -54,11 +54,13 @@ from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
-from labpipe.estimation.model_error import with_interval_parts
+from labpipe.estimation.model_error import ModelError, with_interval_parts
 from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
-from labpipe.estimation.transfer_mode import TransferMode, transfer_of
+from labpipe.estimation.transfer_mode import TransferMode, place_notes, transfer_of
+from labpipe.estimation.unstated import with_unstated
 from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve
@@ -91,19 +93,31 @@ def identify(
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
     check_kind(settings, _kind_of(measured))
+    fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
-        form_view(measured.form, settings)
-    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
-        fits = fit_linear(measured, settings, judging=judging)
-    else:
-        fits = settings.kind.fit(measured, settings)
-    if isinstance(measured, FrequencyResponse):
+        if judging and settings.repeats == "each" and measured.repeats is not None:
+            fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
-            with_lost_samples(with_feedback(fit, measured.findings), measured.findings) for fit in fits
+            with_unstated(
+                with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                measured,
+                settings,
+            )
+            for fit in fits
         )
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
+
+
+def _fits(
+    measured: FrequencyResponse | FreeDecays | ChannelSpectra, settings: FitSettings, judging: bool
+) -> tuple[Fit, ...]:
+    if isinstance(measured, FrequencyResponse) and not settings.kind.any_input:
+        form_view(measured.form, settings)
+    if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
+        return fit_linear(measured, settings, judging=judging)
+    return settings.kind.fit(measured, settings)
 
 
 def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
@@ -256,7 +270,7 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes, parameters = (*notes, *budgeted.notes), budgeted.parameters
-    notes = (*notes, *motion_notes(measured))
+    notes = (*notes, *motion_notes(measured), *place_notes(setup))
     # Candidates show whether a damping law is justified.
     of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
     ml_estimate = estimate if of_model else None
@@ -276,6 +290,7 @@ def _fit_band(
             *leakage,
             *(_mass_findings(case, judged) if judging else ()),
             *_parameter_findings(parameters, band, setup),
+            *([] if leakage or setup.closed_loop else _narrow(parameters, measured)),
             *budgeted.findings,
             *comparison_findings(compared_models),
         ),
@@ -325,6 +340,11 @@ def _with_budget(
     return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
 
 
+def _narrow(parameters: tuple[Parameter, ...], measured: Measured) -> list[Finding]:
+    spacing = np.diff(measured.omega)
+    return narrow_findings(parameters, float(np.median(spacing)) / (2 * np.pi)) if spacing.size else []
+
+
 def _parameter_findings(parameters: tuple[Parameter, ...], band: Band, setup: Setup) -> list[Finding]:
     """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = mode_findings(parameters, band, setup)
@@ -341,10 +361,14 @@ def _with_honest_intervals(
     setup: Setup,
 ) -> tuple[Parameter, ...]:
     """The parameters with the intervals that the judgement of the residual leaves them."""
-    if judgement.model_error is not None:
+    if isinstance(judgement.model_error, ModelError):
         return judgement.model_error.stated(parameters)
-    if judgement.refused:
-        return without_intervals(parameters)
+    if judgement.model_error is not None:
+
+        def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
+            return reported_parameters(replace(estimate, values=values, covariance=covariance), model, setup)
+
+        return judgement.model_error.stated(parameters, reported)
     if judgement.covariance is None:
         return parameters
     pair = [

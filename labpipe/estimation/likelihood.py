@@ -24,7 +24,7 @@ from labpipe.estimation.model import FittedModel, ReceptanceModel, ResponseModel
 from labpipe.estimation.output_error import NormalEquations, OutputError, has_line_products, normal_equations
 from labpipe.estimation.regression import equation_solution, inverse_of, regression, solve_scaled
 from labpipe.estimation.statistics import Estimate, Pulls, Stated, determination, pulls_of
-from labpipe.estimation.transfer_mode import TransferMode, transfer_start
+from labpipe.estimation.transfer_mode import TransferMode, peak_starts, transfer_start
 from labpipe.estimation.weights import (
     WeightUncertainty,
     complex_rows,
@@ -38,8 +38,8 @@ from labpipe.records.identification import Goodness
 # Start values of an output-error fit: estimates without start values of their own, the best one first.
 
 REWEIGHTINGS = 12
-# Share of the lowest chi-square that a useful pass must fall below.
-WORTHWHILE = 0.99
+# Share of the lowest chi-square that a useful pass must fall below, and another minimum to be the better one.
+WORTHWHILE, LOWER = 0.99, 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,9 +173,7 @@ def maximum_likelihood(
     Equation (est-ml).
     """
     if isinstance(model, TransferMode):
-        return maximum_likelihood_from(
-            measured, model, transfer_start(measured), "least squares of a mode with a residue of any phase"
-        )
+        return _of_transfer_mode(measured, model)
     n_parameter = len(model.names)
     dof = measured.n_equation - n_parameter
     if dof <= 0:
@@ -192,6 +190,30 @@ def maximum_likelihood(
         most_steps,
     )
     return _estimate(measured, model, problem, best, start.name)
+
+
+def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
+    """The lowest minimum from least squares and, where that is not surely right, from the peaks of |H|."""
+    name = "least squares of a mode with a residue of any phase"
+    best = maximum_likelihood_from(measured, model, transfer_start(measured), name)
+    if best.gof.chi2_p is not None and best.gof.chi2_p >= SUSPECT_P and best.converged:
+        return best
+    for start in peak_starts(measured):
+        try:
+            other = maximum_likelihood_from(measured, model, start, "a peak of the FRF")
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        if (
+            other.converged
+            and other.values[1] > 0
+            and (not best.converged or _squares(other) < LOWER * _squares(best))
+        ):
+            best = other
+    return best
+
+
+def _squares(estimate: Estimate) -> float:
+    return np.inf if estimate.squares is None else estimate.squares
 
 
 def maximum_likelihood_from(measured: Measured, model: FittedModel, start: FloatArray, name: str) -> Estimate:

@@ -1,11 +1,8 @@
 """A residual that is not noise, and the intervals that hold in spite of it.
 
-A residual that is not noise, and the intervals that hold in spite of it.
-
 The residual is judged at the minimum of the output error, whatever the estimator: by chi-square where the
-noise is known, else by its structure. Where it is not noise, the residual terms of modes outside the band are
-added and the fit is judged again. What explains the residual is what the intervals then allow for; where
-nothing does, there are none.
+noise is known, else by its structure. Where it is not noise, the model error is averaged over what may be
+wrong, and stands in values and intervals.
 """
 
 from __future__ import annotations
@@ -15,8 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.leakage import expected
@@ -31,79 +29,11 @@ from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student
 from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.records.finding import Finding
 
-# A model with residual terms: a smooth complex curve per FRF for the modes outside the band, which a local
-# model leaves out.
-
-
-@dataclass(frozen=True)
-class OutsideModes:
-    """H(w) = model + sum_n C_n T_n(x): T_n the Chebyshev polynomials of the frequency mapped on -1 ... 1, C_n
-    complex, one per FRF.
-
-    Parameters: the *n_own* ones of *model*, then Re C, then Im C, each (n_term, n_element), in units of
-    *size* (n_element,) [m/N]. *curves* (n_line, n_term) [1] on the lines of the fit. C is complex since modes
-    outside the band need not be real (Ewins 2000, 4.6). Equation (est-outside).
-    """
-
-    model: ReceptanceModel
-    n_own: int
-    curves: FloatArray
-    size: FloatArray
-
-    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input); *omega* (n_line,) [rad/s]."""
-        receptance = self.model.receptance(parameters[: self.n_own], omega)
-        amounts = parameters[self.n_own :].reshape(2, self.curves.shape[1], -1)
-        return receptance + (self.curves @ ((amounts[0] + 1j * amounts[1]) * self.size)).reshape(
-            receptance.shape
-        )
-
-    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        jacobian = self.model.jacobian(parameters[: self.n_own], omega)
-        # Parameters last in memory, as the fit wants them.
-        slopes = np.empty((*jacobian.shape[1:], parameters.size), np.complex128)
-        slopes[..., : self.n_own] = jacobian.transpose(1, 2, 3, 0)
-        slopes[..., self.n_own :] = self._of_terms.reshape(*jacobian.shape[1:], -1)
-        return slopes.transpose(3, 0, 1, 2)
-
-    @cached_property
-    def _of_terms(self) -> ComplexArray:
-        """dH/dC of all terms, which no parameter changes, (n_line, n_element, 2 n_term n_element) [m/N]."""
-        n_line, n_term = self.curves.shape
-        terms = self.curves[:, None, :, None] * np.diag(self.size)[:, None, :]
-        real = terms.reshape(n_line, self.size.size, n_term * self.size.size)
-        return np.concatenate([real, 1j * real], axis=2)
-
-    def start(self, values: FloatArray) -> FloatArray:
-        """Start values (n_parameter,) [parameter units]: those of the model (n_own,) without residual
-        terms.
-        """
-        return np.concatenate([values, np.zeros(2 * self.curves.shape[1] * self.size.size)])
-
-
-def with_outside_modes(model: ReceptanceModel, measured: Measured, n_own: int, n_term: int) -> OutsideModes:
-    """*model* of *n_own* parameters with *n_term* residual terms on the lines of *measured*."""
-    w = measured.omega
-    place = (2 * w - w[0] - w[-1]) / (w[-1] - w[0])
-    size = np.sqrt(np.mean(np.abs(measured.matrix.reshape(w.size, -1)) ** 2, axis=0))
-    return OutsideModes(model, n_own, np.polynomial.chebyshev.chebvander(place, n_term - 1), size)
-
-
 # A residual that is not noise, and the intervals that hold in spite of it.
 
-# Complex residual terms per FRF that are tried one after the other: constant and slope, then polynomials of
-# higher degree.
-TERMS = (2, 4, 6, 8)
 MOST_STEPS = 40
 # Draws of noise where a p-value only has to be above MISMATCH_P.
 FEW_DRAWS = 299
-# Terms that make an estimate this much less certain are not told apart from the model: their fit says nothing
-# about it.
-LEAST_CERTAIN = 4.0
-# Real numbers in the largest Jacobian for which terms are added: of a matrix of many FRFs they would take
-# longer than all the rest.
-MOST_VALUES = 300_000
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 # A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
@@ -116,21 +46,20 @@ class Judgement:
     """Findings on a residual, and what its intervals become.
 
     *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
-    hold. *refused*: no interval holds. *judged*: whether anything could tell that the residual is noise.
-    *model_error*: what stands in values and intervals.
+    hold. *judged*: whether anything could tell that the residual is noise. *model_error*: what stands in
+    values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
     covariance: FloatArray | None = None
-    refused: bool = False
     judged: bool = True
-    model_error: ModelError | None = None
+    model_error: ModelError | CoefficientError | None = None
 
 
 @dataclass(frozen=True)
 class _Minimum:
     """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and
-    structure (of unknown noise).
+    structure (of unknown noise alone).
     """
 
     problem: OutputError[ReceptanceModel]
@@ -166,9 +95,8 @@ class _Judge:
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
         return (Finding("model-mismatch", f"{said}. {remedy}"),)
 
-    def minimum(self, model: ReceptanceModel, start: FloatArray, n_smooth: int = 0) -> _Minimum | None:
-        """The minimum from *start* (n_parameter,) [parameter units] of a model with *n_smooth* residual
-        terms.
+    def minimum(self, model: ReceptanceModel, start: FloatArray) -> _Minimum | None:
+        """The minimum from *start* (n_parameter,) [parameter units].
 
         None where there is none, or it cannot be judged.
         """
@@ -184,11 +112,10 @@ class _Judge:
             return _Minimum(problem, minimum.values, assessed, 1.0)
         if assessed.p_value is not None:
             return _Minimum(problem, minimum.values, assessed, assessed.p_value)
-        null = Null(self.measured.line_noise, n_smooth=n_smooth, n_draw=FEW_DRAWS if n_smooth else DRAWS)
-        structure = self.structure(problem, minimum.values, null)
+        structure = self.structure(problem, minimum.values, Null(self.measured.line_noise, n_draw=DRAWS))
         if structure is None:
             return None
-        p_value = structure.p_value if n_smooth else min(1.0, structure.p_value * self.n_band)
+        p_value = min(1.0, structure.p_value * self.n_band)
         return _Minimum(problem, minimum.values, assessed, p_value, structure)
 
     def structure(
@@ -259,7 +186,7 @@ def judge(
     return (
         _of_one_line(judged, minimum)
         or _with_model_error(judged, minimum)
-        or _explained(judged, minimum)
+        or _with_coefficient_error(judged, minimum)
         or _unexplained(judged, minimum)
     )
 
@@ -362,60 +289,53 @@ def _with_model_error(judged: _Judge, own: _Minimum) -> Judgement | None:
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
 
 
-def _explained(judged: _Judge, own: _Minimum) -> Judgement | None:
-    """Modes outside the band explain the residual; None where they do not."""
-    estimate, n = judged.estimate, judged.estimate.values.size
-    for n_term in TERMS:
-        other = _with_terms(judged, own, n_term)
-        if other is not None and other.p_value >= MISMATCH_P:
-            covariance = _apart(
-                _not_below(other.assessed.covariance[:n, :n], estimate.covariance),
-                other.values[:n] - estimate.values,
-            )
-            said = (
-                f"{_said(own)}. A smooth residual term, as modes beside the band leave it, explains it. "
-                f"{_grown(estimate, covariance)} "
-                "since they include how far the values are from those with this term"
-            )
-            return Judgement(
-                judged.finding(said, "Use the model modal, which has such terms, or narrow the band"),
-                covariance,
-            )
-    return None
-
-
-def _with_terms(judged: _Judge, own: _Minimum, n_term: int) -> _Minimum | None:
-    """The fit with residual terms.
-
-    None where the lines are too few for it, or do not tell the terms from the model.
-    """
-    n, measured = own.values.size, judged.measured
-    n_parameter = n + 2 * n_term * measured.matrix[0].size
-    if measured.n_equation < 2 * n_parameter or measured.n_equation * n_parameter > MOST_VALUES:
+def _with_coefficient_error(judged: _Judge, own: _Minimum) -> Judgement | None:
+    """The model error of several coefficients inside the interval; None where nothing tells the noise."""
+    weights = _noise_weights(judged, own)
+    if weights is None:
         return None
-    model = with_outside_modes(own.problem.model, measured, n, n_term)
-    other = judged.minimum(model, model.start(own.values), n_term)
-    if other is None:
+    larger = judged.measured.shared_noise
+    if own.assessed.reduced is not None:
+        larger = float(np.max(np.diag(own.assessed.covariance) / np.diag(own.assessed.inverse)))
+    error = coefficient_error(judged.measured, own.problem.model, own.values, weights, larger)
+    if error is None:
         return None
-    before, after = (np.diag(fit.assessed.inverse)[:n] for fit in (own, other))
-    return other if np.all(after <= LEAST_CERTAIN**2 * before) else None
+    said = (
+        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
+        f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
+    )
+    return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
+
+
+def _noise_weights(judged: _Judge, own: _Minimum) -> Weights | None:
+    """Of the measured noise; where it is not known, of that between neighbouring lines of the residual."""
+    if own.structure is None:
+        return own.problem.weights
+    measured = judged.measured
+    residual = measured.matrix - own.problem.model.receptance(own.values, measured.omega)
+    scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0).ravel() / 6
+    if not np.all(scatter > 0):
+        return None
+    return np.broadcast_to(1 / np.sqrt(scatter), (measured.omega.size, scatter.size)).astype(np.complex128)
 
 
 def _unexplained(judged: _Judge, own: _Minimum) -> Judgement:
-    """Nothing explains the residual: a measured excess is counted as noise.
+    """No model error can be told from the coefficients: the excess over the noise is counted as noise.
 
-    Without a measure of noise there is no interval.
+    Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.
     """
     if own.structure is None:
         assert own.assessed.reduced is not None
         return _by_factor(
             judged, judged.factor or float(np.sqrt(own.assessed.reduced)), own.values - judged.estimate.values
         )
+    covariance = judged.measured.omega.size / 2 * own.assessed.covariance
+    covariance = _apart(covariance, own.values - judged.estimate.values)
     said = (
-        f"{_said(own)}, and smooth residual terms do not explain it: a mode is missing within the band, or "
-        "gain or stiffness changed during the measurement. No interval is given, since none would hold"
+        f"{_said(own)}. {_grown(judged.estimate, covariance)} since the lines are too few to tell a wrong "
+        "model from noise, and all of them count as two"
     )
-    return Judgement(judged.finding(said, "Use a model with more modes, or narrow the band"), refused=True)
+    return Judgement(judged.finding(said, "Use a model with more modes, or more lines"), covariance)
 
 
 def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:

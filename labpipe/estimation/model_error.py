@@ -4,7 +4,7 @@ error.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,22 +68,13 @@ class ModelError:
     @property
     def discrepancy(self) -> Discrepancy:
         """What explains the residual, by shares of the evidence."""
-        shares: dict[str, float] = {}
-        for name, share in self.mixture.shares.items():
-            cause = _cause(name)
-            shares[cause] = shares.get(cause, 0.0) + share
-        ordered = dict(sorted(shares.items(), key=lambda pair: -pair[1]))
-        second = self.mixture.second if SECOND_MODE in shares else None
-        return Discrepancy(
-            {name: round(share, 6) for name, share in ordered.items() if share >= 1e-6}, second
-        )
+        shares = shares_by_cause(self.mixture.shares)
+        return Discrepancy(shares, self.mixture.second if SECOND_MODE in shares else None)
 
     @property
     def reason(self) -> str:
-        """The causes that the evidence names, in words; the first one, and others of a share above NAMED."""
-        shares = {name: share for name, share in self.discrepancy.shares.items() if name != NOISE}
-        named = [name for number, (name, share) in enumerate(shares.items()) if not number or share > NAMED]
-        return " or ".join(self._worded(name) for name in named)
+        """The causes that the evidence names, in words."""
+        return reason_of(self.discrepancy.shares, self._worded)
 
     @property
     def likely(self) -> str:
@@ -147,6 +138,23 @@ class ModelError:
         )
 
 
+def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:
+    """Shares of the evidence by cause, the largest first, of those by member and type."""
+    causes: dict[str, float] = {}
+    for name, share in shares.items():
+        cause = _cause(name)
+        causes[cause] = causes.get(cause, 0.0) + share
+    ordered = sorted(causes.items(), key=lambda pair: -pair[1])
+    return {name: round(share, 6) for name, share in ordered if share >= 1e-6}
+
+
+def reason_of(shares: Mapping[str, float], worded: Callable[[str], str] = str) -> str:
+    """The first cause of the evidence in words, and others of a share above NAMED."""
+    causes = {name: share for name, share in shares.items() if name != NOISE}
+    named = [name for number, (name, share) in enumerate(causes.items()) if not number or share > NAMED]
+    return " or ".join(worded(name) for name in named)
+
+
 def _cause(share: str) -> str:
     """The cause of a share such as "Ja", "a", "+am" or "none"."""
     if share == "none":
@@ -185,7 +193,7 @@ def model_error(
         return None
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))
     try:
-        placed = replace(built.mode, curve=_thinned(curve, built.mode, built.start))
+        placed = replace(built.mode, curve=thinned(curve, built.mode, built.start))
         return ModelError(mixture(placed.fitted(placed.started(built.start))), built.rows)
     except (FitError, np.linalg.LinAlgError):
         return None
@@ -256,9 +264,9 @@ def _transfer(by_name: dict[str, float]) -> _Built:
     return _Built(ModeModel(_NO_CURVE), np.log([by_name["f_n"], by_name["zeta"]]), rows)
 
 
-def _thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
-    """At most about MOST_LINES lines: those around the resonance, then means of neighbours as far as these
-    leave its peak as it is.
+def thinned(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
+    """At most about MOST_LINES lines of a *curve*: those around the *mode* as at *start* (n,) [1], then
+    means of neighbours as far as these leave its peak as it is.
     """
     if curve.frequency.size <= MOST_LINES:
         return curve

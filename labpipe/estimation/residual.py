@@ -133,13 +133,11 @@ class Null:
     """The noise that a residual is held against.
 
     *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b
-    |H|^2 along the lines, with a and b from the residual, else the same at all. *n_smooth*: smooth curves
-    that the model has already, so that the next ones are looked for. *n_draw*: most draws.
+    |H|^2 along the lines, with a and b from the residual, else the same at all. *n_draw*: most draws.
     """
 
     shared: SharedNoise | None = None
     uneven: bool = False
-    n_smooth: int = 0
     n_draw: int = DRAWS
 
 
@@ -154,7 +152,7 @@ def residual_structure(
     Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
-    if n_line <= LAGS + null.n_smooth + DEGREE + 1:
+    if n_line <= LAGS + DEGREE + 1:
         return None
     errors = _structure_by_line(residual, n_line)
     levels = _levels(errors, size if null.uneven else None)
@@ -167,7 +165,7 @@ def residual_structure(
     noise = _drawn(n_line, size.shape[1], n_draw, null.shared)
     noise *= np.tile(levels.reshape(-1), 2)[:, None]
     noise -= basis @ (basis.T @ noise)
-    smooth = _smooth(n_line, null.n_smooth)
+    smooth = _smooth(n_line)
     return _least_p(
         _statistics(errors[:, :, None], size, smooth)[0],
         _statistics(_structure_by_line(noise, n_line), size, smooth),
@@ -227,14 +225,10 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
     return np.stack([*statistics, np.sum(energy, axis=(0, 1))], axis=-1)
 
 
-def _smooth(n_line: int, n_known: int) -> FloatArray:
-    """DEGREE + 1 orthonormal polynomials of the line number, of the degrees from *n_known* upwards, (n_line,
-    DEGREE + 1) [1].
-    """
+def _smooth(n_line: int) -> FloatArray:
+    """Orthonormal polynomials of the line number up to DEGREE, (n_line, DEGREE + 1) [1]."""
     place = np.linspace(-1, 1, n_line)
-    return np.asarray(
-        np.linalg.qr(np.polynomial.chebyshev.chebvander(place, n_known + DEGREE))[0][:, n_known:]
-    )
+    return np.asarray(np.linalg.qr(np.polynomial.chebyshev.chebvander(place, DEGREE))[0])
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:

@@ -33,7 +33,7 @@ EVERY = ("model", "estimator", "band", "coverage", "test")
 # Keys that every model linear in its parameters takes besides.
 LINEAR = (
     *("mass", "input", "output", "bands", "sliding", "subtract", "share", "eliminate", "fixed", "weight"),
-    *("bootstrap", "monte_carlo", "compare"),
+    *("bootstrap", "monte_carlo", "compare", "repeats"),
 )
 
 
@@ -54,7 +54,8 @@ class ModelKind:
 
     one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and
     zeta. matrix_modes: the modes of its K, C and M are derived. one_direction: a stiffness and a damping for
-    each direction, uncoupled. of_base: its input is the motion of a base. own_damping: every mode has one
+    each direction, uncoupled. of_base: its input is the motion of a base; any_input: no force is
+    needed. own_damping: every mode has one
     damping of its own. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare
     with.
     """
@@ -66,6 +67,7 @@ class ModelKind:
     optional: bool = False
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
+    of_repeat: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
     times_mass: bool = False
     keys: tuple[str, ...] = ("mass", "input", "output", "bands")
@@ -77,6 +79,7 @@ class ModelKind:
     matrix_modes: bool = False
     one_direction: bool = False
     of_base: bool = False
+    any_input: bool = False
     own_damping: bool = False
     frees_mass: bool = False
     richer: str = ""
@@ -163,7 +166,7 @@ class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
     section that its model has.
 
-    *repeats*: scatter between repeats of a test, from the section ``uncertainty:``.
+    *between*: scatter between repeats of a test, from the section ``uncertainty:``.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
@@ -229,10 +232,16 @@ class FitSettings(Settings):
     )
     compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
+    repeats: str = setting(
+        "choice",
+        "several recordings of one test: each fitted, and their mean; or pool, one fit of all",
+        choices=("each", "pool"),
+        default="each",
+    )
     name: str = ""
     model_settings: Any = None
     uncertainties: Uncertainties = ()
-    repeats: tuple[RepeatSource, ...] = ()
+    between: tuple[RepeatSource, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_keys()

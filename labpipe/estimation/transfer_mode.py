@@ -19,6 +19,8 @@ ACROSS = 0.5
 REWEIGHTINGS = 12
 # Damping ratio of a start without another.
 LIGHT = 0.01
+# Peaks that a fit starts from as well, and damping ratios there.
+PEAKS, DAMPED = 3, (0.005, 0.03)
 
 
 @dataclass(frozen=True)
@@ -84,12 +86,15 @@ def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
 def is_transfer(output: Port, force: Port) -> bool:
     """True where force and response are at different points, or across each other at one: by their dofs.
 
-    A dof that is no more than the name of a channel or column ("acc", "f") is no point: only names with a
-    number count without a rig file.
+    A dof that is no more than the name of a channel or column ("acc", "f") is no point: without a rig file
+    only names with a number are. Where one of the two is a point without a direction, the other is elsewhere,
+    or its dof would say so.
     """
-    if output.dof == force.dof or not (_is_place(output) and _is_place(force)):
+    if not output.dof or not force.dof or output.dof == force.dof:
         return False
     angles = angle_of(output), angle_of(force)
+    if not (_is_place(output) and _is_place(force)):
+        return angles == (None, None) and (_is_place(output) or _is_place(force))
     if angles[0] is not None and angles[1] is not None:
         return bool(abs(np.cos(angles[0] - angles[1])) < ACROSS)
     return angles[0] is None and angles[1] is None
@@ -103,6 +108,20 @@ def _is_place(port: Port) -> bool:
         angle_of(port) is not None
         or port.dof not in (port.label, port.channel)
         or any(letter.isdigit() for letter in port.dof)
+    )
+
+
+def place_notes(setup: Setup) -> tuple[str, ...]:
+    """As what a single FRF between two dofs is taken, where they have different names."""
+    if setup.shape != (1, 1) or not setup.settings.kind.one_frf:
+        return ()
+    output, force = setup.outputs[0], setup.inputs[0]
+    if output.dof == force.dof or not (output.dof and force.dof):
+        return ()
+    taken = "a transfer FRF" if transfer_of(setup) else "a driving point"
+    return (
+        f"{setup.settings.model}: the response at dof '{output.dof}' to the force at dof '{force.dof}' is "
+        f"taken as {taken}; `dof` in the rig file, or in the entry under frfs:, says where both are.",
     )
 
 
@@ -137,6 +156,26 @@ def transfer_start(measured: Measured) -> FloatArray:
     if start is None:
         peak = float(w[np.argmax(np.abs(h))])
         start = np.array([peak**2, 2 * LIGHT * peak])
+    return _with_amounts(measured, start)
+
+
+def peak_starts(measured: Measured) -> list[FloatArray]:
+    """Start values (6,) [parameter units] at the largest peaks of |H|, with light and with more damping.
+
+    A dip of the force beside a peak may draw the least squares away.
+    """
+    size, w = np.abs(measured.matrix[:, 0, 0]), measured.omega
+    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
+    peaks = np.flatnonzero(inner) + 1
+    largest = peaks[np.argsort(size[peaks])[::-1][:PEAKS]]
+    return [
+        _with_amounts(measured, np.array([w[n] ** 2, 2 * zeta * w[n]])) for n in largest for zeta in DAMPED
+    ]
+
+
+def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:
+    """Start values (6,) of w_n^2 and 2 zeta w_n (2,) with the residue and the constant of least squares."""
+    h, w, unit = measured.matrix[:, 0, 0], measured.omega, np.ones(measured.omega.size, np.complex128)
     below = start[0] - w**2 + 1j * w * start[1]
     rows = stacked(np.array([1 / below, 1j / below, unit, 1j * unit])).T
     amounts = solve_scaled(rows, stacked(h))[0]

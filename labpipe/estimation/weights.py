@@ -354,14 +354,14 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
     n_chunk = max(16, CACHED_TERMS // (n * n_term))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
-        white = _white_columns(whitener, lines, by_line[lines])
+        white = white_columns(whitener, lines, by_line[lines])
         np.multiply(white.real, np.sqrt(2.0), out=stacked_columns[0, lines])
         np.multiply(white.imag, np.sqrt(2.0), out=stacked_columns[1, lines])
     return stacked_columns.reshape(2 * n_line * n, n_term)
 
 
-def _white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> ComplexArray:
-    """Terms (n_line, n_output, n_input, n_term) of some *lines* of which *whitener* has all, whitened,
+def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> ComplexArray:
+    """Terms (n_line, n_output, n_input, n_term) [m/N] of some *lines* of which *whitener* has all, whitened,
     (n_line, n, n_term).
     """
     if isinstance(whitener, ProductWeights):

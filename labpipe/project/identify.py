@@ -135,8 +135,9 @@ def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> di
 
 
 def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
-    frf_entry = {"frf": test.frf} if test.frf is not None else {}
-    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **frf_entry}
+    own: dict[str, Any] = {"frf": test.frf} if test.frf is not None else {}
+    own |= {"repeats": test.repeats} if test.repeats else {}
+    return {"name": test.name, "conditions": {**test.conditions, **conditions}, **own}
 
 
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:

@@ -40,7 +40,7 @@ from labpipe.project.raw_recording import raw_recording
 from labpipe.project.recorded_conditions import recorded_conditions
 from labpipe.project.rules import Rule
 from labpipe.project.tests import Test
-from labpipe.project.work import fits_of
+from labpipe.project.work import fits_of, with_repeats_of
 from labpipe.records.dataset import DatasetRow, TestResult, accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
@@ -417,14 +417,24 @@ def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
     inputs = measured_refs(job, output)
     path = output.read_path(job.fits_name)
+    settings_of_test = _with_repeats(job)
     try:
-        if has_fresh_fits(path, job.fits, inputs):
+        if has_fresh_fits(path, settings_of_test, inputs):
             return
     except DamagedError as error:
         output.remarks.append(made_again(error, path))
     measured = measured_of(job, output)
-    fits = [test_fit for settings in job.fits for test_fit in fits_of(measured, settings, job.pipeline_path)]
-    write_fits(output.write_path(job.fits_name), fits, job.fits, inputs)
+    fits = [
+        test_fit
+        for settings in settings_of_test
+        for test_fit in fits_of(measured, settings, job.pipeline_path)
+    ]
+    write_fits(output.write_path(job.fits_name), fits, settings_of_test, inputs)
+
+
+def _with_repeats(job: Job) -> tuple[FitSettings, ...]:
+    """The fits of the job, with what its test says of several recordings where it does."""
+    return tuple(with_repeats_of(settings, job.test.repeats) for settings in job.fits)
 
 
 def finished_fits(jobs: Sequence[Job], output: OutputFolder) -> dict[str, list[Fit]]:

@@ -110,7 +110,7 @@ class UncertaintySettings(Settings):
         by_draws = self.method == "monte-carlo" and "monte_carlo" in fit.kind.keys
         draws = fit.monte_carlo or (self.draws if by_draws else 0)
         coverage = self.coverage if fit.coverage == FitSettings.coverage else fit.coverage
-        return replace(fit, coverage=coverage, monte_carlo=draws, repeats=repeats)
+        return replace(fit, coverage=coverage, monte_carlo=draws, between=repeats)
 
 
 def read_uncertainty(node: Marked, faults: Faults) -> Callable[[FitSettings], FitSettings] | None:

@@ -105,6 +105,13 @@ def copy_example(name: str, output: OutputFolder) -> list[str]:
 # a person must decide.
 
 MARK = "# <- decide:"
+# What init asks for: no recording shows it.
+NOT_SHOWN = (
+    "# What no recording shows counts as zero in every interval until it is stated (standard uncertainties):",
+    "#   sensitivity: 10 mV/N +- 1 %   # the gain of every channel: k, c and m are wrong by as much",
+    "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
+    "# A second test at half the force shows what the level does; `damping: hysteretic`, what its law does.",
+)
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
 AROUND, LEAST_LINES = 0.1, 12
 
@@ -198,6 +205,7 @@ def _rig(first: FirstLook, path: Path) -> str:
     lines.append(
         "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"
     )
+    lines.extend(NOT_SHOWN)
     return "\n".join(lines) + "\n"
 
 

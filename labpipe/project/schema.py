@@ -13,7 +13,7 @@ from labpipe.project.calibrations import CertificateSettings
 from labpipe.project.pipeline_file import RESULTS, ReportSettings, UncertaintySettings
 from labpipe.project.rig_file import ChannelSettings, RigSettings
 from labpipe.project.rules import DECISION_KEYS, DECISIONS
-from labpipe.project.tests import BY
+from labpipe.project.tests import BY, REPEATS
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import Registry
@@ -125,6 +125,10 @@ def pipeline_schema() -> dict[str, Any]:
         },
         "conditions": conditions,
         "frf": {**object_schema(FrfSettings), "description": "in place of the pipeline's, for this test"},
+        "repeats": {
+            "enum": list(REPEATS),
+            "description": "what fits make of several recordings of the same FRFs: in place of their own",
+        },
     }
     rules = {
         "type": "object",

@@ -305,8 +305,9 @@ class RecordingReader:
 # Reading the tests of a pipeline file: recordings of one FRF matrix each, and their conditions.
 
 SINGLE = ("recordings", "frfs", "conditions")
-LISTED = ("name", *SINGLE, "frf")
+LISTED = ("name", *SINGLE, "frf", "repeats")
 EACH = ("each", "pattern", "together", "conditions", "frf")
+REPEATS = ("each", "pool")
 
 
 @dataclass(frozen=True)
@@ -315,7 +316,8 @@ class Test:
     file.
 
     recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made,
-    where it differs from the pipeline's.
+    where it differs from the pipeline's. repeats: what fits make of several recordings, `each` or `pool`;
+    empty where the fits say it.
     """
 
     name: str
@@ -324,6 +326,7 @@ class Test:
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
     frf: FrfSettings | None = None
+    repeats: str = ""
 
 
 @dataclass(frozen=True)
@@ -490,7 +493,13 @@ class TestReader:
             self.faults.add(
                 entries["conditions"], join(key, "conditions"), what, "write the amount, e.g. load: 1 kN"
             )
-        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key))
+        repeats = entries["repeats"].content if "repeats" in entries else ""
+        if "repeats" in entries and repeats not in REPEATS:
+            place = join(key, "repeats")
+            self.faults.add(entries["repeats"], place, f"unknown '{repeats}'", "write each or pool")
+        return Test(
+            name, tuple(recordings), tuple(frfs), conditions, recorded, self._frf(entries, key), repeats
+        )
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
         """The pipeline's frf: with the entries that the test itself gives.

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 from numpy.linalg import LinAlgError
 
@@ -82,7 +83,8 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
             check_tested(
                 fit, [*(test.name for test in work.tests), *(failure.name for failure in work.failed)]
             )
-            made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path)
+            said = {test.name: test.repeats for test in work.pipeline.tests}
+            made = fits_of(work.tests, _begun(fit, fits, work), work.pipeline.path, said)
         from labpipe.estimation.levels import with_level_findings
 
         fits.extend(with_level_findings(made, conditions))
@@ -110,10 +112,21 @@ def _begun(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
         raise
 
 
-def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path: Path) -> list[Fit]:
+def with_repeats_of(settings: FitSettings, repeats: str) -> FitSettings:
+    """The settings with what a test says of its *repeats*, where it does and the model takes it."""
+    takes = repeats and "repeats" in settings.kind.keys
+    return dataclasses.replace(settings, repeats=repeats) if takes else settings
+
+
+def fits_of(
+    tests: Sequence[MeasuredTest],
+    settings: FitSettings,
+    pipeline_path: Path,
+    repeats: Mapping[str, str] = MappingProxyType({}),
+) -> list[Fit]:
     """The fits of the responses or decays whose test the settings name, or of all.
 
-    LabpipeError names fit and test.
+    *repeats*: what tests say of theirs, by name. LabpipeError names fit and test.
     """
     # What fits is not imported by a run that finds all its fits fresh.
     from labpipe.estimation.budget import with_repeat_sources
@@ -126,9 +139,9 @@ def fits_of(tests: Sequence[MeasuredTest], settings: FitSettings, pipeline_path:
         try:
             test_fits = [
                 with_repeat_sources(
-                    fit, settings.repeats, measured.name, measured.conditions, settings.coverage
+                    fit, settings.between, measured.name, measured.conditions, settings.coverage
                 )
-                for fit in identify(measured, settings)
+                for fit in identify(measured, with_repeats_of(settings, repeats.get(measured.name, "")))
             ]
         except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""

@@ -147,14 +147,24 @@ class FittedCurve:
         return self.dense_frequency, self.dense
 
 
+@dataclass(frozen=True)
+class Unstated:
+    """A *source* of error that no residual shows and nobody stated, so that it counts as zero, and its
+    *effect* in words.
+    """
+
+    source: str
+    effect: str
+
+
 @dataclass(frozen=True, repr=False)
 class Fit:
     """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof:
     equations minus estimated parameters.
 
     correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted
-    diagonal term, where one fit has several. details: what its model shows beside the parameters, at most one
-    of a class.
+    diagonal term, where one fit has several. not_stated: what counts as zero in the intervals. details: what
+    its model shows beside the parameters, at most one of a class.
     """
 
     name: str
@@ -179,6 +189,7 @@ class Fit:
     term: str = ""
     budget: Budget | None = None
     discrepancy: Discrepancy | None = None
+    not_stated: tuple[Unstated, ...] = ()
     details: tuple[FitDetail, ...] = field(default=(), metadata={"entry": False})
 
     def __repr__(self) -> str:

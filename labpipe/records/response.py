@@ -274,6 +274,8 @@ class FrequencyResponse:
                      window taken out again)
     blocks           of random data, whose ends leave leakage in the FRF, or None errors           systematic
     errors that no single port carries: of the numbers in sums of channels and of the members of these
+    repeats          (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where each
+    has all of it, or None; named by repeat_names
     """
 
     frequency: FloatArray
@@ -297,6 +299,8 @@ class FrequencyResponse:
     line_gains: ComplexArray | None = None
     blocks: Blocks | None = None
     errors: tuple[MatrixError, ...] = ()
+    repeats: ComplexArray | None = None
+    repeat_names: tuple[str, ...] = ()
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)
@@ -326,6 +330,7 @@ class FrequencyResponse:
             "change": (np.complex128, (n_f, n_o, n_i)),
             "open_loop": (np.complex128, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
+            "repeats": (np.complex128, (len(self.repeat_names), n_f, n_o, n_i)),
             "line_gains": (
                 np.complex128,
                 (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i),
@@ -443,7 +448,7 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         "in its own file"
     )
     names = ("matrix", "coherence", "partial_coherence", "distortion", "change", "open_loop", "line_gains")
-    parts = {name: part(getattr(response, name)) for name in names}
+    parts = {name: part(getattr(response, name)) for name in (*names, "repeats")}
     return replace(
         response,
         **parts,

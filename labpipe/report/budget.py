@@ -50,11 +50,20 @@ RECTANGULAR = 0.5
 
 
 def budget_blocks(fit: Fit) -> tuple[Block, ...]:
-    """Table of the parts, bars and table of the shares, and a sentence on what to improve.
-
-    Nothing without a budget.
+    """Table of the parts, bars and table of the shares, a sentence on what to improve, and what was not
+    stated.
     """
-    return () if fit.budget is None else _blocks(fit.name, fit.parameters, fit.budget, EXPLAINED)
+    blocks = () if fit.budget is None else _blocks(fit.name, fit.parameters, fit.budget, EXPLAINED)
+    return (*blocks, *_not_stated(fit))
+
+
+def _not_stated(fit: Fit) -> tuple[Block, ...]:
+    """The sources that count as zero, since nobody stated them and no residual shows them."""
+    if not fit.not_stated:
+        return ()
+    rows = tuple((entry.source, "0 (not stated)", entry.effect) for entry in fit.not_stated)
+    caption = "What no residual shows, and counts as zero in the intervals"
+    return (Table(("source", "uncertainty", "what it changes"), rows, caption),)
 
 
 def comparison_budget_blocks(comparison: Comparison) -> list[Block]:

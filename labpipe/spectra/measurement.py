@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, handed_over
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import (
     BlockCovariance,
@@ -71,10 +71,40 @@ def measure(
         responses = [_measured(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
     else:
-        response = _of_sensor_places(sources, settings, name, conditions)
+        response = _with_repeats(_of_sensor_places(sources, settings, name, conditions), sources, settings)
     if response.form != TRANSMISSIBILITY:
         response = response.with_findings(reciprocity_findings(response))
     return directional(response) if settings.directional else response
+
+
+def _with_repeats(
+    response: FrequencyResponse, sources: Sequence[SampleSource], settings: FrfSettings
+) -> FrequencyResponse:
+    """The response with that of every recording alone, where each has all of it.
+
+    Recordings that alone give no response, or other lines, are no repeats.
+    """
+    ports = [port.label for port in (*response.outputs, *response.inputs)]
+    alone, names = [], []
+    for source in sources if len(sources) > 1 else ():
+        if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
+            return response
+        try:
+            one = _measured([source], settings, source.name, None)
+        except (LabpipeError, np.linalg.LinAlgError):
+            return response
+        lines = np.isin(one.frequency, response.frequency)
+        if [
+            port.label for port in (*one.outputs, *one.inputs)
+        ] != ports or lines.sum() != response.frequency.size:
+            return response
+        alone.append(one.matrix[lines])
+        names.append(source.name)
+    return (
+        dataclasses.replace(response, repeats=np.array(alone), repeat_names=tuple(names))
+        if alone
+        else response
+    )
 
 
 def _of_sensor_places(

@@ -98,6 +98,7 @@ WRITTEN = {
     "monte_carlo": "200",
     "compare": "true",
     "test": "[other]",
+    "repeats": "pool",
 }
 VALUES: dict[str, Any] = {
     "bands": ("50-70 Hz", "80-100 Hz"),
@@ -177,7 +178,8 @@ def test_every_key_and_model_is_walked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("model", "key"), [pair for pair in PAIRS if takes(*pair) and pair[1] not in ("test", "coverage")]
+    ("model", "key"),
+    [pair for pair in PAIRS if takes(*pair) and pair[1] not in ("test", "coverage", "repeats")],
 )
 def test_a_key_that_is_taken_changes_what_is_found(model: str, key: str) -> None:
     plain = replace(CASES[model][1](), **BESIDE.get(key, {}))

@@ -93,7 +93,7 @@ def loaded(folder: Path, entry: str) -> tuple[RepeatSource, ...]:
     (folder / "r.csv").write_text("f,x\n1,2\n3,4\n")
     (folder / "p.yaml").write_text(PIPELINE + entry + "\n")
     (fit,) = load_pipeline(folder / "p.yaml").fits
-    return fit.repeats
+    return fit.between
 
 
 def test_a_size_and_a_repeatability_test_are_read(tmp_path: Path) -> None:

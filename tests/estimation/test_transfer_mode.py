@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.likelihood import maximum_likelihood, maximum_likelihood_from
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.transfer_mode import TransferMode, is_transfer, transfer_start
 from labpipe.records.identification import Fit
@@ -126,6 +127,14 @@ def test_a_transfer_is_told_by_its_dofs() -> None:
     # Columns of a file without a rig: what they are named after is not known.
     assert not is_transfer(port("y"), port("f")) and not is_transfer(port("acc"), port("force"))
     assert is_transfer(Port("acc", "acc", "tip"), Port("f", "f", "root"))
+    # A point with a number beside a column that is no point: not the same place.
+    assert is_transfer(port("1"), port("f")) and is_transfer(port("f"), port("1"))
+    assert not is_transfer(port("x"), port("f"))
+
+
+def test_what_an_frf_is_taken_for_is_said() -> None:
+    (fit,) = identify(transfer(1.0), FitSettings("sdof"))
+    assert any("is taken as a transfer FRF" in text for text in fit.notes)
 
 
 def test_slopes_are_those_of_the_function() -> None:
@@ -136,3 +145,38 @@ def test_slopes_are_those_of_the_function() -> None:
         step[n] = 1e-6 * abs(values[n])
         change = (model.receptance(values + step, w) - model.receptance(values - step, w)) / (2 * step[n])
         np.testing.assert_allclose(slope, change, rtol=1e-6, atol=1e-8 * np.max(np.abs(change)))
+
+
+@pytest.mark.parametrize("seed", [20, 22, 27, 40])
+def test_a_dip_of_the_force_beside_the_peak_does_not_draw_the_fit_away(seed: int) -> None:
+    """A peak at 213.4 Hz, and a dip of the force at 221 Hz, where noise is 300 times as large: least squares
+    alone end there, at a mode narrower than a line with a larger residual.
+    """
+    frequency = np.arange(200.0, 230.0, 0.25)
+    w, w_n = 2 * np.pi * frequency, 2 * np.pi * 213.4
+    matrix = (0.5 + 0.1j) / (w_n**2 - w**2 + 2j * 0.006 * w_n * w)
+    rng = np.random.default_rng(seed)
+    noise = 0.005 * float(np.max(np.abs(matrix))) * (rng.normal(size=w.size) + 1j * rng.normal(size=w.size))
+    matrix = matrix + noise * (1 + 300 * np.exp(-(((frequency - 221) / 0.3) ** 2)))
+    ports = (Port("y", "y", "2"),), (Port("f", "f", "1"),)
+    response = FrequencyResponse(frequency, matrix[:, None, None], *ports)
+    drawn_away = maximum_likelihood_from(
+        measured(response), TransferMode(), transfer_start(measured(response)), "least squares"
+    )
+    assert drawn_away.values[0] == pytest.approx(221.0, abs=0.3)
+    best = maximum_likelihood(measured(response), TransferMode())
+    assert best.values[0] == pytest.approx(213.4, abs=0.2) and best.squares < drawn_away.squares
+
+
+def test_a_mode_narrower_than_a_line_is_said() -> None:
+    frequency = np.arange(20.0, 60.0, 1.0)
+    w, w_n = 2 * np.pi * frequency, 2 * np.pi * 40.2
+    matrix = 0.5 / (w_n**2 - w**2 + 2j * 0.001 * w_n * w)
+    rng = np.random.default_rng(0)
+    noise = 1e-3 * float(np.max(np.abs(matrix))) * (rng.normal(size=w.size) + 1j * rng.normal(size=w.size))
+    ports = (Port("y", "y", "2"),), (Port("f", "f", "1"),)
+    (fit,) = identify(
+        FrequencyResponse(frequency, (matrix + noise)[:, None, None], *ports), FitSettings("sdof")
+    )
+    (finding,) = [finding for finding in fit.findings if finding.code == "leakage"]
+    assert "less than the 1 Hz from line to line" in finding.message

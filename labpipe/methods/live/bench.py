@@ -335,7 +335,9 @@ class Bench:
             mean = amplitudes.mean(axis=0)
             spread = amplitudes[0] - mean
             noise = spread[:, :, None] * spread[:, None, :].conj()
-            spectrum = smoothed_noise(LineSpectrum(frequency, mean, noise, 2, 1.0), self.frf.smooth)
+            spectrum = smoothed_noise(
+                LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size)), self.frf.smooth
+            )
             for column in self.layout.input_columns[0]:
                 excited &= excited_lines(spectrum, [column])
         chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)

@@ -13,7 +13,6 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.budget import Source, mass_source, with_sources
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
 from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
 from labpipe.estimation.model_error import ModelError
@@ -160,13 +159,15 @@ def modal_findings(
         )
     elif unexplained(estimate, p_noise):
         said = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
+    elif errors:
+        modes = ", ".join(str(number) for number in errors)
+        said = f"the FRFs, filtered for mode {modes} alone, show more than one mode and noise"
     if said:
         reasons = dict.fromkeys(f"mode {number}: {error.likely}" for number, error in errors.items())
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
         message = (
             f"{said}. {likely}Values and intervals of each mode include what the model leaves unexplained "
-            "in its band; a mode without an "
-            "interval has no line of its own there. Name a missing mode in `poles`, or narrow the band"
+            "in its band. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -254,6 +255,9 @@ def modal_notes(
 # Model modal: the modes of a band from any number of FRFs, found by p-LSCF and refined by maximum
 # likelihood.
 
+# Share of the band by which lines on either side are looked at as well.
+BEYOND = 0.15
+RECEPTANCE = "receptance"
 # Lines per order of the denominator below which a polynomial follows the noise.
 LINES_PER_ORDER = 4
 
@@ -263,12 +267,14 @@ class _Sides:
     """The FRFs with the smaller side, the references, as columns: as receptance, and in the measured form,
     whose noise is the more even.
 
-    forces_move: the larger side are the forces (a roving hammer).
+    forces_move: the larger side are the forces (a roving hammer). by_force: the inputs are forces, which
+    modal masses need.
     """
 
     measured: Measured
     lines: Lines
     forces_move: bool
+    by_force: bool
 
     @property
     def points(self) -> tuple[Port, ...]:
@@ -281,7 +287,7 @@ class _Sides:
     @property
     def driving_points(self) -> tuple[DrivingPoint, ...]:
         """The points that are references as well."""
-        dofs = [port.dof for port in self.references]
+        dofs = [port.dof for port in self.references] if self.by_force else []
         return tuple(
             DrivingPoint(row, dofs.index(port.dof), port.dof)
             for row, port in enumerate(self.points)
@@ -298,6 +304,10 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     if not isinstance(settings.mass, float | str):
         raise ConfigError("a modal fit takes one mass", hint="for example mass: 0.92 kg", field="mass")
     modal: ModalSettings = settings.model_settings
+    form = response.form
+    if form not in DERIVATIVES:
+        # Poles and shapes need no unit of force; what powers of s the form holds are residual terms.
+        response = replace(response, form=RECEPTANCE)
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
@@ -305,6 +315,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         measured_part(response, rows, columns, chosen),
         response.form,
         hysteretic=_is_hysteretic(settings, modal),
+        by_force=form in DERIVATIVES,
     )
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
@@ -325,7 +336,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
-    fit = _reported(settings, band, sides, whole, estimate)
+    fit = _reported(
+        settings,
+        band,
+        sides,
+        whole,
+        estimate,
+        _beyond(response, rows, columns, band, sides, estimate.refined),
+    )
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     window_known = has_noise(sides.measured) or bool(response.line_correlation)
     narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
@@ -341,7 +359,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     )
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
     modes = replace(modes, driving_points=driving, geometry=modal.structure)
-    curve = _curve(response.form, sides, estimate)
+    curve = replace(_curve(response.form, sides, estimate), form=form)
     return replace(fit, findings=(*fit.findings, *quality), curve=curve, details=(modes,))
 
 
@@ -357,13 +375,33 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     return True
 
 
-def _sides(measured: Measured, form: str, *, hysteretic: bool) -> _Sides:
+def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turned(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
-    return _Sides(turned, lines, forces_move)
+    return _Sides(turned, lines, forces_move, by_force)
+
+
+def _beyond(
+    response: FrequencyResponse,
+    rows: list[int],
+    columns: list[int],
+    band: tuple[float, float],
+    sides: _Sides,
+    refined: Refined,
+) -> Measured:
+    """The same FRFs in a wider band, the lines around it that a mode must survive: by BEYOND of the band, or
+    by the largest half-power width that it does not hold three times.
+    """
+    widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, band[1] - band[0])
+    more = max(
+        BEYOND * (band[1] - band[0]), *(2 * width for width in widths if 3 * width > band[1] - band[0]), 0.0
+    )
+    lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
+    measured = measured_part(response, rows, columns, lines)
+    return _turned(measured) if sides.forces_move else measured
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
@@ -456,18 +494,23 @@ def _sources(
 
 
 def _reported(
-    settings: FitSettings, band: tuple[float, float], sides: _Sides, whole: Completed, estimate: ModalEstimate
+    settings: FitSettings,
+    band: tuple[float, float],
+    sides: _Sides,
+    whole: Completed,
+    estimate: ModalEstimate,
+    beyond: Measured,
 ) -> Fit:
     """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
     matrix = frequency_correlation(refined)
     parameters = _parameters(settings, sides, estimate, refined)
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
-    errors = model_errors(measured, estimate, parameters) if misfit else {}
-    if misfit:
-        parameters = with_model_errors(
-            without_intervals(parameters) if estimate.chi2_reduced is None else parameters, errors
-        )
+    errors: dict[int, ModelError] = {}
+    if refined.converged and (misfit or (estimate.chi2_reduced is None and whole.p_noise > 0)):
+        errors = model_errors(measured, beyond, estimate, parameters, misfit)
+    if misfit or errors:
+        parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi))
     r2, adjusted = determination(
         measured.matrix, measured.matrix - estimate.fitted, measured.n_equation - estimate.dof
     )

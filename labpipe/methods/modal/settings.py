@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings, ModelKind
@@ -56,14 +57,22 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     return (modal_fit(response, settings),)
 
 
+def _of_repeat(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
+    """A recording alone is fitted with the modes of all together, so that these keep their numbers."""
+    poles = tuple(p.value for fit in fits for p in fit.parameters if p.name.startswith("f_n_"))
+    return replace(settings, model_settings=replace(settings.model_settings, poles=poles))
+
+
 MODAL = ModelKind(
     _fit,
     "modal",
     ModalSettings,
     "modal: {order: 60}",
     optional=True,
+    of_repeat=_of_repeat,
     times_mass=True,
     own_damping=True,
-    keys=("mass", "input", "output", "damping"),
+    any_input=True,
+    keys=("mass", "input", "output", "damping", "repeats"),
     estimators=("ml",),
 )

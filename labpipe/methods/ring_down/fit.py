@@ -363,7 +363,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     columns = chosen_ports(decays.outputs, settings.output, "response")
     pieces = pieces_of(decays.decays, columns, decays.sample_rate, settings.band)
     repeated = None
-    if len(pieces) > 1 and decay_settings.repeats == "each":
+    if len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats):
         repeated = repeated_decays(decays, columns, pieces, settings.band, decay_settings.modes)
     if repeated is None:
         fitted = most_likely(

@@ -50,6 +50,6 @@ DECAY = ModelKind(
     optional=True,
     of=DECAYS,
     times_mass=True,
-    keys=("mass", "output"),
+    keys=("mass", "output", "repeats"),
     estimators=("ml",),
 )

@@ -379,3 +379,16 @@ def finer(response: FrequencyResponse, spacing: float) -> FrequencyResponse:
     ]
     noise = np.random.default_rng(8).normal(size=(2, *matrix.shape))
     return replace(response, frequency=frequency, matrix=matrix + 1e-8 * (noise[0] + 1j * noise[1]))
+
+
+@pytest.mark.parametrize("form", ["other", "transmissibility"])
+def test_inputs_that_are_no_forces_have_poles_and_no_masses(form: str) -> None:
+    """Acceleration over a current that a force is 5 N/A of, or over that of a base: the same poles."""
+    response = with_known_noise(chain_response(np.linspace(5, 120, 500)), 2e-8, 3)
+    w = 2 * np.pi * response.frequency[:, None, None]
+    fit = modal(replace(response, matrix=-(w**2) * response.matrix * 5, form=form, covariance=None))
+    f, zeta, _ = chain_truth()
+    for number in (1, 2):
+        assert within(fit, f"f_n_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
+    assert not [parameter for parameter in fit.parameters if parameter.name.startswith(("m_", "k_", "c_"))]
+    assert fit.curve is not None and fit.curve.form == form

@@ -1,0 +1,290 @@
+"""A test of several recordings of the same FRFs: each recording is fitted alone, and the parameters are means
+of these repeats, with the part between them and the model error that all of them share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
+from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, kept_repeats, repeat_mean
+from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.statistics import student_limit
+from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, Repeats, note
+from labpipe.records.identification import Fit, FittedCurve
+from labpipe.records.response import FrequencyResponse, uncorrelated
+
+# Quantities that no gain changes, whose scatter is known from measured structures.
+FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
+# Least scale of the prior of others, relative to their size.
+LEAST_SCALE = 0.03
+# Neighbouring lines that share the scatter of the aligned residuals, and the least share they divide by.
+NEIGHBOURS, LEAST_REST = 15, 0.02
+# The fits of a response by settings, whose residual is judged or not.
+Fitting = Callable[[FrequencyResponse, FitSettings, bool], tuple[Fit, ...]]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """A test of several recordings, and how one of them is fitted."""
+
+    response: FrequencyResponse
+    settings: FitSettings
+    fitting: Fitting
+
+    def alone(self, matrix: ComplexArray) -> tuple[Fit, ...]:
+        """The fits of one recording, whose noise its own residual shows."""
+        one = replace(
+            self.response,
+            matrix=matrix,
+            covariance=None,
+            change=None,
+            open_loop=None,
+            distortion=None,
+            repeats=None,
+            repeat_names=(),
+            averages=1.0,
+            covariance_dof=float("inf"),
+            findings=(),
+        )
+        fits = self.fitting(one, self.settings, False)
+        if not all(fit.converged for fit in fits):
+            raise FitError("its fit does not converge")
+        return fits
+
+
+def over_repeats(
+    pooled: tuple[Fit, ...], response: FrequencyResponse, settings: FitSettings, fitting: Fitting
+) -> tuple[Fit, ...]:
+    """The fits with their parameters as means over the recordings of a *response*.
+
+    *pooled*: the fits of all recordings together; *fitting* makes those of one. As they are where fewer than
+    two recordings can be fitted. Equations (repeats-mean), (repeats-aligned).
+    """
+    assert response.repeats is not None
+    test = _Test(response, settings.kind.of_repeat(settings, pooled), fitting)
+    repeats: dict[str, tuple[Fit, ...]] = {}
+    failed = []
+    for name, matrix in zip(response.repeat_names, response.repeats, strict=True):
+        try:
+            fits = test.alone(matrix)
+        except FitError as error:
+            failed.append(note("repeat-left-out", f"recording '{name}' is left out: {error.what}"))
+            continue
+        if len(fits) == len(pooled):
+            repeats[name] = fits
+    if len(repeats) < 2:
+        return tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
+    return tuple(
+        _over(fit, {name: fits[place] for name, fits in repeats.items()}, failed, test)
+        for place, fit in enumerate(pooled)
+    )
+
+
+@dataclass(frozen=True)
+class _Values:
+    """One parameter of every repeat: values and variances by noise (n,), of its logarithm where *log*."""
+
+    values: FloatArray
+    variances: FloatArray
+    log: bool
+
+    @classmethod
+    def of(cls, own: Sequence[Parameter]) -> _Values:
+        values, errors = np.array([p.value for p in own]), np.array([p.std_error or 0.0 for p in own])
+        log = bool(np.all(values * values[0] > 0))
+        return (
+            cls(np.log(np.abs(values)), (errors / values) ** 2, True)
+            if log
+            else cls(values, errors**2, False)
+        )
+
+    def chosen(self, used: Sequence[bool]) -> _Values:
+        return _Values(self.values[np.array(used)], self.variances[np.array(used)], self.log)
+
+
+def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], test: _Test) -> Fit:
+    """A fit of all recordings with its parameters as means over *repeats*."""
+    own = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats.values()]
+    names = [p.name for p in pooled.parameters if all(_usable(one.get(p.name)) for one in own)]
+    if not names:
+        return pooled
+    columns = {name: _Values.of([one[name] for one in own]) for name in names}
+    judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
+    kept = kept_repeats(
+        np.stack([columns[name].values for name in judged], axis=1),
+        np.stack([columns[name].variances for name in judged], axis=1),
+    )
+    used = [bool(one) for one in kept.used]
+    good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
+    common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
+    ratios = {p.name.partition("_")[2]: abs(p.value) for p in pooled.parameters if p.name.startswith(DAMPING)}
+    means, stated = {}, []
+    for parameter in pooled.parameters:
+        name = parameter.name
+        if name in columns:
+            of = columns[name].chosen(used)
+            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios))
+            stated.append(
+                _stated(
+                    parameter, means[name], of, common.get(name), pooled.dof, len(test.response.repeat_names)
+                )
+            )
+        else:
+            stated.append(parameter)
+    return replace(
+        pooled,
+        parameters=tuple(stated),
+        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means)),
+        notes=(*pooled.notes, _said(sum(used), len(test.response.repeat_names))),
+    )
+
+
+def _usable(parameter: Parameter | None) -> bool:
+    return parameter is not None and bool(parameter.std_error) and bool(np.isfinite(parameter.value))
+
+
+def _scale(name: str, of: _Values, ratios: Mapping[str, float]) -> float:
+    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else that of the repeats themselves."""
+    if of.log and name.startswith(FREQUENCY):
+        return PRIOR_SCALE * ratios.get(name.removeprefix("f_n").removeprefix("_"), 0.01)
+    if of.log and name.startswith(DAMPING):
+        return PRIOR_SCALE
+    size = 1.0 if of.log else float(np.median(np.abs(of.values)))
+    return max(float(np.std(of.values, ddof=1)), LEAST_SCALE * size, float(np.finfo(float).tiny))
+
+
+def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
+    """The parameters of the aligned mean: residuals of all repeats on the curve of the pooled fit, which hold
+    the model error that they share and no longer what moved between them.
+    """
+    curves = [fit.curve for fit in repeats if fit.curve is not None]
+    if pooled.curve is None or len(curves) < len(repeats):
+        return ()
+    aligned = _aligned(pooled.curve, curves, test.response)
+    if aligned is None:
+        return ()
+    try:
+        fits = test.fitting(
+            aligned, replace(test.settings, band=pooled.band_hz, bands=(), sliding=None), True
+        )
+    except FitError:
+        return ()
+    return fits[0].parameters if len(fits) == 1 else ()
+
+
+def _aligned(
+    pooled: FittedCurve, curves: Sequence[FittedCurve], response: FrequencyResponse
+) -> FrequencyResponse | None:
+    """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that.
+
+    None where a result shows a part of the FRFs only, or where there is no scatter.
+    """
+    outputs = tuple(port for port in response.outputs if port.label in pooled.outputs)
+    inputs = tuple(port for port in response.inputs if port.label in pooled.inputs)
+    shape = pooled.fitted.shape
+    if shape[1:] != (len(outputs), len(inputs)) or any(curve.fitted.shape != shape for curve in curves):
+        return None
+    residuals = np.array([curve.measured - curve.fitted for curve in curves])
+    mean, n = np.mean(residuals, axis=0), len(curves)
+    square = np.sum(np.abs(residuals - mean) ** 2, axis=0) / n**2 / max(1 - 1 / n, LEAST_REST)
+    kernel = np.ones(min(NEIGHBOURS, shape[0]))
+    counts = np.convolve(np.ones(shape[0]), kernel, mode="same")
+    columns = [np.convolve(column, kernel, mode="same") / counts for column in square.reshape(shape[0], -1).T]
+    smooth = np.array(columns).T.reshape(shape) * shape[0] / max(shape[0] - 4, 1)
+    if not np.all(smooth > 0):
+        return None
+    return FrequencyResponse(
+        pooled.frequency,
+        pooled.fitted + mean,
+        outputs,
+        inputs,
+        form=response.form,
+        covariance=uncorrelated(smooth),
+        name=response.name,
+    )
+
+
+def _shared(common: Parameter | None, *, log: bool) -> tuple[float, float]:
+    """Shift and half-width by the model error that all repeats share, of the logarithm if *log*."""
+    if common is None or common.fitted is None or common.std_error is None or common.ci95 is None:
+        return 0.0, 0.0
+    size = abs(common.fitted) if log else 1.0
+    shift = (common.value - common.fitted) / size
+    if log and common.value * common.fitted > 0:
+        shift = float(np.log(common.value / common.fitted))
+    reach = (common.ci95[1] - common.ci95[0]) / 2 / size
+    return shift, float(np.sqrt(max(reach**2 - (NORMAL * common.std_error / size) ** 2, 0.0)))
+
+
+def _stated(
+    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, recorded: int
+) -> Parameter:
+    """The mean with the hull of its own interval and that with the model error that all repeats share."""
+    shift, extra = _shared(common, log=of.log)
+    between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
+    low = min(mean.value - between, mean.value + shift - wide)
+    high = max(mean.value + between, mean.value + shift + wide)
+    sign = float(np.sign(parameter.value)) if of.log else 1.0
+
+    def back(value: float) -> float:
+        return sign * float(np.exp(value)) if of.log else float(value)
+
+    value, ends = back(mean.value), sorted((back(low), back(high)))
+    unit, limit, systematic = abs(value) if of.log else 1.0, student_limit(dof), parameter.systematic or 0.0
+    error = float(np.sqrt(mean.weights**2 @ of.variances)) * unit
+    scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
+    full = float(np.hypot(max((high - low) / 2 / limit * unit, error), systematic))
+    sides = [float(np.hypot(side, limit * systematic)) for side in (value - ends[0], ends[1] - value)]
+    interval = (value - sides[0], value + sides[1])
+    return replace(
+        parameter,
+        value=value,
+        std_error=error,
+        std_error_inflated=full,
+        ci95=interval,
+        interval=IntervalParts(error, repeats=scatter, systematic=systematic),
+        t_ratio=None if parameter.t_ratio is None else value / full,
+        significant=None if parameter.significant is None else not interval[0] <= 0 <= interval[1],
+        fitted=None,
+        reason=common.reason if common is not None and extra > between else "",
+        discrepancy=None if common is None else common.discrepancy,
+        repeats=Repeats(recorded, of.values.size, mean.spread * unit, tuple(back(one) for one in of.values)),
+    )
+
+
+def _said(used: int, recorded: int) -> str:
+    over = f"{used} recordings" if used == recorded else f"{used} of {recorded} recordings"
+    return (
+        f"values are means over {over}, each fitted alone; intervals hold what these scatter by and the "
+        "model error that they share. `repeats: pool` fits all of them together."
+    )
+
+
+def _findings(names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean]) -> list[Finding]:
+    """Notes on recordings that stand out or drift, and a warning where they are two populations."""
+    if kept.two_populations:
+        message = (
+            "more than a quarter of the recordings lie apart from the others: two populations, and the mean "
+            "is of both. Name the groups"
+        )
+        return [Finding("two-populations", message)]
+    findings = [
+        note("repeat-left-out", f"recording '{name}' is left out: its frequency or damping stands out")
+        for name, is_used in zip(names, kept.used, strict=True)
+        if not is_used
+    ]
+    ordered = [
+        name for name, mean in means.items() if mean.ordered and name.startswith((*FREQUENCY, *DAMPING))
+    ]
+    if ordered:
+        message = (
+            f"{', '.join(ordered)}: neighbouring recordings are alike, so the values drift or come in "
+            "steps (temperature, mounting). The interval allows for it; record what changes"
+        )
+        findings.append(note("repeats-in-order", message))
+    return findings

@@ -1,0 +1,78 @@
+"""Modes whose residual is not noise: intervals that survive another band, loss factors, few lines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.settings import ModalSettings
+from labpipe.records.finding import Parameter
+from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+
+POINTS = 4
+# Two hertz apart, as by a hit of half a second.
+FREQUENCY = np.arange(700.0, 3200.0, 2.0)
+# Strong modes far away, the mode of the band, and a weaker one six tenths of a half-power width beside it.
+MODES = (
+    (1074.0, 0.034, 1.0),
+    (1961.0, 0.04, 0.6),
+    (2617.0, 0.02, 0.5),
+    (2680.0, 0.02, 0.08),
+    (3400.0, 0.02, 1.0),
+)
+
+
+def response(seed: int, *, hysteretic: bool = False, known: bool = False) -> FrequencyResponse:
+    rng = np.random.default_rng(seed)
+    h = np.zeros((FREQUENCY.size, POINTS, 1), np.complex128)
+    for f_n, zeta, amount in MODES:
+        shape = amount * (1 + 0.5 * rng.uniform(-1, 1, POINTS)) * f_n**2
+        damping = 2j * zeta * f_n * (f_n if hysteretic else FREQUENCY)
+        h[:, :, 0] += shape / (f_n**2 - FREQUENCY**2 + damping)[:, None]
+    std = 0.01 * float(np.sqrt(np.mean(np.abs(h) ** 2)))
+    noise = std * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)) / np.sqrt(2)
+    outputs = tuple(Port(f"a{n}", f"a{n}", f"{n}") for n in range(1, POINTS + 1))
+    covariance = uncorrelated(np.full(h.shape, std**2)) if known else None
+    return FrequencyResponse(FREQUENCY, h + noise, outputs, (Port("f", "f", "1"),), covariance=covariance)
+
+
+def fitted(seed: int, band: tuple[float, float], **more: object) -> Fit:
+    modal = ModalSettings(poles=(2617.0,))
+    (fit,) = identify(response(seed), FitSettings("modal", band=band, model_settings=modal, **more))
+    return fit
+
+
+def test_an_interval_survives_other_bands() -> None:
+    """A hidden mode beside it, three bands: every interval holds the mode, and
+    every pair of bands agrees.
+    """
+    stated = []
+    for band in ((2485, 2725), (2450, 2750), (2300, 2900)):
+        f_n = fitted(0, band).parameter("f_n_1")
+        assert f_n.ci95 is not None and f_n.ci95[0] <= 2617.0 <= f_n.ci95[1], (band, f_n)
+        assert f_n.interval.discrepancy > 0
+        stated.append(f_n.ci95)
+    assert max(low for low, _ in stated) < min(high for _, high in stated)
+
+
+def test_loss_factors_have_an_interval_with_model_error() -> None:
+    settings = FitSettings(
+        "modal", band=(2300, 2900), damping="hysteretic", model_settings=ModalSettings(poles=(2617.0,))
+    )
+    (fit,) = identify(response(0, hysteretic=True, known=True), settings)
+    eta = fit.parameter("eta_1")
+    assert eta.interval.discrepancy > 0 and eta.reason and eta.ci95[0] <= eta.value <= eta.ci95[1]
+
+
+def test_no_mode_is_left_without_an_interval() -> None:
+    """Two poles by hand in a band with three modes, one of them at its edge."""
+    modal = ModalSettings(poles=(1074.0, 1961.0))
+    (fit,) = identify(response(1), FitSettings("modal", band=(1000, 2600), model_settings=modal))
+    assert "model-mismatch" in [finding.code for finding in fit.findings]
+
+    def stated(parameter: Parameter) -> bool:
+        return parameter.ci95 is not None and parameter.ci95[0] <= parameter.value <= parameter.ci95[1]
+
+    assert all(stated(parameter) for parameter in fit.parameters)

@@ -1,0 +1,72 @@
+"""Recordings of one test as a pipeline meets them: repeats without a new key, pooled where a test says so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+import labpipe
+from labpipe.errors import ConfigError
+from labpipe.project.pipeline_file import load_pipeline
+from labpipe.records.identification import Fit
+
+RATE, PERIOD, PERIODS = 500, 1000, 6
+RIG = """
+name: r
+sample_rate: 500 Hz
+channels:
+  f: {quantity: force, unit: N, role: input, dof: x}
+  y: {quantity: displacement, unit: m, role: output, dof: x}
+"""
+PIPELINE = """
+rig: rig.yaml
+tests: [{name: t, recordings: "r*.csv"KEYS}]
+frf: {excitation: periodic, period: 2 s, skip: 2}
+identify: {peak: {model: sdof, band: 30-50 Hz}}
+"""
+F_N, ZETA = 40.0, 0.02
+
+
+def record(path: Path, f_n: float, seed: int) -> None:
+    """A mode of 1 kg under a periodic force, by the exact response of its lines, with noise of 1 %."""
+    rng = np.random.default_rng(seed)
+    force = np.fft.irfft(np.exp(2j * np.pi * rng.random(PERIOD // 2 + 1)), PERIOD) * np.sqrt(PERIOD)
+    w, w_n = 2 * np.pi * np.fft.rfftfreq(PERIOD, 1 / RATE), 2 * np.pi * f_n
+    motion = np.fft.irfft(np.fft.rfft(force) / (w_n**2 - w**2 + 2j * ZETA * w_n * w), PERIOD)
+    f, y = (np.tile(signal.detrend(part, type="constant"), PERIODS) for part in (force, motion))
+    y = y + 0.01 * np.std(y) * rng.normal(size=y.size)
+    np.savetxt(path, np.column_stack([f, y]), delimiter=",", header="f,y", comments="")
+
+
+def identified(folder: Path, keys: str = "") -> Fit:
+    (folder / "rig.yaml").write_text(RIG)
+    (folder / "p.yaml").write_text(PIPELINE.replace("KEYS", keys))
+    for number, moved in enumerate((-0.02, 0.05, -0.04, 0.03, 0.0)):
+        record(folder / f"r{number}.csv", F_N + moved, number)
+    (fit,) = labpipe.run(folder / "p.yaml", folder / "out").fits
+    return fit
+
+
+def test_recordings_of_one_test_are_repeats(tmp_path: Path) -> None:
+    """Frequencies are known: their mean is 40.004 Hz, their standard deviation 0.036 Hz."""
+    f_n = identified(tmp_path).parameter("f_n")
+    assert f_n.repeats is not None and f_n.repeats.n == f_n.repeats.used == 5
+    assert f_n.value == pytest.approx(40.004, abs=0.005)
+    assert f_n.repeats.spread == pytest.approx(0.036, rel=0.5)
+    assert f_n.ci95[0] < F_N < f_n.ci95[1]
+
+
+def test_a_test_may_pool_them(tmp_path: Path) -> None:
+    fit = identified(tmp_path, ", repeats: pool")
+    assert fit.parameter("f_n").repeats is None
+
+
+def test_another_word_is_refused_at_its_line(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "p.yaml").write_text(PIPELINE.replace("KEYS", ", repeats: some"))
+    (tmp_path / "r1.csv").write_text("f,y\n1,2\n")
+    with pytest.raises(ConfigError, match=r"p\.yaml:3:.*unknown 'some'"):
+        load_pipeline(tmp_path / "p.yaml")
