@@ -18,8 +18,8 @@ from labpipe.document.render import html_document
 from labpipe.report.chart import Axis, Chart, Panel, arrow, cells, curve, level, named_ticks
 from labpipe.report.document import Document, Figure, Section
 
-CURVE = "figure.numbers .panels > svg"
-TICKS = "[...document.querySelectorAll('#figure-1 .ticks text[text-anchor=middle]')]"
+CURVE = "#figure-2 .panels > svg"
+TICKS = "[...document.querySelectorAll('#figure-2 .ticks text[text-anchor=middle]')]"
 LIMITS = f"Math.max(...{TICKS}.map((t) => Number(t.textContent.replace('−', '-'))))"
 # Relative luminance and contrast after WCAG 2.1, over every text and the ground that it stands on.
 CONTRAST = """
@@ -63,7 +63,7 @@ def centre(page: Any, selector: str, across: float = 0.5, down: float = 0.4) -> 
 
 def read(page: Any) -> str:
     return page.run(
-        "(document.querySelector('#figure-1 .reading:not([hidden])') || {innerText: ''}).innerText"
+        "(document.querySelector('#figure-2 .reading:not([hidden])') || {innerText: ''}).innerText"
     )
 
 
@@ -84,9 +84,9 @@ def test_the_policy_stops_a_page_that_would_ask(browser: Any, report_page: Path,
 
 
 def test_every_figure_is_drawn_by_the_script(page: Any) -> None:
-    assert page.run("document.querySelectorAll('figure').length") == 5
-    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 9
-    assert page.run("document.querySelectorAll('noscript').length") == 5
+    assert page.run("document.querySelectorAll('figure').length") == 6
+    assert page.run("document.querySelectorAll('figure.alive .panels svg .series').length") == 10
+    assert page.run("document.querySelectorAll('noscript').length") == 6
 
 
 def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> None:
@@ -105,7 +105,7 @@ def test_a_box_zooms_the_wheel_needs_a_click_and_all_comes_back(page: Any) -> No
     page.settle()
     assert page.run(LIMITS) < boxed
     page.run(
-        "[...document.querySelectorAll('#figure-1 button')].find((one) => one.textContent === 'All').click()"
+        "[...document.querySelectorAll('#figure-2 button')].find((one) => one.textContent === 'All').click()"
     )
     assert page.run(LIMITS) == whole
 
@@ -134,8 +134,8 @@ def test_the_pointer_and_the_keys_read_the_values_of_the_table(page: Any) -> Non
 
 
 def test_a_series_is_hidden_and_shown_by_its_legend(page: Any) -> None:
-    count = "document.querySelectorAll('#figure-3 .series .curve').length"
-    entry = "document.querySelector('#figure-3 .entry')"
+    count = "document.querySelectorAll('#figure-4 .series .curve').length"
+    entry = "document.querySelector('#figure-4 .entry')"
     before = page.run(count)
     page.run(f"{entry}.click()")
     assert page.run(count) == before - 1 and page.run(f"{entry}.getAttribute('aria-pressed')") == "false"
@@ -241,13 +241,13 @@ def test_arrows_names_of_levels_and_notes_are_drawn(browser: Any, tmp_path: Path
 
 def test_keys_go_from_measured_point_to_measured_point(page: Any) -> None:
     """The fitted curve has many more points than the lines it was fitted to."""
-    panel = "document.querySelectorAll('#figure-4 .panels > svg')[0]"
+    panel = "document.querySelectorAll('#figure-5 .panels > svg')[0]"
     page.run(f"{panel}.scrollIntoView(); {panel}.focus()")
     page.key("Home")
     places = []
     for _ in range(3):
         told = re.search(
-            r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-4 .reading').innerText")
+            r"frequency ([\d.]+) Hz", page.run("document.querySelector('#figure-5 .reading').innerText")
         )
         assert told is not None
         places.append(float(told[1]))
@@ -265,7 +265,7 @@ def test_without_script_a_page_shows_the_numbers_and_says_why(
     )
     opened = browser.open(tmp_path / "still.html")
     shown = opened.run("[...document.querySelectorAll('figure')].map((one) => one.innerText)")
-    assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 5
+    assert all(NEEDS_SCRIPT in words and words.count("\n") > 10 for words in shown) and len(shown) == 6
     opened.close()
 
 

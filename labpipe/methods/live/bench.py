@@ -361,11 +361,11 @@ class Bench:
                 return "it does not agree with the averages before it"
             if verdict.change is not None:
                 begun = self._time_of(verdict.change)
-                self._note("changes", f"{fit.settings.name}: the rig changes since about {begun}")
+                message = f"{fit.settings.name}: the rig changes since about {begun}"
+                self._note(Finding("changes", message))
             if verdict.with_level:
-                self._note(
-                    "level-dependent", f"{fit.settings.name}: the coefficients follow the level of the hits"
-                )
+                message = f"{fit.settings.name}: the coefficients follow the level of the hits"
+                self._note(Finding("level-dependent", message))
         self._energies.append(level**2)
         self.averages += 1
         for fit, z in zip(self.fits, parts, strict=True):
@@ -381,8 +381,8 @@ class Bench:
         start = self._starts[min(number, len(self._starts)) - 1]
         return f"average {number} ({start / self.sample_rate:.1f} s)"
 
-    def _note(self, code: str, message: str) -> None:
-        self.findings.setdefault((code, message.split(":")[0]), Finding(code, message))
+    def _note(self, finding: Finding) -> None:
+        self.findings.setdefault((finding.code, finding.message.split(":")[0]), finding)
 
     @property
     def seconds(self) -> float:
@@ -402,9 +402,8 @@ class Bench:
                     )
         if self.dropped > MOST_DROPPED * max(self.averages + self.dropped, 5):
             share = 100 * self.dropped / (self.averages + self.dropped)
-            self._note(
-                "bad-averages", f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
-            )
+            message = f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
+            self._note(Finding("bad-averages", message))
         findings = (*self.findings.values(), *self._of_fits(standings))
         return Update(
             self.averages,
