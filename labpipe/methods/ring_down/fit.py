@@ -23,6 +23,7 @@ from labpipe.methods.ring_down.amplitude_law import (
     missing_mode,
     over_amplitude,
 )
+from labpipe.methods.ring_down.jumps import jump_of
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely, pieces_of
 from labpipe.methods.ring_down.repeats import (
     RepeatedDecays,
@@ -374,7 +375,12 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
     _check_fitted(pieces, fitted)
-    tested = judged(pieces, fitted, decays.sample_rate)
+    tested, jump = judged(pieces, fitted, decays.sample_rate), None
+    if repeated is None and min(tested.amplitude, tested.white) < MISMATCH_P:
+        jump = jump_of(decays, columns, fitted, settings.band)
+    if jump is not None:
+        decays, pieces, fitted = jump.decays, jump.pieces, jump.fitted
+        tested = judged(pieces, fitted, decays.sample_rate)
     strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
@@ -398,6 +404,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     return replace(
         fit,
         findings=(
+            *(() if jump is None else (jump.finding,)),
             *findings,
             *(() if repeated is None else (*repeated.failed, *drift_findings(repeated))),
             *decays.findings,
