@@ -1,5 +1,5 @@
-"""What a fit of several coefficients states where its residual is not noise: values and covariance that
-include the model error.
+"""What a fit of several coefficients states where its residual is not noise: intervals that include the model
+error.
 
 vec H = h(p) + D z + n on the lines of all FRFs together: n the measured noise, as large as measured or
 larger, and D z a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m
@@ -80,8 +80,7 @@ class CoefficientError:
         parameters: tuple[Parameter, ...],
         reported: Callable[[FloatArray, FloatArray], tuple[Parameter, ...]],
     ) -> tuple[Parameter, ...]:
-        """The parameters with values and intervals that include the model error; std_error is that of noise
-        alone.
+        """The parameters with intervals that include the model error; std_error is that of noise alone.
 
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
@@ -101,16 +100,15 @@ class CoefficientError:
         # What has no uncertainty, such as a given coefficient, stays as it is.
         if not wide.std_error or not noise or wide.ci95 is None:
             return parameter
-        full = max(wide.std_error, noise)
-        reach = (wide.ci95[1] - wide.ci95[0]) / 2 * full / wide.std_error
-        low, high = wide.value - reach, wide.value + reach
+        # The value stays that of the fit, which others can repeat; the interval holds it.
+        low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
+        full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
         return replace(
             parameter,
-            value=wide.value,
             std_error=noise,
             std_error_inflated=full,
             ci95=(low, high),
-            t_ratio=None if parameter.t_ratio is None else wide.value / full,
+            t_ratio=None if parameter.t_ratio is None else parameter.value / full,
             significant=None if parameter.significant is None else not low <= 0 <= high,
             interval=IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0)))),
             reason=self.reason,

@@ -301,7 +301,7 @@ def _with_coefficient_error(judged: _Judge, own: _Minimum) -> Judgement | None:
     if error is None:
         return None
     said = (
-        f"{_said(own)}; most likely {error.reason}. Values and intervals include what the model leaves "
+        f"{_said(own)}; most likely {error.reason}. Intervals include what the model leaves "
         f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
     )
     return Judgement(judged.finding(said, "Use a richer model, or narrow the band"), model_error=error)
