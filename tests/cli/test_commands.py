@@ -268,6 +268,7 @@ def test_version_and_python_dash_m(root: Path) -> None:
     assert ended.stdout == "labpipe, version 0.1.0" + (f" (commit {known})" if known else "") + "\n"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from /proc")
 @pytest.mark.parametrize(
     ("n_sample", "limit"), [(2_500_000, 15), pytest.param(12_000_000, 40, marks=pytest.mark.long)]

@@ -66,6 +66,7 @@ def response(h: np.ndarray, rng: np.random.Generator, *, known: bool = True) -> 
     return FrequencyResponse(FREQUENCY, h + noise, outputs, inputs, covariance=covariance)
 
 
+@pytest.mark.long
 def test_average_is_that_of_whole_covariance_matrices() -> None:
     """One linearisation of one FRF, every course as a matrix (n_line, n_line), in parameters as they are."""
     rng = np.random.default_rng(4)

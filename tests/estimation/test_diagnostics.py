@@ -128,6 +128,7 @@ def test_only_the_entangled_parameters_are_named() -> None:
     assert collinear_groups(design / np.linalg.norm(design, axis=0), ["a", "b", "c"]) == [["a", "b"]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("directions", [30, pytest.param(200, marks=pytest.mark.long)])
 def test_correlated_columns_that_do_no_harm_are_no_warning(
     three_dof_response, sdof_response, directions: int

@@ -104,6 +104,7 @@ def test_drift_is_named(fault: dict[str, float], looks_like: str, runs: int) -> 
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("share", "runs"),
     [

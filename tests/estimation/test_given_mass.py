@@ -74,6 +74,7 @@ def test_without_covariance_it_is_said_that_chi_square_could_not_be_checked() ->
     assert not findings(single(resonance(0.003, 1, noise_known=True), MASS), "no-covariance")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", [60, pytest.param(400, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "noise",

@@ -60,6 +60,7 @@ def fitted(response: FrequencyResponse, **settings: object) -> Fit:
     return fit
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [0.0, 0.03])
 def test_means_hold_the_structure_that_moves_between_recordings(hidden: float) -> None:
     """20 tests of 6 recordings, with and without a hidden mode in all of them: of 40 intervals of f_n and

@@ -30,6 +30,9 @@ from labpipe.sections import sections
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
 from tests.project.laboratory import ALONE, RIG, contents, done, recording
 
+# A walk over everything: it runs with the long tests.
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 RESPONSE_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.01,-1\n"
 OTHER_TABLE = "frequency_hz,gain,phase_deg\n0,1,0\n50,1.2,-5\n"

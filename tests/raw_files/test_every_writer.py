@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -363,6 +364,16 @@ def round_rotor_csv(export: Export, folder: Path, seed: int) -> None:
     check_rotor({str(name): rows for name, rows in found.groupby("sheet")}, made, matrix)
 
 
+def round_dcc(export: Export, folder: Path, seed: int) -> None:
+    """What has an uncertainty stands in the certificate as it is in the result; a result of no known day is
+    none that the reader of certificates takes.
+    """
+    made, _ = condition_matrix(seed)
+    stated = [element.text for element in ElementTree.parse(export("dcc", result(folder, made))).iter()]
+    certain = [parameter for parameter in made.parameters if parameter.full_error is not None]
+    assert certain and all(repr(float(parameter.value)) in stated for parameter in certain)
+
+
 ROUNDS: dict[str, Callable[[Export, Path, int], None]] = {
     "csv": round_csv,
     "parquet": round_parquet,
@@ -380,6 +391,7 @@ ROUNDS: dict[str, Callable[[Export, Path, int], None]] = {
     "matrix-parquet": lambda export, folder, seed: round_matrix(export, folder, seed, "matrix-parquet"),
     "rotor": round_rotor,
     "rotor-csv": round_rotor_csv,
+    "dcc": round_dcc,
 }
 
 

@@ -36,6 +36,9 @@ from tests.uncertainty.conftest import a_fit
 from tests.uncertainty.test_theory import BENDING, PEAKS
 from tests.uncertainty.test_theory import measured as of_shaft
 
+# A walk over everything: it runs with the long tests.
+pytestmark = pytest.mark.long
+
 BEARINGS = Path(__file__).parents[2] / "configs/bearings"
 OF_SHAFT = TheorySettings(bearing="nsk-6208.yaml", entry=("loads.z",))
 OF_LOOP = TheorySettings(bearing="hmb-magnetic.yaml")

@@ -122,6 +122,7 @@ def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
     assert found.to_condition[0] == pytest.approx(0.7 * (moved[1] - moved[0]) / 0.004, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("repeats", [12, pytest.param(40, marks=pytest.mark.long)])
 def test_the_covariance_is_the_scatter_of_repeats(rng, repeats: int) -> None:
     """Repeats of the radial fit: standard deviation of ln ratio and ln beta within 4 of its own standard

@@ -100,7 +100,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
     certificate_settings = resolved(settings)
     tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
-    names = ", ".join(test.name for test in tests)
+    names = ", ".join(test.name for test in tests if test.name) or f"{len(tests)} without names"
     if certificate_settings.test:
         tests = [test for test in tests if test.name == certificate_settings.test]
     if len(tests) != 1:

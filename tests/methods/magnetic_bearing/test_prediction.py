@@ -21,6 +21,9 @@ from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured
 
+# Fits of loops that take a second each.
+pytestmark = pytest.mark.long
+
 ASKED = CompareSettings(
     kind="prediction", fit="sliding", theory=TheorySettings("hmb.yaml", "loop.proportional"), name="loop"
 )

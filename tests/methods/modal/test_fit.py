@@ -145,6 +145,7 @@ def test_one_reference_says_what_it_cannot_see() -> None:
             assert np.min(np.abs(parameter.value - truth)) < 5 * parameter.std_error
 
 
+@pytest.mark.long
 def test_noise_free_data_are_exact() -> None:
     fit = modal(chain_response(np.linspace(5, 120, 300)))
     f, zeta, _ = chain_truth()

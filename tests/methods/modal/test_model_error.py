@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
@@ -44,6 +45,7 @@ def fitted(seed: int, band: tuple[float, float], **more: object) -> Fit:
     return fit
 
 
+@pytest.mark.long
 def test_an_interval_survives_other_bands() -> None:
     """A hidden mode beside it, three bands: every interval holds the mode, and
     every pair of bands agrees.
@@ -57,6 +59,7 @@ def test_an_interval_survives_other_bands() -> None:
     assert max(low for low, _ in stated) < min(high for _, high in stated)
 
 
+@pytest.mark.long
 def test_loss_factors_have_an_interval_with_model_error() -> None:
     settings = FitSettings(
         "modal", band=(2300, 2900), damping="hysteretic", model_settings=ModalSettings(poles=(2617.0,))
@@ -66,6 +69,7 @@ def test_loss_factors_have_an_interval_with_model_error() -> None:
     assert eta.interval.discrepancy > 0 and eta.reason and eta.ci95[0] <= eta.value <= eta.ci95[1]
 
 
+@pytest.mark.long
 def test_no_mode_is_left_without_an_interval() -> None:
     """Two poles by hand in a band with three modes, one of them at its edge."""
     modal = ModalSettings(poles=(1074.0, 1961.0))
