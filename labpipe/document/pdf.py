@@ -72,7 +72,9 @@ def render_pdf(document: Document) -> bytes:
     pages.add_page()
     if document.to_sign:
         _cover(pages, document)
-        pages.add_page()
+        # A cover that was too full for it has the place to sign on the next page, where the report goes on.
+        if pages.page == 1:
+            pages.add_page()
     else:
         _title(pages, document)
     for section in document.sections[1 if document.to_sign else 0 :]:
@@ -123,7 +125,7 @@ def _cover(pages: _Pages, document: Document) -> None:
             _put(pages, block)
     if pages.get_y() > SIGNATURE_AT:
         pages.add_page()
-    pages.set_y(max(pages.get_y() + 4, SIGNATURE_AT))
+    pages.set_y(SIGNATURE_AT if pages.page == 1 else pages.get_y() + 4)
     _table(pages, SIGNATURE)
 
 

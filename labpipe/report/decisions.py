@@ -18,13 +18,20 @@ def decision_blocks(outcomes: Sequence[RuleOutcome]) -> tuple[Block, ...]:
     if not rows:
         return ()
     heads = ("rule", "outcome", "within the limits", "u", "passes", "risk here", "global risks")
+    of_process = any(row[-1] for row in rows)
+    shares = (
+        ", and the shares of all that the stated process makes that are accepted falsely / rejected falsely"
+        if of_process
+        else ""
+    )
     caption = (
         "Decisions on limits: the probability that they hold, the combined standard uncertainty u, the "
         "values that pass, the risk of this decision (of a false acceptance where it passes, else of a "
-        "false rejection), and the shares of all that the stated process makes that are accepted falsely / "
-        "rejected falsely (JCGM 106, ILAC-G8)"
+        f"false rejection){shares} (JCGM 106, ILAC-G8)"
     )
-    return (Table(heads, rows, caption),)
+    if of_process:
+        return (Table(heads, rows, caption),)
+    return (Table(heads[:-1], tuple(row[:-1] for row in rows), caption),)
 
 
 def _row(rule: str, decision: RuleDecision) -> tuple[str, ...]:
