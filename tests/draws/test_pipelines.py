@@ -96,7 +96,11 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth", "sensitivity.peak"} <= {
         row.name for row in rows
     }
-    assert not [row for row in rows if not row.is_good]
+    # Where the highest of several lines lies is no normal number: its interval holds, its scatter is smaller
+    # than its standard uncertainty says.
+    (place,) = (row for row in rows if row.name == "sensitivity.peak_frequency")
+    assert place.held >= 0.88 and place.ratio < 1.1
+    assert not [row for row in rows if row is not place and not row.is_good]
     assert (
         np.mean([row.by_noise for row in rows if row.name.split(".")[1] in ("gap", "delay", "bandwidth")])
         < 0.6
