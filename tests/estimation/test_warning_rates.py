@@ -37,7 +37,7 @@ class Case:
 
 
 FOUR, PEDESTAL, EIGHT = of.FOUR, of.PEDESTAL, FitSettings("rotor-2dof", mass=0.92)
-HEAVY, LIGHT = replace(FOUR, mass=(1.03, *MASS[1:])), replace(PEDESTAL, mass=0.1, band=(68.0, 80.0))
+HEAVY, FREE = replace(FOUR, mass=(1.03, *MASS[1:])), replace(PEDESTAL, mass="estimate")
 CASES = (
     Case("drift", "sensor gain 3 % in the record", of.four_dofs, faulty={"gain": 0.03}),
     Case("mass", "one of four masses 3 % off", of.four_dofs, faulty={"settings": HEAVY}),
@@ -71,7 +71,7 @@ CASES = (
         of.pedestal,
         faulty={"settings": replace(PEDESTAL, band=(10.0, 20.0))},
     ),
-    Case("unphysical", "mass far too small above resonance", of.pedestal, faulty={"settings": LIGHT}),
+    Case("unphysical", "sign of the response turned", of.pedestal, faulty={"settings": FREE, "sign": -1.0}),
     Case(
         "leakage", "blocks of one inverse half-power width", of.short_blocks, {"block": 8.0}, {"block": 1.25}
     ),

@@ -49,11 +49,16 @@ def four_dofs(seed: int, settings: FitSettings = FOUR, **rig: object) -> frozens
     return codes(measure([record], RANDOM), settings)
 
 
-def pedestal(seed: int, settings: FitSettings = PEDESTAL, level: float = 1.0) -> frozenset[str]:
-    """Five periods of a multisine on one mass, the noise of its sensor *level* times the usual."""
+def pedestal(
+    seed: int, settings: FitSettings = PEDESTAL, level: float = 1.0, sign: float = 1.0
+) -> frozenset[str]:
+    """Five periods of a multisine on one mass, the noise of its sensor *level* times the usual, its response
+    times *sign*.
+    """
     rig = VirtualMagneticRig("virtual-magnetic-rig")
     rig = replace(rig, noise=replace(rig.noise, displacement=level * rig.noise.displacement))
-    return codes(measure(MAGNETIC_RIG.recordings(rig, seed, ("pedestal",)), PERIODIC), settings)
+    response = measure(MAGNETIC_RIG.recordings(rig, seed, ("pedestal",)), PERIODIC)
+    return codes(replace(response, matrix=sign * response.matrix), settings)
 
 
 def from_rest(seed: int, waited: int) -> frozenset[str]:
@@ -229,7 +234,7 @@ def reciprocal(seed: int, skew: float) -> frozenset[str]:
         f, h + noise[0] + 1j * noise[1], *ports, covariance=uncorrelated(np.full(h.shape, 9e-16))
     )
     return frozenset(
-        "reciprocity" for finding in reciprocity_findings(response) if "more than noise" in finding.message
+        "reciprocity" for finding in reciprocity_findings(response) if "beyond the noise" in finding.message
     )
 
 
