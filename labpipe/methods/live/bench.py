@@ -7,256 +7,34 @@ Stopping on the width of a corrected interval keeps its coverage, stopping on th
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
 
-from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.damping import damped
-from labpipe.estimation.derived import reported_parameters
-from labpipe.estimation.linear_models import form_view
-from labpipe.estimation.measured import chosen_ports
-from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.arrays import FloatArray
+from labpipe.errors import FitError
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate as FitEstimate
-from labpipe.estimation.transfer_mode import transfer_of
 from labpipe.methods.live.averages import CUTTERS, Average, Cutter
-from labpipe.methods.live.charts import (
-    MOST_DROPPED,
-    Charts,
-    Forecast,
-    forecast,
-    hit_variation,
-    no_longer_falls,
-)
-from labpipe.methods.live.running_fit import Equation, Estimate, HitSums, PeriodSums, RunningFit
-from labpipe.quantities import UnitError, parse_value
+from labpipe.methods.live.charts import MOST_DROPPED, Forecast, forecast, hit_variation, no_longer_falls
+from labpipe.methods.live.followed import FollowedFit, names_of_fit
+from labpipe.methods.live.standings import Goal, Standing, Update, Watch, check_names, half_width
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Goodness
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import ESTIMATE
-from labpipe.registry import nearest
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
-from labpipe.spectra.ports import Layout, find_layout, sensor_response
+from labpipe.spectra.ports import find_layout
 from labpipe.spectra.settings import FrfSettings
 
-# What a rule may name: half the width of the stated interval, or the standard error of noise.
-WIDTHS = ("expanded", "std_error")
-_RULE = re.compile(r"\s*(?:(?P<fit>[\w-]+)\.)?(?P<name>[\w-]+)\.(?P<width>\w+)\s*<=?\s*(?P<limit>.+?)\s*")
 # A coefficient that would take so many times the averages of the slowest reachable goal is not told by this
 # direction.
 OUT_OF_REACH = 20
+# A force acts in an average when its amplitude is this share of the strongest one's.
+ACTS = 0.1
 
 
-@dataclass(frozen=True)
-class Goal:
-    """The width that coefficient *name* of fit *fit* ('' for the only one that has it) shall have.
-
-    limit: of the value [1] where *relative*, else in *unit*.
-    """
-
-    text: str
-    fit: str
-    name: str
-    width: str
-    limit: str
-
-    @classmethod
-    def of(cls, text: str) -> Goal:
-        """The goal of a rule such as `k.expanded<=1%`; ConfigError for a rule on a value."""
-        match = _RULE.fullmatch(text)
-        if match is None or match["width"] not in WIDTHS:
-            hint = "k.expanded<=1% or support.c.expanded<=20 N.s/m: a test ends by the width of an interval"
-            raise ConfigError(f"--until: '{text}' is no rule on a width", hint=hint)
-        return cls(text, match["fit"] or "", match["name"], match["width"], match["limit"])
-
-    def half(self, parameter: Parameter) -> float:
-        """The width that is asked for in the parameter's unit; ConfigError for another unit."""
-        try:
-            if self.limit.endswith("%"):
-                return parse_value(self.limit, "1") * abs(parameter.value)
-            return parse_value(self.limit, parameter.unit)
-        except UnitError as error:
-            raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
-
-
-@dataclass(frozen=True)
-class Standing:
-    """One coefficient after an average, the half-width *goal* asked for, and the averages *remaining*."""
-
-    parameter: Parameter
-    half: float
-    goal: float | None = None
-    remaining: Forecast | None = None
-
-    @property
-    def reached(self) -> bool:
-        """Whether it is known as well as was asked for."""
-        return self.goal is not None and self.half <= self.goal
-
-
-@dataclass(frozen=True)
-class Update:
-    """What the bench says after an average: *standings* by `fit.parameter`, *findings*, whether to *stop*.
-
-    seconds: that one average takes; *events*: what happened to this average.
-    """
-
-    averages: int
-    _: KW_ONLY
-    standings: Mapping[str, Standing] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
-    stop: bool = False
-    seconds: float = 0.0
-    events: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """One line of `labpipe live --json`."""
-        parameters, remaining = {}, {}
-        for name, standing in self.standings.items():
-            parameter = standing.parameter
-            parameters[name] = {
-                "value": parameter.value,
-                "unit": parameter.unit,
-                "std_error": parameter.std_error,
-                "ci95": None if parameter.ci95 is None else list(parameter.ci95),
-            }
-            if standing.goal is not None:
-                parameters[name]["goal"] = standing.goal
-            if standing.remaining is not None:
-                left = standing.remaining
-                remaining[name] = {
-                    "averages": None if left.expected is None else left.expected - self.averages,
-                    "low": None if left.low is None else left.low - self.averages,
-                    "high": None if left.high is None else left.high - self.averages,
-                    "seconds": None
-                    if left.expected is None
-                    else (left.expected - self.averages) * self.seconds,
-                }
-        return {
-            "averages": self.averages,
-            "parameters": parameters,
-            "findings": [{"code": f.code, "message": f.message} for f in self.findings],
-            "events": list(self.events),
-            "remaining": remaining,
-            "stop": self.stop,
-        }
-
-
-def check_names(goals: Sequence[Goal], names: Mapping[str, Sequence[str]]) -> None:
-    """ConfigError for a goal on a fit or coefficient that is not among the *names* of each fit."""
-    for goal in goals:
-        if goal.fit and goal.fit not in names:
-            raise ConfigError(f"--until: no fit '{goal.fit}'", hint=nearest(goal.fit, names))
-        known = names[goal.fit] if goal.fit else [name for listed in names.values() for name in listed]
-        if goal.name not in known:
-            raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=nearest(goal.name, known))
-
-
-class FollowedFit:
-    """One fit of the pipeline, followed average by average on its own lines and channels."""
-
-    def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, by_energy: bool) -> None:
-        rows = chosen_ports(layout.outputs, settings.output, "response")
-        columns = chosen_ports(layout.inputs, settings.input, "force")
-        outputs = tuple(layout.outputs[row] for row in rows)
-        inputs = tuple(layout.inputs[column] for column in columns)
-        self.settings, self.setup = settings, Setup(outputs, inputs, settings)
-        if settings.mass == ESTIMATE and settings.kind.one_frf and transfer_of(self.setup):
-            raise ConfigError(
-                f"identify.{settings.name}: a transfer FRF of unknown mass is not followed live",
-                hint="give the mass, or measure at the point of the force",
-            )
-        model = damped(settings.kind.model(self.setup), settings)
-        if not isinstance(model, DynamicModel):
-            raise ConfigError(
-                f"identify.{settings.name}: damping: {settings.damping} is not followed live", hint="viscous"
-            )
-        self._channels = [layout.output_columns[0][row] for row in rows]
-        self._channels += [layout.input_columns[0][column] for column in columns]
-        band = settings.band or (settings.bands[0] if settings.bands else None)
-        self._lines = np.flatnonzero(lines_in(frequency, band))
-        if self._lines.size <= len(model.names):
-            raise ConfigError(
-                f"identify.{settings.name}: {self._lines.size} lines in the band cannot tell "
-                f"{len(model.names)} coefficients",
-                hint="widen the band",
-            )
-        chosen, view = frequency[self._lines], form_view(layout.form, settings)
-        sensors = (*layout.output_sensors, *layout.input_sensors)
-        picked = [sensors[row] for row in rows]
-        picked += [sensors[len(layout.outputs) + column] for column in columns]
-        self._sensors = np.array([sensor_response(sensor, chosen) for sensor in picked]).T
-        equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
-        self.fit = RunningFit(equation, settings.coverage)
-        self.sums: PeriodSums | HitSums = HitSums() if by_energy else PeriodSums()
-        self.charts = Charts(self.fit)
-        self.model = model
-        self.estimate: Estimate | None = None
-        self.widths: dict[str, list[float]] = {}
-        self.first: list[tuple[int, ComplexArray]] = []
-
-    def picked(self, average: Average) -> ComplexArray:
-        """The amplitudes of the fit's lines and channels, (n_line, 1, n_channel) [channels' units], sensors
-        taken out.
-        """
-        z = average.amplitude[self._lines][:, self._channels] / self._sensors
-        return z[:, None, :]
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficients and what is derived of them, with the interval that holds at this moment."""
-        estimate = self.estimate
-        assert estimate is not None
-        dof = np.maximum(estimate.dof.astype(int), 1)
-        design = (
-            np.linalg.cholesky(_scaled(estimate.information)).T if estimate.identifiable else np.eye(dof.size)
-        )
-        widened = 1 + 2 / float(estimate.dof.min())
-        both = []
-        for factor in (1.0, widened * (estimate.reduced if estimate.misfit else 1.0)):
-            fitted = FitEstimate(
-                values=estimate.values,
-                covariance=factor * estimate.covariance,
-                scaled_design=design,
-                gof=Goodness(0.0, 0.0, estimate.reduced, None),
-                dof=int(dof.min()),
-                parameter_dof=dof,
-            )
-            both.append(reported_parameters(fitted, self.model, self.setup))
-        plain, wide = both
-        return tuple(
-            replace(parameter, std_error=narrow.std_error)
-            for narrow, parameter in zip(plain, wide, strict=True)
-        )
-
-
-def _scaled(information: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.diag(information))
-    return np.asarray(information / np.outer(scale, scale))
-
-
-def is_followed(settings: FitSettings, frf: FrfSettings) -> bool:
-    """Whether a fit can be followed average by average: a model linear in its parameters, by maximum
-    likelihood, on plain periods or hits.
-    """
-    plain = not (settings.eliminate or settings.bootstrap or settings.monte_carlo or settings.compare)
-    single = settings.sliding is None and not settings.peaks and len(settings.bands) <= 1
-    return (
-        settings.kind.equations is not None
-        and settings.estimates.likelihood
-        and plain
-        and single
-        and frf.single_averages
-    )
-
-
-class Bench:
+class Bench(Watch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __init__(
@@ -267,26 +45,20 @@ class Bench:
         fits: Sequence[FitSettings],
         goals: Sequence[Goal] = (),
     ) -> None:
-        self.channels, self.sample_rate, self.frf, self.goals = (
-            tuple(channels),
-            sample_rate,
-            frf,
-            tuple(goals),
-        )
+        super().__init__(channels, sample_rate, frf, goals)
         self._settings = tuple(fits)
         self.cutter: Cutter = CUTTERS[frf.excitation](self.channels, sample_rate, frf)
         sample = Recording(self.channels, np.zeros((2, len(self.channels))), sample_rate)
         self.layout = find_layout([sample])
         self.fits: list[FollowedFit] = []
-        self.averages = self.dropped = 0
+        self.dropped = 0
         self._waiting: list[Average] = []
         self._energies: list[float] = []
         self._last_start = 0
         # First samples of the averages that count.
         self._starts: list[int] = []
         self.findings: dict[tuple[str, str], Finding] = {}
-        self.updates: list[Update] = []
-        names = {fit.name: _known_names(fit, self.layout) for fit in self._settings}
+        names = {fit.name: names_of_fit(fit, self.layout) for fit in self._settings}
         check_names(self.goals, names)
 
     @property
@@ -299,8 +71,11 @@ class Bench:
         made = []
         for average in self.cutter.add(block):
             self._last_start = average.start
-            update = self._taken(average)
-            self.updates.append(update)
+            levels = {
+                channel.name: float(peak) for channel, peak in zip(self.channels, average.peaks, strict=True)
+            }
+            update = replace(self._taken(average), levels=levels)
+            self.keep(update)
             made.append(update)
         return made
 
@@ -333,13 +108,15 @@ class Bench:
         excited = np.ones(frequency.size, bool)
         if not self.hits:
             mean = amplitudes.mean(axis=0)
+            level = np.sqrt(np.mean(np.abs(mean[:, list(self.layout.input_columns[0])]) ** 2, axis=0))
             spread = amplitudes[0] - mean
             noise = spread[:, :, None] * spread[:, None, :].conj()
             spectrum = smoothed_noise(
                 LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size)), self.frf.smooth
             )
-            for column in self.layout.input_columns[0]:
-                excited &= excited_lines(spectrum, [column])
+            for column, size in zip(self.layout.input_columns[0], level, strict=True):
+                if size >= ACTS * level.max():
+                    excited &= excited_lines(spectrum, [column])
         chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)
         if not chosen.any():
             raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
@@ -351,12 +128,14 @@ class Bench:
         """Hold the average against the fits before it, and take it in; why it is left out instead, or ''."""
         average = replace(average, amplitude=average.amplitude[self.lines])
         force = average.amplitude[:, list(self.layout.input_columns[0])]
-        level = float(np.sqrt(np.mean(np.abs(force) ** 2)))
+        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
+        # Directions are shaken one after the other: an average belongs to that of its strongest force.
+        direction, level = int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
         parts = [fit.picked(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:
                 continue
-            verdict = fit.charts.judge(z, fit.sums, fit.estimate, level)
+            verdict = fit.charts.judge(z, fit.sums.of(direction), fit.estimate, level)
             if verdict.jump:
                 return "it does not agree with the averages before it"
             if verdict.change is not None:
@@ -369,11 +148,7 @@ class Bench:
         self._energies.append(level**2)
         self.averages += 1
         for fit, z in zip(self.fits, parts, strict=True):
-            fit.sums.add(z)
-            if fit.sums.n >= 2:
-                fit.estimate = fit.fit.update(fit.sums)
-            else:
-                fit.first.append((average.number, z))
+            fit.add(z, direction)
         self._starts.append(average.start)
         return ""
 
@@ -392,18 +167,17 @@ class Bench:
         return self._last_start / self.sample_rate / max(self.averages + self.dropped - 1, 1)
 
     def _update(self, events: tuple[str, ...]) -> Update:
-        standings: dict[str, Standing] = {}
         variation = hit_variation(self._energies) if self.hits else 0.0
-        for fit in self.fits:
-            if fit.estimate is not None:
-                for parameter in fit.parameters():
-                    standings[f"{fit.settings.name}.{parameter.name}"] = self._standing(
-                        fit, parameter, variation
-                    )
+        standings = self._standings(variation)
         if self.dropped > MOST_DROPPED * max(self.averages + self.dropped, 5):
             share = 100 * self.dropped / (self.averages + self.dropped)
             message = f"{share:.0f} % of the averages are left out: a loose connection, or bad hits"
             self._note(Finding("bad-averages", message))
+        if self._enough(standings):
+            # The last word is that of the fit of all averages.
+            for fit in self.fits:
+                fit.look()
+            standings = self._standings(variation, again=True)
         findings = (*self.findings.values(), *self._of_fits(standings))
         return Update(
             self.averages,
@@ -414,22 +188,37 @@ class Bench:
             events=events,
         )
 
+    def _standings(self, variation: float, again: bool = False) -> dict[str, Standing]:
+        """Where every coefficient stands; *again*: after another look at the same average."""
+        standings: dict[str, Standing] = {}
+        for fit in self.fits:
+            if fit.estimate is None:
+                continue
+            for parameter in fit.parameters():
+                widths = fit.widths.setdefault(parameter.name, [])
+                if again:
+                    widths.pop()
+                widths.append(half_width(parameter))
+                name = f"{fit.settings.name}.{parameter.name}"
+                standings[name] = self._standing(fit, parameter, variation)
+        return standings
+
     def _standing(self, fit: FollowedFit, parameter: Parameter, variation: float) -> Standing:
-        half = np.inf if parameter.ci95 is None else (parameter.ci95[1] - parameter.ci95[0]) / 2
-        fit.widths.setdefault(parameter.name, []).append(half)
-        goals = [
-            goal for goal in self.goals if goal.name == parameter.name and goal.fit in ("", fit.settings.name)
-        ]
-        if not goals:
+        half = half_width(parameter)
+        wanted = self.goal_of(fit.settings.name, parameter)
+        if wanted is None:
             return Standing(parameter, half)
-        wanted = min(goal.half(parameter) * (1.0 if goal.width == "expanded" else 2.0) for goal in goals)
         estimate = fit.estimate
         assert estimate is not None
         remaining = None
-        if parameter.name in fit.model.names and estimate.identifiable:
+        common = fit.common.get(parameter.name)
+        if common is not None and common.half >= wanted:
+            remaining = Forecast(None)
+        elif parameter.name in fit.model.names and estimate.identifiable:
             number = fit.model.names.index(parameter.name)
-            factor = np.sqrt(estimate.reduced) if estimate.misfit else 1.0
-            remaining = forecast(estimate, number, wanted / factor, fit.settings.coverage, variation)
+            of_noise = wanted if common is None else math.sqrt(wanted**2 - common.half**2)
+            of_noise /= fit.by_chi_square
+            remaining = forecast(estimate, number, of_noise, fit.settings.coverage, variation)
         return Standing(parameter, half, wanted, remaining)
 
     def _of_fits(self, standings: Mapping[str, Standing]) -> list[Finding]:
@@ -455,14 +244,28 @@ class Bench:
                         "not explain the averages within their noise; intervals count that",
                     )
                 )
-            for label, standing in standings.items():
-                owner, _, parameter = label.partition(".")
-                missing = owner == name and standing.goal and not standing.reached and estimate.misfit
-                if missing and no_longer_falls(fit.widths[parameter]):
-                    floor = 100 * standing.half / abs(standing.parameter.value)
-                    message = f"{label}: more averages do not help: model error, floor {floor:.2g} %"
-                    findings.append(Finding("floor", message))
+            findings += self._floors(fit, standings)
         return [*findings, *self._not_told(standings)]
+
+    def _floors(self, fit: FollowedFit, standings: Mapping[str, Standing]) -> list[Finding]:
+        """Goals that more averages do not reach, with what holds them up."""
+        estimate, findings = fit.estimate, []
+        assert estimate is not None
+        for label, standing in standings.items():
+            owner, _, name = label.partition(".")
+            if owner != fit.settings.name or standing.goal is None or standing.reached:
+                continue
+            common = fit.common.get(name)
+            if common is not None and common.half >= standing.goal:
+                cause, floor = common.reason or "stated uncertainties", common.half
+            elif common is None and estimate.misfit and no_longer_falls(fit.widths[name]):
+                cause, floor = "model error", standing.half
+            else:
+                continue
+            share = 100 * floor / abs(standing.parameter.value)
+            message = f"{label}: more averages do not help: {cause}, floor {share:.2g} %"
+            findings.append(Finding("floor", message))
+        return findings
 
     def _not_told(self, standings: Mapping[str, Standing]) -> list[Finding]:
         reachable = [
@@ -473,7 +276,8 @@ class Bench:
         findings = []
         for label, standing in standings.items():
             left = standing.remaining
-            if left is None or standing.reached:
+            fit, _, name = label.partition(".")
+            if left is None or standing.reached or self._held_up(fit, name, standing):
                 continue
             far = left.expected is None or left.expected > OUT_OF_REACH * max(min(reachable), 3)
             if far and self.averages >= 5:
@@ -485,6 +289,11 @@ class Bench:
                     )
                 )
         return findings
+
+    def _held_up(self, fit: str, name: str, standing: Standing) -> bool:
+        """Whether more averages do not help, since the interval is not one of noise."""
+        common = next(followed.common for followed in self.fits if followed.settings.name == fit).get(name)
+        return common is not None and standing.goal is not None and common.half >= standing.goal
 
     def _enough(self, standings: Mapping[str, Standing]) -> bool:
         """Whether every goal is reached and nothing speaks against a stop."""
@@ -504,11 +313,13 @@ class Bench:
             estimate = fit.estimate
             if estimate is None:
                 continue
-            scale = np.sqrt(estimate.reduced) if estimate.misfit else 1.0
             for name, value, error, dof in zip(
                 fit.model.names, estimate.values, estimate.std_error, estimate.dof, strict=True
             ):
-                half = scale * error * sequence_factor(estimate.n, estimate.n, float(dof))
+                common = fit.common.get(name)
+                half = fit.by_chi_square * error * sequence_factor(estimate.n, estimate.n, float(dof))
+                if common is not None:
+                    value, half = value + common.shift, math.hypot(half, common.half)
                 intervals[f"{fit.settings.name}.{name}"] = (float(value - half), float(value + half))
         return intervals
 
@@ -523,13 +334,3 @@ def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> 
     q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
     below = 1 - q * rho / (n + rho)
     return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf
-
-
-def _known_names(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
-    rows = chosen_ports(layout.outputs, settings.output, "response")
-    columns = chosen_ports(layout.inputs, settings.input, "force")
-    setup = Setup(
-        tuple(layout.outputs[row] for row in rows), tuple(layout.inputs[c] for c in columns), settings
-    )
-    names = settings.kind.model(setup).names
-    return (*names, "f_n", "zeta") if settings.kind.one_mode else names

@@ -19,8 +19,8 @@ from labpipe.cli.output import echo, echo_table, printable
 from labpipe.errors import ConfigError
 
 if TYPE_CHECKING:
-    from labpipe.methods.live.bench import Update
     from labpipe.methods.live.session import Session
+    from labpipe.methods.live.standings import Update
 
 # Seconds between two pictures of the terminal and the page.
 PICTURE = 0.25
@@ -35,7 +35,7 @@ REACHED, NOT_REACHED = 0, 1
     "rules",
     multiple=True,
     metavar="RULE",
-    help="End when an interval is so narrow, e.g. 'k.expanded<=1%' (repeatable).",
+    help="End when an interval is so narrow, e.g. 'k.expanded<=1%' (repeatable); default: live.until.",
 )
 @click.option("--json", "as_json", is_flag=True, help="One line of JSON for every average.")
 @click.option("--page", is_flag=True, help="Show the test in a browser of this machine as well.")
@@ -75,9 +75,9 @@ def live(
     recordings of PIPELINE are not read. Exit code 0 when every rule of --until holds (or there is none), 1
     when the test ended before.
     """
-    from labpipe.methods.live.bench import Goal
     from labpipe.methods.live.session import Session, columns_of
     from labpipe.methods.live.sources import open_source, standard_input
+    from labpipe.methods.live.standings import Goal
     from labpipe.project.pipeline_file import load_for_stream
 
     if (source is None) == (simulate is None):
@@ -89,6 +89,8 @@ def live(
     if rig is None:
         raise ConfigError("rig: is missing", where=str(pipeline_path), hint="name the rig file")
     goals = [Goal.of(text) for rule in rules for text in rule.split(",")]
+    if not goals and "live" in pipeline.sections:
+        goals = pipeline.sections["live"].goals
     path = None if source in (None, "-") else Path(source)
     with tempfile.TemporaryDirectory(prefix="labpipe-live-") as scratch, _asked_to_stop() as asked:
         if simulate is not None:
@@ -256,11 +258,9 @@ def _played(rig_path: Path, run_name: str, seed: int, speed: float, scratch: Pat
 def _finish(
     session: Session, pipeline_path: Path, overrides: tuple[str, ...], output: Path, quiet: bool
 ) -> None:
-    """Run the pipeline over the recording as `labpipe run` does, and lay the course of the test beside it."""
+    """Run the pipeline over the recording as `labpipe run` does, with the course of the test."""
     from labpipe.artefacts.writing import output_folder
     from labpipe.cli.terminal import echo_identification
-    from labpipe.document.render import html_document
-    from labpipe.methods.live.view import course
     from labpipe.project.one_test import silent
     from labpipe.project.pipeline_file import load_pipeline
     from labpipe.project.report import outdate_reports, write_reports
@@ -272,13 +272,11 @@ def _finish(
             target = folder.write_path("recording.parquet")
             target.write_bytes(session.keep.read_bytes())
         files = [output / "recording.parquet"]
-    named = ", ".join(json.dumps(str(path.resolve())) for path in files)
-    pipeline = load_pipeline(pipeline_path, (*overrides, f"recordings=[{named}]"))
+    named = json.dumps([str(path.resolve()) for path in files])
+    goals = json.dumps([goal.text for goal in session.goals])
+    pipeline = load_pipeline(pipeline_path, (*overrides, f"recordings={named}", f"live={{until: {goals}}}"))
     with output_folder(output) as folder:
         identification = run(pipeline, folder, Manner(silent))
         outdate_reports(folder, pipeline.report.formats)
-        updates = session.bench.updates if session.bench else []
-        if updates:
-            folder.write_path("course.html").write_bytes(html_document(course(session, updates[-1])))
     write_reports(identification, output, pipeline.report.formats, silent)
     echo_identification(identification, quiet)

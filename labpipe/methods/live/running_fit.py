@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.model import DynamicModel
 
@@ -69,6 +69,11 @@ class PeriodSums:
         """
         return np.asarray(moving_mean(self._scatter) / ((self.n - 1) * self.n))
 
+    @property
+    def counts(self) -> IntArray:
+        """Averages of each experiment, (n_experiment,)."""
+        return np.full(self.mean.shape[1], self.n)
+
 
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
@@ -117,8 +122,50 @@ class HitSums:
         whole[..., :-1, :-1] = smooth
         return whole
 
+    @property
+    def counts(self) -> IntArray:
+        """Averages of each experiment, (n_experiment,)."""
+        return np.full(self.force_power.shape[1], self.n)
+
 
 Sums = PeriodSums | HitSums
+
+
+class Directions:
+    """The sums of every direction that was shaken, one experiment each; of those with two averages or more
+    what a running fit asks of sums.
+    """
+
+    def __init__(self, hits: bool) -> None:
+        self._hits = hits
+        self._sums: dict[int, Sums] = {}
+
+    def of(self, direction: int) -> Sums:
+        """The sums of one direction."""
+        return self._sums.setdefault(direction, HitSums() if self._hits else PeriodSums())
+
+    @property
+    def _known(self) -> list[Sums]:
+        return [sums for sums in self._sums.values() if sums.n >= 2]
+
+    @property
+    def n(self) -> int:
+        """Averages of all directions together."""
+        return sum(sums.n for sums in self._known)
+
+    @property
+    def counts(self) -> IntArray:
+        """Averages of each direction, (n_experiment,)."""
+        return np.array([sums.n for sums in self._known])
+
+    @property
+    def mean(self) -> ComplexArray:
+        """(n_line, n_experiment, n_channel) [channels' units]."""
+        return np.concatenate([sums.mean for sums in self._known], axis=1)
+
+    def covariance(self) -> ComplexArray:
+        """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
+        return np.concatenate([sums.covariance() for sums in self._known], axis=1)
 
 
 class Equation:
@@ -175,7 +222,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Where a running fit stands after *n* averages.
+    """Where a running fit stands after *n* averages, the *least* in one direction.
 
     values, std_error, dof, half (n_parameter,) [parameter units]: the 95 % interval is values +- half, of
     noise and, beyond its limit, misfit; reduced: chi-square per degree of freedom, *misfit* whether it speaks
@@ -183,6 +230,7 @@ class Estimate:
     """
 
     n: int
+    least: int
     values: FloatArray
     std_error: FloatArray
     dof: FloatArray
@@ -196,7 +244,7 @@ class Estimate:
     @property
     def judged(self) -> bool:
         """Whether there are enough averages for a stop by the width."""
-        return self.n >= LEAST_AVERAGES and bool(np.all(self.dof >= LEAST_DOF))
+        return self.least >= LEAST_AVERAGES and bool(np.all(self.dof >= LEAST_DOF))
 
 
 class RunningFit:
@@ -206,7 +254,7 @@ class RunningFit:
         self.equation, self.coverage = equation, coverage
         self.values: FloatArray | None = None
 
-    def update(self, sums: Sums, start: FloatArray | None = None) -> Estimate:
+    def update(self, sums: Sums | Directions, start: FloatArray | None = None) -> Estimate:
         """The estimate after the averages in *sums*; from *start* (n_parameter,) [parameter units] instead of
         a cold start.
 
@@ -220,7 +268,7 @@ class RunningFit:
         else:
             values, steps = self.values, WARM
         values = self._descend(mean, covariance, values, steps)
-        estimate = self._judged(sums.n, mean, covariance, values)
+        estimate = self._judged(sums.counts, mean, covariance, values)
         self.values = values
         return estimate
 
@@ -295,7 +343,9 @@ class RunningFit:
             values = -np.linalg.lstsq(rows / size, sides, rcond=None)[0] / size
         return values
 
-    def _judged(self, n: int, mean: ComplexArray, covariance: ComplexArray, values: FloatArray) -> Estimate:
+    def _judged(
+        self, counts: IntArray, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
+    ) -> Estimate:
         residual, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
         information, _ = _normal(slopes, weighted, multiplier)
         n_parameter, n_output = values.size, self.equation.n_output
@@ -304,11 +354,13 @@ class RunningFit:
         scaled = information / np.outer(scale, scale)
         identifiable = bool(np.linalg.cond(scaled) < SINGULAR)
         inverse = np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale)
-        smoothed = (n - 1) * (2 * HALF_WIDTH + 1)
+        n, least = int(counts.sum()), int(counts.min())
+        # Of the direction with the fewest averages, whose weights cost the most.
+        smoothed = (least - 1) * (2 * HALF_WIDTH + 1)
         inflation = smoothed**2 / ((smoothed - n_output) ** 2 - 1)
         covariance_of_values = inflation * inverse
         std_error = np.sqrt(np.diag(covariance_of_values))
-        dof = _satterthwaite(n, slopes @ inverse, weighted @ inverse)
+        dof = _satterthwaite(counts, slopes @ inverse, weighted @ inverse)
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
         misfit = bool(stats.f.sf(reduced, freedom, smoothed) < MISFIT_P)
@@ -316,7 +368,17 @@ class RunningFit:
         if misfit:
             half = half * np.sqrt(reduced)
         return Estimate(
-            n, values, std_error, dof, half, reduced, misfit, identifiable, information, covariance_of_values
+            n,
+            least,
+            values,
+            std_error,
+            dof,
+            half,
+            reduced,
+            misfit,
+            identifiable,
+            information,
+            covariance_of_values,
         )
 
 
@@ -338,7 +400,8 @@ def _solved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(scaled, gradient / scale, rcond=1e-12)[0] / scale)
 
 
-def _satterthwaite(n: int, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:
+def _satterthwaite(counts: IntArray, moved: ComplexArray, weighted: ComplexArray) -> FloatArray:
     """Degrees of freedom of each standard error: how evenly its lines share the variance, (n_parameter,)."""
     shares = moving_mean(2 * np.sum((moved.conj() * weighted).real, axis=2))
-    return np.asarray(2 * (n - 1) * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(shares**2, axis=(0, 1)))
+    spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
+    return np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))

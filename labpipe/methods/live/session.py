@@ -18,9 +18,11 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.averages import CUTTERS
-from labpipe.methods.live.bench import Bench, Goal, Standing, Update, check_names, is_followed
+from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Forecast
+from labpipe.methods.live.followed import is_followed
 from labpipe.methods.live.sources import Folder, SampleStream, is_old
+from labpipe.methods.live.standings import Goal, Standing, Update, Watch, check_names, half_width
 from labpipe.project.ingest import Calibration, channel_screen
 from labpipe.project.measured import OTHERS
 from labpipe.project.pipeline_file import Pipeline
@@ -60,10 +62,9 @@ class Prefix:
             yield np.array(whole[start : start + n_sample])
 
 
-class WholeFits:
-    """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further apart.
-
-    Satisfies the part of Bench that a session needs.
+class WholeFits(Watch):
+    """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further
+    apart.
     """
 
     def __init__(
@@ -74,16 +75,10 @@ class WholeFits:
         fits: Sequence[FitSettings],
         goals: Sequence[Goal],
     ) -> None:
-        self.channels, self.sample_rate, self.frf, self.goals = (
-            tuple(channels),
-            sample_rate,
-            frf,
-            tuple(goals),
-        )
+        super().__init__(channels, sample_rate, frf, goals)
         self._fits = tuple(fits)
         self._spool = tempfile.NamedTemporaryFile(prefix="labpipe-live-")  # noqa: SIM115
         self.n_sample, self._next = 0, 0.0
-        self.averages, self.updates = 0, list[Update]()
         self.response: Any = None
 
     def add(self, block: FloatArray) -> list[Update]:
@@ -108,7 +103,7 @@ class WholeFits:
             fits = [fit for settings in self._fits for fit in identify(measured, settings)]
         except LabpipeError as error:
             update = Update(self.averages, findings=(Finding("not-yet", error.what),))
-            self.updates.append(update)
+            self.keep(update)
             return [update]
         self.response = measured
         check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
@@ -128,15 +123,13 @@ class WholeFits:
             stop=enough,
             seconds=seconds / max(self.averages, 1),
         )
-        self.updates.append(update)
+        self.keep(update)
         return [update]
 
     def _standing(self, fit: str, parameter: Any) -> Standing:
-        half = np.inf if parameter.ci95 is None else (parameter.ci95[1] - parameter.ci95[0]) / 2
-        goals = [goal for goal in self.goals if goal.name == parameter.name and goal.fit in ("", fit)]
-        if not goals:
+        half, wanted = half_width(parameter), self.goal_of(fit, parameter)
+        if wanted is None:
             return Standing(parameter, half)
-        wanted = min(goal.half(parameter) * (1.0 if goal.width == "expanded" else 2.0) for goal in goals)
         expected = None
         if np.isfinite(half) and self.averages:
             expected = max(self.averages, int(np.ceil(self.averages * (half / wanted) ** 2)))

@@ -9,10 +9,12 @@ import math
 import numpy as np
 
 from labpipe.display import difference_in, shown_unit, unit_label, with_error
-from labpipe.methods.live.bench import FollowedFit, Standing, Update
+from labpipe.methods.live.course import coefficients_of, course_figure
+from labpipe.methods.live.followed import FollowedFit
 from labpipe.methods.live.session import Session, WholeFits
+from labpipe.methods.live.standings import Standing, Update
 from labpipe.quantities import to_display
-from labpipe.report.chart import Axis, Panel, curve, level, stacked
+from labpipe.report.chart import Axis, Panel, curve, stacked
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Points of a fitted curve between its first and last line.
@@ -48,6 +50,18 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     if left.low is not None and left.high is not None:
         text += f" (80 %: {max(left.low - update.averages, 0)}-{left.high - update.averages})"
     return text
+
+
+def level_text(session: Session, name: str, size: float) -> str:
+    """The largest size of a channel in its unit, and its share of the range where the rig states one."""
+    channel = next(one for one in session.rig.all_channels if one.name == name)
+    unit = shown_unit(channel.unit, size, None)
+    text = f"{difference_in(size, unit):.3g} {unit_label(unit)}"
+    of_rig = next((one for one in session.rig.channels if one.channel.name == name), None)
+    if of_rig is None or of_rig.limits is None:
+        return text
+    reach = abs(of_rig.limits[1] - of_rig.limits[0]) * abs(of_rig.scale)
+    return f"{text} ({200 * size / reach:.0f} % of its range)"
 
 
 def duration(seconds: float) -> str:
@@ -94,48 +108,30 @@ def course(session: Session, update: Update) -> Document:
     rows = rows_of(session, update)
     if rows:
         header = ("coefficient", "value and 95 % interval", "goal", "still to come")
-        blocks.append(Table(header, tuple(rows), "Intervals hold at this moment; of noise and misfit"))
+        blocks.append(
+            Table(
+                header,
+                tuple(rows),
+                "Intervals hold at this moment: of noise, model error and stated uncertainties",
+            )
+        )
     sections = [Section("Where the test stands", tuple(blocks))]
-    figures = [*_over_averages(session), *_responses(session)]
+    updates = session.bench.updates if session.bench else []
+    coefficients = coefficients_of(updates)
+    figures = [course_figure(coefficients)] if coefficients else []
+    figures += _responses(session)
     if figures:
         sections.append(Section("Course of the test", tuple(figures)))
-    events = [
-        event for earlier in (session.bench.updates if session.bench else []) for event in earlier.events
-    ]
+    came: list[Block] = []
+    if update.levels:
+        levels = tuple((name, level_text(session, name, size)) for name, size in update.levels.items())
+        came.append(Table(("channel", "largest size"), levels, "Levels of the last average"))
+    events = [event for earlier in updates for event in earlier.events]
     if events:
-        table = Table(("average",), tuple((event,) for event in events[-40:]), "The last averages")
-        sections.append(Section("What came in", (table,)))
+        came.append(Table(("average",), tuple((event,) for event in events[-40:]), "The last averages"))
+    if came:
+        sections.append(Section("What came in", tuple(came)))
     return Document(session.pipeline.title, "while it runs", tuple(sections), to_sign=False)
-
-
-def _over_averages(session: Session) -> list[Figure]:
-    """Every coefficient that is asked for, or all of few, with its interval over the averages."""
-    updates = [update for update in (session.bench.updates if session.bench else []) if update.standings]
-    if len(updates) < 2:
-        return []
-    last = updates[-1].standings
-    wanted = [name for name, standing in last.items() if standing.goal is not None] or list(last)[:4]
-    panels = []
-    for name in wanted:
-        there = [u for u in updates if name in u.standings and math.isfinite(u.standings[name].half)]
-        if len(there) < 2:
-            continue
-        unit = shown_unit(last[name].parameter.unit, last[name].parameter.value, None)
-        n = np.array([u.averages for u in there], float)
-        values = np.array([to_display(u.standings[name].parameter.value, unit) for u in there])
-        half = np.array([difference_in(u.standings[name].half, unit) for u in there])
-        series = [curve(name, n, values, band=(values - half, values + half), marker=".")]
-        goal = last[name].goal
-        if goal is not None:
-            width = difference_in(goal, unit)
-            series += [level(values[-1] + sign * width, name="goal") for sign in (-1, 1)]
-        panels.append(Panel(Axis("averages"), Axis(name, unit_label(unit)), tuple(series)))
-    if not panels:
-        return []
-    caption = (
-        "Coefficients with their 95 % intervals after each average; lines: the goal around the last value."
-    )
-    return [Figure(stacked(panels, 1.8 * len(panels) + 0.8), caption, "Coefficients over the averages")]
 
 
 def _responses(session: Session) -> list[Figure]:

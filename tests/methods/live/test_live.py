@@ -101,7 +101,85 @@ def test_a_file_followed_to_its_end_gives_the_numbers_of_a_run(bench, follow):
         assert low < truth < high
         # Both are weighted fits of the same averages; they smooth the noise over other widths.
         assert abs(followed["value"] - by_run[name]["value"]) < 0.3 * by_run[name]["std_error"]
-    assert (bench / "out" / "report.html").exists() and (bench / "out" / "course.html").exists()
+    # The run follows the whole file once more, for the course in the report.
+    (course,) = result["courses"]
+    stiffness = next(c for c in course["coefficients"] if c["name"] == "s.k")
+    assert stiffness["averages"][-1] == 11 and stiffness["value"][-1] == last["parameters"]["s.k"]["value"]
+    assert "Course of the test" in (bench / "out" / "report.html").read_text()
+
+
+def test_goals_of_the_pipeline_end_a_test_and_the_run_says_when(bench, follow, labpipe):
+    write_csv(bench / "test.csv", samples(40, noise=2.5))
+    goals = "live: {until: [s.c.expanded<=1.5%]}\nrecordings: [test.csv]\n"
+    (bench / "pipeline.yaml").write_text(PIPELINE + goals)
+    stopped = follow(bench / "test.csv")[-1]
+    assert stopped["stop"] and 4 < stopped["averages"] < 35
+    ran = labpipe("run", bench / "pipeline.yaml", "-o", bench / "out", "--set", "report.formats=[md]")
+    assert f"were reached after {stopped['averages']} of 39 periods" in ran.out
+    assert "Course of the test" in (bench / "out" / "report.md").read_text()
+    (bench / "pipeline.yaml").write_text(PIPELINE + "live: {until: [s.c>=5]}\n")
+    refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv")
+    assert refused.code == 2 and "is no rule on a width" in refused.err
+
+
+def test_a_stated_uncertainty_is_in_the_interval_and_no_average_takes_it_away(bench, follow):
+    """A gain of the force known to 0.5 % is one of k; 1.96 times it is the half-width."""
+    (bench / "rig.yaml").write_text(RIG.replace("role: input", "role: input, uncertainty: {gain: 0.5 %}"))
+    write_csv(bench / "test.csv", samples(16))
+    last = follow(bench / "test.csv", "--until", "s.k.expanded<=0.5%", code=1)[-1]
+    k = last["parameters"]["s.k"]
+    half = (k["ci95"][1] - k["ci95"][0]) / 2
+    assert half == pytest.approx(1.96 * 0.005 * k["value"], rel=0.05) and k["std_error"] < 0.001 * k["value"]
+    assert any(f["code"] == "floor" and "floor 0.98 %" in f["message"] for f in last["findings"])
+    assert last["remaining"]["s.k"]["averages"] is None
+
+
+def test_two_directions_one_after_the_other(bench, follow):
+    """Two files fall into a folder, shaken in x and in y; both together hold the matrices."""
+    k, c = np.array([[90e3, 8e3], [-5e3, 60e3]]), np.array([[8.0, 1.0], [0.5, 6.0]])
+    (bench / "rig.yaml").write_text(
+        RIG.split("channels")[0]
+        + "channels:\n"
+        + "".join(f"  f{d}: {{quantity: force, unit: N, role: input, dof: {d}}}\n" for d in "xy")
+        + "".join(f"  {d}: {{quantity: displacement, unit: um, role: output, dof: {d}}}\n" for d in "xy")
+    )
+    fit = "  r: {model: rotor-2dof, mass: 0.5 kg, band: 30-110 Hz}\n"
+    (bench / "pipeline.yaml").write_text(PIPELINE.split("  s:")[0] + fit)
+    rng, folder = np.random.default_rng(12), bench / "falling"
+    folder.mkdir()
+    for direction, name in enumerate("xy"):
+        frequency = np.fft.rfftfreq(N, 1 / RATE)
+        lines = (frequency >= 20) & (frequency <= 150)
+        force = np.zeros((frequency.size, 2), complex)
+        force[lines, direction] = np.exp(2j * np.pi * rng.random(lines.sum())) * N / 20
+        w = 2 * np.pi * frequency[:, None, None]
+        motion = np.linalg.solve(k + 1j * w * c - w**2 * MASS * np.eye(2), force[..., None])[..., 0]
+        clean = np.fft.irfft(np.concatenate([force, motion * 1e6], axis=1), N, axis=0)
+        rows = np.tile(clean, (9, 1))
+        rows += rng.standard_normal(rows.shape) * [0.05, 0.05, 0.5, 0.5]
+        header = "fx,fy,x,y\n"
+        text = header + "".join(",".join(f"{value:.9g}" for value in row) + "\n" for row in rows)
+        (folder / f"{name}.csv").write_text(text)
+    time.sleep(1.1)
+    followed = follow(folder)
+    last, first = followed[-1], followed[7]
+    assert last["averages"] == 16
+    # By the first direction alone c_yy is known through the coupling only.
+    one, both = (np.ptp(update["parameters"]["r.c_yy"]["ci95"]) for update in (first, last))
+    assert both < one / 3
+    truth = {
+        f"{letter}_{a}{b}": m[i, j]
+        for letter, m in (("k", k), ("c", c))
+        for i, a in enumerate("xy")
+        for j, b in enumerate("xy")
+    }
+    within = [
+        abs(last["parameters"][f"r.{name}"]["value"] - value)
+        / ((last["parameters"][f"r.{name}"]["ci95"][1] - last["parameters"][f"r.{name}"]["ci95"][0]) / 2)
+        for name, value in truth.items()
+    ]
+    # Of eight intervals of 95 % one may miss, but not by far.
+    assert max(within) < 1.6 and sum(share > 1 for share in within) <= 1
 
 
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):

@@ -1,0 +1,209 @@
+"""The section live of a pipeline: what a test is to reach, and its course, average by average.
+
+A run follows the recordings as `labpipe live` did while they grew: the same averages, the same intervals, and
+the number of averages after which every goal was reached.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.arrays import FloatArray
+from labpipe.display import difference_in, shown_unit, unit_label
+from labpipe.estimation.settings import FitSettings
+from labpipe.methods.live.averages import CUTTERS
+from labpipe.methods.live.bench import Bench
+from labpipe.methods.live.followed import is_followed
+from labpipe.methods.live.standings import Goal, Update
+from labpipe.project.ingest import ingest
+from labpipe.project.tests import Test
+from labpipe.project.work import Work
+from labpipe.quantities import to_display
+from labpipe.records.identification import Identification
+from labpipe.records.settings import Settings, setting
+from labpipe.report.chart import Axis, Panel, curve, level, stacked
+from labpipe.report.document import Block, Figure, Paragraph, Section
+from labpipe.sections import PipelineSection
+from labpipe.spectra.settings import FrfSettings
+
+# Samples that are handed on at once.
+BLOCK = 1 << 16
+# Coefficients that are drawn where nothing is asked for.
+DRAWN = 4
+
+
+@dataclass(frozen=True)
+class LiveSettings(Settings):
+    """What a test is to reach."""
+
+    until: tuple[str, ...] = setting(
+        "names", "goals, each on the width of an interval: k.expanded<=1%", default=()
+    )
+    test: tuple[str, ...] = setting("names", "tests whose course is shown; default: all", default=())
+
+    def __post_init__(self) -> None:
+        for text in self.until:
+            Goal.of(text)
+
+    @property
+    def goals(self) -> list[Goal]:
+        """The goals in their order."""
+        return [Goal.of(text) for text in self.until]
+
+
+@dataclass(frozen=True)
+class CoefficientCourse:
+    """A coefficient *name* (fit.parameter) after each of *averages* (n,): its *value* and *half* (n,) [unit]
+    of its 95 % interval; the half-width *goal* [unit] that is asked for.
+    """
+
+    name: str
+    unit: str
+    averages: FloatArray
+    value: FloatArray
+    half: FloatArray
+    goal: float | None = None
+
+
+@dataclass(frozen=True)
+class Course:
+    """The course of a *test* of so many *averages* (each a *what*: period or hit); *enough*: after how many
+    every goal was reached; *left_out*: averages that do not count, with their reason.
+    """
+
+    test: str
+    what: str
+    averages: int
+    coefficients: tuple[CoefficientCourse, ...]
+    goals: tuple[str, ...] = ()
+    enough: int | None = None
+    left_out: tuple[str, ...] = ()
+
+
+Courses = tuple[Course, ...]
+
+
+def coefficients_of(updates: Sequence[Update]) -> tuple[CoefficientCourse, ...]:
+    """Every coefficient that is asked for, or the first of them, over the averages."""
+    there = [update for update in updates if update.standings]
+    if len(there) < 2:
+        return ()
+    last = there[-1].standings
+    wanted = [name for name, standing in last.items() if standing.goal is not None] or list(last)[:DRAWN]
+    courses = []
+    for name in wanted:
+        known = [u for u in there if name in u.standings and math.isfinite(u.standings[name].half)]
+        if len(known) >= 2:
+            n = np.array([u.averages for u in known], float)
+            value = np.array([u.standings[name].parameter.value for u in known])
+            half = np.array([u.standings[name].half for u in known])
+            course = CoefficientCourse(name, last[name].parameter.unit, n, value, half, last[name].goal)
+            courses.append(course)
+    return tuple(courses)
+
+
+def course_figure(coefficients: Sequence[CoefficientCourse]) -> Figure:
+    """The coefficients with their intervals over the averages, beside what is asked for."""
+    panels = []
+    for course in coefficients:
+        unit = shown_unit(course.unit, float(course.value[-1]), None)
+        value = np.array([to_display(one, unit) for one in course.value])
+        half = np.array([difference_in(one, unit) for one in course.half])
+        series = [curve(course.name, course.averages, value, band=(value - half, value + half), marker=".")]
+        if course.goal is not None:
+            width = difference_in(course.goal, unit)
+            series += [level(value[-1] + sign * width, name="goal") for sign in (-1, 1)]
+        panels.append(Panel(Axis("averages"), Axis(course.name, unit_label(unit)), tuple(series)))
+    caption = (
+        "Coefficients with their 95 % intervals after each average; lines: the goal around the last value."
+    )
+    return Figure(stacked(panels, 1.8 * len(panels) + 0.8), caption, "Coefficients over the averages")
+
+
+def run_live(settings: LiveSettings, work: Work) -> Courses:
+    """The course of every test whose fits can be followed average by average."""
+    courses = []
+    for test in work.pipeline.tests:
+        frf = test.frf or work.pipeline.frf
+        fits = [
+            fit
+            for fit in work.pipeline.fits
+            if frf is not None and is_followed(fit, frf) and (not fit.test or test.name in fit.test)
+        ]
+        chosen = not settings.test or test.name in settings.test
+        if chosen and fits and test.recordings and frf is not None and frf.excitation in CUTTERS:
+            courses.append(_course(test, frf, fits, settings, work))
+    return tuple(courses)
+
+
+def _course(
+    test: Test, frf: FrfSettings, fits: Sequence[FitSettings], settings: LiveSettings, work: Work
+) -> Course:
+    bench: Bench | None = None
+    enough, left_out = None, []
+    for number, source in enumerate(test.recordings):
+        name = f"recordings/{source.path.stem}"
+        recording = ingest(
+            source.path, source.rig, work.output, name, work.pipeline.folder, source.joined, source.by
+        )
+        if bench is None:
+            plain = [replace(fit, test=()) for fit in fits]
+            bench = Bench(recording.channels, recording.sample_rate, frf, plain, settings.goals)
+        if number:
+            bench.cutter.restart()
+        for block in recording.blocks(BLOCK):
+            for update in bench.add(block):
+                if update.stop and enough is None:
+                    enough = update.averages
+                left_out += [event for event in update.events if "left out" in event]
+    assert bench is not None
+    what = "hit" if bench.hits else "period"
+    coefficients = coefficients_of(bench.updates)
+    return Course(test.name, what, bench.averages, coefficients, settings.until, enough, tuple(left_out))
+
+
+def course_lines(courses: Courses) -> Iterator[str]:
+    """One line for each test."""
+    for course in courses:
+        yield f"live{f' {course.test}' if course.test else ''}: {_sentence(course)}"
+
+
+def _sentence(course: Course) -> str:
+    count = f"{course.averages} {course.what}{'s' if course.averages != 1 else ''}"
+    if not course.goals:
+        return f"{count}, no goal was set"
+    goals = f"the goals ({', '.join(course.goals)})"
+    return (
+        f"{goals} were not reached within {count}"
+        if course.enough is None
+        else f"{goals} were reached after {course.enough} of {count}"
+    )
+
+
+def course_sections(courses: Courses, _identification: Identification) -> tuple[Section, ...]:
+    """The course of each test: a sentence, a figure, the averages that do not count."""
+    sections = []
+    for course in courses:
+        sentence = _sentence(course)
+        blocks: list[Block] = [Paragraph(f"{sentence[0].upper()}{sentence[1:]}.", "note")]
+        if course.coefficients:
+            blocks.append(course_figure(course.coefficients))
+        blocks += [Paragraph(event, "warning") for event in course.left_out]
+        title = f"Course of the test {course.test}".strip()
+        sections.append(Section(title, tuple(blocks)))
+    return tuple(sections)
+
+
+LIVE = PipelineSection(
+    words="What a test is to reach, and its course average by average.",
+    settings=LiveSettings,
+    run=run_live,
+    record=Courses,
+    entry="courses",
+    report=course_sections,
+    terminal=course_lines,
+)
