@@ -75,14 +75,14 @@ def test_without_covariance_it_is_said_that_chi_square_could_not_be_checked() ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("runs", [60, pytest.param(400, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "noise",
     [{}, {"shared": 0.6}, {"relative": True}, {"shared": 0.6, "relative": True}, {"noise_known": True}],
     ids=["plain", "shared", "relative", "both", "known"],
 )
-def test_the_right_mass_is_left_alone(noise: dict, runs: int) -> None:
+def test_the_right_mass_is_left_alone(noise: dict) -> None:
     """The test is of 1 %; what is asked is at most 5 % and its chance: three binomial deviations above."""
+    runs = 400
     alarms = [bool(findings(single(resonance(0.02, seed, **noise), MASS), "mass")) for seed in range(runs)]
     assert np.mean(alarms) < 0.02 + 3 * np.sqrt(0.02 / runs)
 

@@ -93,8 +93,7 @@ def test_noise_free_recovery(wear: tuple[float, float]) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("wears", [WEAR[2:3], pytest.param(WEAR, marks=pytest.mark.long)], ids=["one", "all"])
-def test_joint_method_under_noise_and_model_error(wears: list[tuple[float, float]]) -> None:
+def test_joint_method_under_noise_and_model_error() -> None:
     """Root mean square at most .4 um and .5 deg over the wears, one draw of viscosity and clearance, lines
     every .4 Hz.
 
@@ -106,7 +105,7 @@ def test_joint_method_under_noise_and_model_error(wears: list[tuple[float, float
         "clearance": 90e-6 * (1 + 0.02 * rng.standard_normal()),
     }
     errors, held = [], []
-    for wear in wears:
+    for wear in WEAR:
         fit = fitted(measured(DENSE, wear, TRUTH, rng, **bearing), **JOINT, **FEW)
         errors.append(errors_of(fit, wear))
         for name, truth in (("wear_depth", wear[0] * 1e-6), ("wear_angle", np.deg2rad(wear[1]))):
