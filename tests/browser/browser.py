@@ -77,7 +77,7 @@ class Browser:
         message, _, self._waiting = self._waiting.partition(b"\0")
         return json.loads(message)
 
-    def open(self, path: Path, width: int = 1000, height: int = 900, dark: bool = False) -> Page:
+    def open(self, path: Path | str, width: int = 1000, height: int = 900, dark: bool = False) -> Page:
         """A page in a new tab, loaded; every request, message and error since is in its *events*."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -87,7 +87,7 @@ class Browser:
             page.call(f"{domain}.enable")
         page.size(width, height)
         page.media(dark=dark)
-        page.call("Page.navigate", url=path.resolve().as_uri())
+        page.call("Page.navigate", url=path if isinstance(path, str) else path.resolve().as_uri())
         page.until(lambda: page.run("document.readyState === 'complete' && location.href !== 'about:blank'"))
         return page
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -371,6 +373,32 @@ def test_the_page_is_for_who_has_its_token_and_tells_what_is_new():
             assert news.readline() == b"data: new\n"
     finally:
         page.close()
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_on_a_terminal_the_table_is_drawn_in_place(bench):
+    """A terminal of 100 columns, read back as it stands."""
+    write_csv(bench / "test.csv", samples(12))
+    tmux = ["tmux", "-L", f"labpipe-{os.getpid()}"]
+    command = f"{sys.executable} -m labpipe live pipeline.yaml test.csv --idle 0.3 --until s.c.expanded<=5%"
+    shell = f"{command.replace('<', chr(92) + '<')}; echo ended $?; sleep 60"
+    environment = {**os.environ, "LC_ALL": "C.UTF-8"}
+    subprocess.run(
+        [*tmux, "new-session", "-d", "-x", "100", "-y", "30", shell], check=True, cwd=bench, env=environment
+    )
+    try:
+        shown = ""
+        for _ in range(150):
+            time.sleep(0.2)
+            shown = subprocess.run(
+                [*tmux, "capture-pane", "-p"], capture_output=True, text=True, check=True
+            ).stdout
+            if "ended" in shown:
+                break
+        assert "ended 0" in shown and shown.count("value and 95 % interval") == 1
+        assert "Enough:" in shown and "s.c" in shown and "reached" in shown and "±" in shown
+    finally:
+        subprocess.run([*tmux, "kill-server"], check=False)
 
 
 @pytest.mark.long
