@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Sequence
-from typing import IO, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -75,16 +75,12 @@ def canvas_of(graphic: Graphic) -> Canvas:
     return canvas
 
 
-def svg_text(canvas: Canvas, outlined: bool = False) -> str:
-    """The canvas as SVG without its XML prologue, no clock in it. *outlined*: letters as outlines."""
+def svg_text(canvas: Canvas) -> str:
+    """The canvas as SVG without its XML prologue, no clock in it."""
     stream = io.StringIO()
-    with mpl.rc_context({**STYLE, "svg.fonttype": "path" if outlined else "none"}):
-        _save(
-            canvas,
-            stream,
-            format="svg",
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
+    with mpl.rc_context(STYLE):
+        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
+        laid_out(canvas).savefig(stream, format="svg", metadata=nothing)
     text = stream.getvalue()
     return text[text.index("<svg") :]
 
@@ -98,18 +94,18 @@ def png_bytes(canvas: Canvas) -> bytes:
     """The canvas as PNG in print resolution."""
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
-        _save(canvas, stream, format="png", dpi=PRINT_DPI, metadata={"Software": None})
+        laid_out(canvas).savefig(stream, format="png", dpi=PRINT_DPI, metadata={"Software": None})
     return stream.getvalue()
 
 
-def _save(canvas: Canvas, stream: IO[Any], **options: Any) -> None:
-    """Lay out once, and save: by itself matplotlib would go through all artists once more for the layout."""
+def laid_out(canvas: Canvas) -> Canvas:
+    """The canvas, laid out once: by itself matplotlib would go through all artists once more for it."""
     engine = canvas.get_layout_engine()
     if engine is not None:
         engine.execute(canvas)
         # Not "none": a canvas with any engine, that one too, is drawn twice.
         canvas.set_layout_engine(None)
-    canvas.savefig(stream, **options)
+    return canvas
 
 
 def figure_files(document: Document) -> dict[str, bytes]:

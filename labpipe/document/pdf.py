@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-import logging
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,8 +11,19 @@ import matplotlib as mpl
 from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
+from matplotlib.backends.backend_pdf import PdfPages
+from pypdf import PageObject, PdfReader, PdfWriter
+from pypdf.generic import (
+    ArrayObject,
+    DecodedStreamObject,
+    DictionaryObject,
+    FloatObject,
+    IndirectObject,
+    NameObject,
+    StreamObject,
+)
 
-from labpipe.document.charts import canvas_of, png_bytes, svg_text
+from labpipe.document.charts import STYLE, canvas_of, laid_out, png_bytes
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.chart import Chart
@@ -25,8 +36,24 @@ TONES = {"passed": (11, 110, 79), "failed": (168, 50, 30), "warning": (138, 90, 
 EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 LINE = (190, 196, 203)
 WIDEST_FIGURE = 165.0
-# Characters of a drawing beyond which a picture of dots opens faster.
-MOST_VECTOR = 600_000
+# Points of a drawing beyond which a picture of dots opens faster.
+MOST_POINTS = 30_000
+# Text of drawings stays text, in fonts of outlines.
+VECTOR = {**STYLE, "pdf.fonttype": 42}
+# Points [pt] in a millimetre.
+POINT = 72 / 25.4
+# Keeps the room of a figure, with its words for those who do not see it.
+ROOM = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} {}"></svg>'
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a drawing goes: *page* from 0, its lower left corner [pt] and its *scale* [1]."""
+
+    page: int
+    left: float
+    low: float
+    scale: float
 
 
 class _Pages(FPDF):
@@ -36,6 +63,10 @@ class _Pages(FPDF):
         super().__init__(format="A4")
         self._foot = document.title
         self.figures = 0
+        # The drawings, a page of a file of their own for each, and where they go.
+        self.places: list[_Place] = []
+        self.drawn = io.BytesIO()
+        self.file = PdfPages(self.drawn, metadata={"CreationDate": None})
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         self.add_font(FONT, "", fonts / "DejaVuSans.ttf")
         self.add_font(FONT, "B", fonts / "DejaVuSans-Bold.ttf")
@@ -66,8 +97,6 @@ def render_pdf(document: Document) -> bytes:
 
     Headings are the file's bookmarks.
     """
-    # The SVG reader warns of elements that it skips; none of them is visible.
-    logging.getLogger("fpdf.svg").setLevel(logging.ERROR)
     pages = _Pages(document)
     pages.add_page()
     if document.to_sign:
@@ -87,7 +116,51 @@ def render_pdf(document: Document) -> bytes:
         pages.ln(2)
         for block in section.blocks:
             _put(pages, block)
-    return bytes(pages.output())
+    return _with_drawings(pages)
+
+
+def _with_drawings(pages: _Pages) -> bytes:
+    """The file with each drawing at its place, all of them with the same fonts."""
+    text = bytes(pages.output())
+    if not pages.places:
+        return text
+    with mpl.rc_context(VECTOR), pages.file:
+        # The fonts are written when the file is closed.
+        pass
+    writer = PdfWriter(clone_from=io.BytesIO(text))
+    drawings = PdfReader(pages.drawn).pages
+    for number, (place, drawing) in enumerate(zip(pages.places, drawings, strict=True)):
+        _lay(writer, writer.pages[place.page], drawing, place, f"/Drawing{number}")
+    written = io.BytesIO()
+    writer.write(written)
+    return written.getvalue()
+
+
+def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _Place, name: str) -> None:
+    """Lay a page of drawings onto a *page*: as a form of that *name*, its content as it is."""
+    form = DecodedStreamObject()
+    contents = drawing.get_contents()
+    form.set_data(b"" if contents is None else contents.get_data())
+    form[NameObject("/Type")], form[NameObject("/Subtype")] = NameObject("/XObject"), NameObject("/Form")
+    form[NameObject("/BBox")] = ArrayObject(FloatObject(side) for side in drawing.mediabox)
+    form[NameObject("/Resources")] = drawing.raw_get("/Resources").clone(writer)
+    resources = page["/Resources"]
+    assert isinstance(resources, DictionaryObject)
+    forms = resources.setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
+    forms[NameObject(name)] = _in(writer, form.flate_encode())
+    put = DecodedStreamObject()
+    scale = f"{place.scale:.6f}"
+    put.set_data(f"q {scale} 0 0 {scale} {place.left:.3f} {place.low:.3f} cm {name} Do Q".encode())
+    page[NameObject("/Contents")] = ArrayObject([page.raw_get("/Contents"), _in(writer, put)])
+
+
+def _in(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
+    """The reference of a stream that becomes one of the file."""
+    # Only what may have a reference is given one.
+    stream.indirect_reference = None
+    reference = stream.clone(writer).indirect_reference
+    assert reference is not None
+    return reference
 
 
 def _height_of(section: Section) -> float:
@@ -183,27 +256,28 @@ def _figure(pages: _Pages, figure: Figure) -> None:
     width, height = _size(figure)
     if pages.will_page_break(height + 10):
         pages.add_page()
-    # What a drawing leaves open is black.
-    pages.set_fill_color(0)
-    pages.image(_picture(figure), w=width, alt_text=figure.alternative)
-    pages.set_fill_color(*PAPER)
+    canvas = canvas_of(figure.graphic)
+    if _as_dots(figure):
+        pages.image(io.BytesIO(png_bytes(canvas)), w=width, alt_text=figure.alternative)
+    else:
+        low = pages.h - pages.get_y() - height
+        scale = width / (25.4 * figure.graphic.size[0])
+        pages.places.append(_Place(pages.page - 1, POINT * pages.l_margin, POINT * low, scale))
+        with mpl.rc_context(VECTOR):
+            laid_out(canvas).savefig(pages.file, format="pdf")  # type: ignore[arg-type]
+        room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
+        pages.image(room, w=width, alt_text=figure.alternative)
     pages.figures += 1
     _text(pages, f"Figure {pages.figures}. {figure.caption}", 8, colour=GREY)
     pages.ln(2)
 
 
-def _picture(figure: Figure) -> io.BytesIO:
-    """The drawing as lines and outlines.
-
-    As dots of print resolution where it is a heat map or has very many points.
-    """
-    canvas, graphic = canvas_of(figure.graphic), figure.graphic
-    if isinstance(graphic, Chart) and any(
-        series.kind == "cells" for panel in graphic.panels for series in panel.series
-    ):
-        return io.BytesIO(png_bytes(canvas))
-    text = svg_text(canvas, outlined=True)
-    return io.BytesIO(text.encode() if len(text) <= MOST_VECTOR else png_bytes(canvas))
+def _as_dots(figure: Figure) -> bool:
+    """Whether a drawing is dots of print resolution: a heat map, or one of very many points."""
+    if not isinstance(figure.graphic, Chart):
+        return False
+    series = [one for panel in figure.graphic.panels for one in panel.series]
+    return any(one.kind == "cells" for one in series) or sum(one.y.size for one in series) > MOST_POINTS
 
 
 def _table(pages: _Pages, table: Table) -> None:

@@ -177,11 +177,7 @@ def test_every_drawing_is_drawn_in_its_size(kind: str, drawings: dict[str, Drawi
 def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Chart) -> None:
     first, second = chart_canvas(every_kind), chart_canvas(every_kind)
     assert svg_text(first) == svg_text(second) == svg_text(first)
-    assert (
-        png_bytes(first).startswith(b"\x89PNG")
-        and "<text" in svg_text(first)
-        and "<text" not in svg_text(first, outlined=True)
-    )
+    assert png_bytes(first).startswith(b"\x89PNG") and "<text" in svg_text(first)
 
 
 def test_one_name_in_two_colours_stands_twice_and_a_dot_of_its_curve_not() -> None:

@@ -137,7 +137,7 @@ def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, hea
 def test_a_drawing_of_very_many_points_is_a_picture_in_a_pdf(
     every_kind: Chart, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pdf, "MOST_VECTOR", 100)
+    monkeypatch.setattr(pdf, "MOST_POINTS", 10)
     content = pdf.render_pdf(
         Document("T", "", (Section("F", (Figure(every_kind, "c", "a"),)),), to_sign=False)
     )
