@@ -30,7 +30,14 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
     margins = measured_margins(frequency, transfer, none, (np.inf, 1.96))
     of_phase = next(margin for margin, _ in margins if margin.name == "measured_phase_margin")
     assert crest is not None and of_phase.std_error is not None
-    return {"peak": crest.value[:2], "phase": (of_phase.value, of_phase.std_error)}
+    found = {margin.name.removeprefix("measured_"): margin for margin, _ in margins}
+    gain = found.get("gain_margin_upper")
+    return {
+        "peak": crest.value[:2],
+        "place": crest.place[:2],
+        "phase": (of_phase.value, of_phase.std_error),
+        "gain": (np.log(gain.value), gain.std_error / gain.value) if gain else (np.nan, np.nan),
+    }
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.02])
@@ -39,15 +46,35 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
     """60 draws: the mean within half a standard error of the closed form, 95 % intervals hold it in 85 % or
     more (the binomial quantile at 0.1 %).
 
-    A parabola over eleven lines is 1.6 to 15 standard errors off for the phase margin.
+    A parabola over eleven lines is 1.6 to 15 standard errors off for the phase margin. The place of the peak
+    is as far off as it says: at 27 lines the polynomial through them is six standard errors by noise away.
     """
     rng = np.random.default_rng(36)
-    truth = {"peak": AXIS.peak(), "phase": AXIS.phase_margin()}
+    s = 2j * np.pi * np.geomspace(30, 90, 100_000)
+    place = float(np.abs(s[np.argmin(np.abs(1 + AXIS.loop(s)))]))
+    truth = {"peak": AXIS.peak(), "phase": AXIS.phase_margin(), "place": place}
     found = [drawn(lines, noise, rng) for _ in range(60)]
     for name, true in truth.items():
         away = np.array([(one[name][0] - true) / one[name][1] for one in found])
-        assert abs(np.mean(away)) < 0.5
+        assert abs(np.mean(away)) < (1.2 if name == "place" else 0.5)
         assert np.mean(np.abs(away) < 1.96) >= 0.85
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.003, True), (0.02, False)])
+def test_no_gain_margin_is_told_of_noise(noise: float, told: bool) -> None:
+    """|L| = 0.048 where Im L = 0, noise of a sixteenth of it and of two fifths in either part of a line: stated
+    in nearly all draws with its interval, or in nearly none. It was stated in 80 % of the second.
+    """
+    omega = 2 * np.pi * np.geomspace(500, 890, 400_000)
+    loop = AXIS.loop(1j * omega)
+    (at,) = np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)
+    rng = np.random.default_rng(36)
+    found = [drawn(SPARSE, noise, rng)["gain"] for _ in range(60)]
+    away = np.array([(log + np.log(-loop[at].real)) / error for log, error in found])
+    stated = np.isfinite(away)
+    assert np.mean(stated) > 0.8 if told else np.mean(stated) < 0.05
+    if told:
+        assert np.mean(np.abs(away[stated]) < 1.96) >= 0.85
 
 
 def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> None:
@@ -106,8 +133,9 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
 @pytest.mark.parametrize(("gain_x", "gain_i"), [(0.006, 0.0), (-0.006, -0.006), (0.0, 0.006)])
 def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path, gain_x: float, gain_i: float) -> None:
     """Gains of reading and current off by two of their uncertainties, one noise: what the controller and the
-    other signals tell of a gain leaves k_n, k_i and the decrement within 0.2 of their uncertainties of those of
-    true gains. Of fits that leave such gains to the residual k_n was off by up to two of its uncertainties.
+    other signals tell of a gain leaves k_n, k_i and the decrement within 0.2 of their uncertainties of those
+    of true gains. Of fits that leave such gains to the residual k_n was off by up to two of its
+    uncertainties.
     """
     columns = AXIS.record(np.random.default_rng(5))
     names = ("negative_stiffness", "force_per_current", "bandwidth", "log_decrement_1")
