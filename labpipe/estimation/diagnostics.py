@@ -535,7 +535,7 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []
-    needed = f"blocks of at least {_rounded_up(enough / width):g} s"
+    needed = f"blocks of at least {rounded_up(enough / width):g} s"
     which = (
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"
@@ -580,7 +580,7 @@ def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | Non
     return float(frequency[chosen]), float(width[chosen])
 
 
-def _rounded_up(length: float) -> float:
+def rounded_up(length: float) -> float:
     """The length [s] with two digits, not below it."""
     digit = 10.0 ** (np.floor(np.log10(length)) - 1)
     return float(np.ceil(length / digit * (1 - 1e-9)) * digit)

@@ -62,8 +62,8 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
 
 @pytest.mark.parametrize(("noise", "told"), [(0.003, True), (0.02, False)])
 def test_no_gain_margin_is_told_of_noise(noise: float, told: bool) -> None:
-    """|L| = 0.048 where Im L = 0, noise of a sixteenth of it and of two fifths in either part of a line: stated
-    in nearly all draws with its interval, or in nearly none. It was stated in 80 % of the second.
+    """|L| = 0.048 where Im L = 0; noise of a sixteenth of it, and of two fifths, in either part of a line:
+    told in nearly all draws with its interval, or in nearly none. It was told in 80 % of the second.
     """
     omega = 2 * np.pi * np.geomspace(500, 890, 400_000)
     loop = AXIS.loop(1j * omega)
