@@ -301,8 +301,10 @@ def _fed_back(
     sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout
 ) -> tuple[Finding, ...]:
     """The warning `feedback` where a drive follows the responses: it is made in the loop."""
-    responses = [channel.name for channel in layout.channels if channel.role == "output"]
-    return feedback_of_drives(sources, drives, responses)
+    forces, responses = (
+        [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
+    )
+    return feedback_of_drives(sources, drives, forces, responses)
 
 
 def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:

@@ -105,3 +105,37 @@ def test_a_hum_on_a_line_of_the_multisine_is_named(fitted) -> None:
     )
     stiffness = next(one for one in fit["parameters"] if one["name"] == "k")
     assert "model-mismatch" not in codes(fit) and stiffness["ci95"][0] < -420e3 < stiffness["ci95"][1]
+
+
+def late(columns: dict[str, np.ndarray], name: str, samples: int) -> dict[str, np.ndarray]:
+    """A channel that was recorded later than the others."""
+    return {**columns, name: np.roll(columns[name], samples)}
+
+
+@pytest.mark.parametrize("samples", [20, 80])
+def test_a_late_reference_is_no_feedback(fitted, samples: int) -> None:
+    """An injection recorded 5 or 20 ms late: the lag is named to a sample beside the 0.2 ms of delay and
+    amplifier, and the stiffness is right.
+    """
+    columns = late(RANDOM.record(np.random.default_rng(2)), "e", samples)
+    ended, fit = fitted(RANDOM, columns, FRF, SDOF, FORCE)
+    lag = float(ended.out.partition("reference-lag: the reference e lags by ")[2].split(" ")[0])
+    assert abs(lag - samples / 4) <= 0.45 and "feedback" not in codes(fit)
+    stiffness = next(one for one in fit["parameters"] if one["name"] == "k")
+    assert ended.code == 0 and stiffness["ci95"][0] < -420e3 < stiffness["ci95"][1]
+
+
+def test_a_stated_delay_is_no_lag(fitted) -> None:
+    columns = late(RANDOM.record(np.random.default_rng(2)), "e", 20)
+    stated = FORCE[:-1] + ", e: {delay: 5 ms}}"
+    ended, fit = fitted(RANDOM, columns, FRF, SDOF, stated)
+    assert ended.code == 0 and "reference-lag" not in ended.out and "feedback" not in codes(fit)
+
+
+@pytest.mark.parametrize("samples", [0, 20])
+def test_a_command_that_lags_stays_feedback(fitted, samples: int) -> None:
+    """The command holds the motion, whenever it is recorded."""
+    pushed = RANDOM.other(disturbance=10.0)
+    columns = late(pushed.record(np.random.default_rng(2)), "u", samples)
+    ended, fit = fitted(pushed, columns, FRF.replace("reference: e", "reference: u"), SDOF, FORCE)
+    assert ended.code == 1 and "feedback" in codes(fit) and "reference-lag" not in ended.out
