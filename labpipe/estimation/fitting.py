@@ -19,7 +19,13 @@ from labpipe.estimation.budget import (
     with_contributions,
     with_given_mass,
 )
-from labpipe.estimation.causes import EXPLAINED, drift_findings, mass_findings, stated_findings
+from labpipe.estimation.causes import (
+    EXPLAINED,
+    delay_findings,
+    drift_findings,
+    mass_findings,
+    stated_findings,
+)
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.estimation.damping import damped
 from labpipe.estimation.derived import (
@@ -477,10 +483,21 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return list(judged.findings)
     if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
+    late = _delay_findings(case, model)
+    if late:
+        return [*judged.findings, *late]
     return [
         *judged.findings,
         *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated),
     ]
+
+
+def _delay_findings(case: Case, model: DynamicModel) -> list[Finding]:
+    """A channel that is late, where the residual is not noise."""
+    chance = case.estimate.gof.chi2_p
+    if chance is None or chance >= MISMATCH_P:
+        return []
+    return delay_findings(case.measured, model, case.estimate.values)
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:

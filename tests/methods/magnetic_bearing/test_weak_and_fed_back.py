@@ -5,6 +5,7 @@ and k_s = -420 kN/m.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -139,3 +140,27 @@ def test_a_command_that_lags_stays_feedback(fitted, samples: int) -> None:
     columns = late(pushed.record(np.random.default_rng(2)), "u", samples)
     ended, fit = fitted(pushed, columns, FRF.replace("reference: e", "reference: u"), SDOF, FORCE)
     assert ended.code == 1 and "feedback" in codes(fit) and "reference-lag" not in ended.out
+
+
+@pytest.mark.parametrize(("samples", "axis"), [(4, PERIODIC), (-2, PERIODIC), (4, RANDOM)])
+def test_a_reading_that_is_late_in_a_loop_is_named(fitted, samples: int, axis: Axis) -> None:
+    """1 ms late, .5 ms early: the delay within four of its standard errors, and with it k = -420 kN/m and no
+    damping. Without it the damping was -1565, 766 and -5274 N s/m.
+    """
+    columns = late(axis.record(np.random.default_rng(1)), "x", samples)
+    _, fit = fitted(axis, columns, FRF, SDOF, FORCE)
+    (said,) = [finding["message"] for finding in fit["warnings"] if finding["code"] == "delay"]
+    assert f"x against i is {'late' if samples > 0 else 'early'} by " in said
+    value, error, unit = re.search(r"by ([\d.]+) \+- ([\d.]+) (ms|us)", said).groups()
+    scale = 1.0 if unit == "ms" else 1e-3
+    assert abs(scale * float(value) - abs(samples) / 4) < 4 * scale * float(error) < 0.01
+    stiffness, damping = re.search(r"k = (-[\d.]+) \+- [\d.]+ kN/m, c = (-?[\d.]+) \+-", said).groups()
+    assert abs(float(stiffness) + 420) < 2 and abs(float(damping)) < 8
+
+
+@pytest.mark.parametrize("stated", ["6.5 kg", "6.3 kg"])
+def test_nothing_else_is_taken_for_a_delay(fitted, stated: str) -> None:
+    """A sound record, and a mass 3 % off, which leaves a residual as well."""
+    columns = PERIODIC.record(np.random.default_rng(1))
+    _, fit = fitted(PERIODIC, columns, FRF, SDOF.replace("6.5 kg", stated), FORCE)
+    assert "delay" not in codes(fit)
