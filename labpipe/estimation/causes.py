@@ -368,11 +368,11 @@ def _delay(
         for number, (one, unit) in enumerate(zip(model.names, model.units, strict=True))
         if unit in ("N/m", "N.s/m")
     )
+    side, before = "late" if delay > 0 else "early", (beyond + of_noise) / of_noise
     message = (
-        f"{name} is {'late' if delay > 0 else 'early'} by {_amount(abs(delay), 's', error)}: with it "
-        f"chi-square per degree of freedom is {linear.chi2 / of_noise:.3g} instead of "
-        f"{problem.chi2(np.append(values, 0.0)) / of_noise:.3g}, and {changed}. State `delay:` of that channel "
-        "in the rig file, or record all channels at the same time"
+        f"{name} is {side} by {_amount(abs(delay), 's', error)}: with that delay chi-square per degree of "
+        f"freedom is {linear.chi2 / of_noise:.3g} instead of {before:.3g}, and {changed}. State `delay:` of "
+        "that channel in the rig file, or record all channels at the same time"
     )
     return linear.chi2, Finding("delay", message)
 

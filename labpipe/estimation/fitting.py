@@ -52,6 +52,7 @@ from labpipe.estimation.diagnostics import (
     quality_findings,
     with_feedback,
     with_lost_samples,
+    with_weak_injection,
 )
 from labpipe.estimation.draws import bootstrapped, propagated
 from labpipe.estimation.leakage import expected
@@ -105,7 +106,10 @@ def identify(
             fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             with_unstated(
-                with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                with_weak_injection(
+                    with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                    measured.findings,
+                ),
                 measured,
                 settings,
             )
