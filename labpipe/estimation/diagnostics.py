@@ -106,8 +106,8 @@ def with_weak_injection(fit: Fit, measured: Sequence[Finding]) -> Fit:
     if not weak or not any(finding.code == "model-mismatch" for finding in fit.findings):
         return fit
     what = (
-        "what is injected hardly moves the loop beyond its noise, and the residual is not noise: the values are "
-        "in part those of a ratio of noise to noise. Raise the level of what is injected, or record longer"
+        "what is injected hardly moves the loop beyond its noise, and the residual is not noise: the values "
+        "are in part those of a ratio of noise to noise. Raise the level of what is injected, or record longer"
     )
     return replace(fit, findings=(Finding("weak-injection", what), *fit.findings))
 
