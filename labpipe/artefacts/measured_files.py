@@ -276,6 +276,7 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
+        "blocks": None if spectra.blocks is None else dataclasses.asdict(spectra.blocks),
         "factors": [
             {**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors
         ],
@@ -317,6 +318,7 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
         runs=runs,
         covariance_dof=math.inf if dof is None else dof,
         line_correlation=tuple(complex(*value) for value in contents["line_correlation"]),
+        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         factors=tuple(
             UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)})
             for entry in contents["factors"]

@@ -1,4 +1,5 @@
-"""Causes of a mismatch that the data show: a stated number, a wrong given mass, drift within the record.
+"""Causes of a mismatch that the data show: a stated number, a wrong given mass, a late channel, drift within
+the record.
 
 A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
 data allow.
@@ -8,6 +9,8 @@ fit.
 
 Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion
 and the goodness of fit hardly changes. The height of the curve under a known force still tells the mass.
+
+A channel that was recorded late, by the delay with which the residual is explained.
 
 Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
 
@@ -23,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import amount_text, change_text, difference_in, shown_unit
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
@@ -264,6 +267,114 @@ def _message(freed: _Freed, fit: _FreeFit, values: FloatArray, p_value: float, s
 def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
     """Value, with its standard error where there is one, in the unit in which people read it."""
     return amount_text(value, std_error, si_unit, "+-")
+
+
+# A channel that was recorded late: the delay with which a residual that is far from noise is explained.
+
+# Delays are looked for up to so many periods of the highest line, in steps of this share of its period.
+MOST_PERIODS, DELAY_STEP = 5.0, 0.1
+# Share of the chi-square beyond the noise that a delay explains where it is what is wrong.
+BY_DELAY = 0.9
+# Phase [rad] at the highest line, and standard errors, from which a delay is named.
+LEAST_PHASE, SURE_DELAY = 0.01, 5.0
+
+
+@dataclass(frozen=True)
+class DelayedModel:
+    """A model one of whose channels is late: H(w) exp(-j w tau) in a row or a column; tau [s], the last
+    parameter. *late* (n_output, n_input): which elements are.
+    """
+
+    model: FittedModel
+    late: BoolArray
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H [m/N] with its delay, (n_line, n_output, n_input), at parameters (n_parameter + 1,)."""
+        return self.model.receptance(parameters[:-1], omega) * self._factor(parameters, omega)
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """Its derivatives, (n_parameter + 1, n_line, n_output, n_input) [m/N per parameter unit]."""
+        slope = np.where(self.late, -1j * omega[:, None, None], 0.0) * self.receptance(parameters, omega)
+        others = self.model.jacobian(parameters[:-1], omega) * self._factor(parameters, omega)
+        return np.concatenate([others, slope[None]])
+
+    def _factor(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        return np.where(self.late, np.exp(-1j * omega[:, None, None] * parameters[-1]), 1.0)
+
+
+def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> list[Finding]:
+    """A finding where a delay of one channel explains a residual that is far from noise; *values*
+    (n_parameter,) [parameter units] of the fit.
+
+    Of each response, with several also of each force, the delay is fitted beside all parameters, from the
+    best of a grid. None where the noise is not known, and where no delay explains most of what is beyond it.
+    Equation (est-delay).
+    """
+    if not has_noise(measured):
+        return []
+    explained = [
+        found
+        for name, late in _late_channels(measured)
+        if (found := _delay(measured, model, values, late, name))
+    ]
+    return [min(explained, key=lambda found: found[0])[1]] if explained else []
+
+
+def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
+    """Name and elements (n_output, n_input) of every channel that may be late."""
+    shape = measured.matrix.shape[1:]
+    single = shape == (1, 1)
+    rows = [
+        (f"{port.channel} against {measured.inputs[0].channel}" if single else port.channel)
+        for port in measured.outputs
+    ]
+    candidates = [
+        (name, np.broadcast_to(np.arange(shape[0])[:, None] == row, shape)) for row, name in enumerate(rows)
+    ]
+    if not single and shape[1] > 1:
+        candidates += [
+            (port.channel, np.broadcast_to(np.arange(shape[1]) == column, shape))
+            for column, port in enumerate(measured.inputs)
+        ]
+    return candidates
+
+
+def _delay(
+    measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray, name: str
+) -> tuple[float, Finding] | None:
+    """chi-square with the delay of a channel, and the finding; None where it explains too little."""
+    highest = float(measured.omega[-1])
+    try:
+        problem = OutputError(measured, DelayedModel(expected(measured, model), late), fit_weights(measured))
+        grid = 2 * np.pi / highest * np.arange(-MOST_PERIODS, MOST_PERIODS + DELAY_STEP / 2, DELAY_STEP)
+        start = min((np.append(values, delay) for delay in grid), key=problem.chi2)
+        minimum = minimise(problem, start, most_steps=MOST_STEPS)
+        linear = problem.linearised(minimum.values)
+        inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
+        of_noise = dof * weight_uncertainty(measured, dof).excess
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    beyond = problem.chi2(np.append(values, 0.0)) - of_noise
+    delay, scale = float(minimum.values[-1]), np.sqrt(max(linear.chi2 / of_noise, 1.0))
+    error = float(np.sqrt(inverse[-1, -1])) * scale
+    if (
+        linear.chi2 - of_noise > (1 - BY_DELAY) * beyond
+        or abs(delay) * highest < LEAST_PHASE
+        or abs(delay) < SURE_DELAY * error
+    ):
+        return None
+    changed = ", ".join(
+        f"{one} = {_amount(minimum.values[number], unit, float(np.sqrt(inverse[number, number])) * scale)}"
+        for number, (one, unit) in enumerate(zip(model.names, model.units, strict=True))
+        if unit in ("N/m", "N.s/m")
+    )
+    side, before = "late" if delay > 0 else "early", (beyond + of_noise) / of_noise
+    message = (
+        f"{name} is {side} by {_amount(abs(delay), 's', error)}: with that delay chi-square per degree of "
+        f"freedom is {linear.chi2 / of_noise:.3g} instead of {before:.3g}, and {changed}. State `delay:` of "
+        "that channel in the rig file, or record all channels at the same time"
+    )
+    return linear.chi2, Finding("delay", message)
 
 
 # Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.

@@ -98,6 +98,20 @@ def with_lost_samples(fit: Fit, measured: Sequence[Finding]) -> Fit:
     return replace(fit, findings=(*fit.findings, *lost)) if lost else fit
 
 
+def with_weak_injection(fit: Fit, measured: Sequence[Finding]) -> Fit:
+    """The fit with a warning that forbids to accept it, where what is injected into a closed loop hardly
+    exceeds the noise of its FRF and the residual is more than noise.
+    """
+    weak = is_of_closed_loop(measured) and any(finding.code == "low-snr" for finding in measured)
+    if not weak or not any(finding.code == "model-mismatch" for finding in fit.findings):
+        return fit
+    what = (
+        "what is injected hardly moves the loop beyond its noise, and the residual is not noise: the values "
+        "are in part those of a ratio of noise to noise. Raise the level of what is injected, or record longer"
+    )
+    return replace(fit, findings=(Finding("weak-injection", what), *fit.findings))
+
+
 def is_of_closed_loop(measured: Sequence[Finding]) -> bool:
     """Whether an FRF was measured in a loop that is known to be closed."""
     return any(finding.code == "closed-loop" for finding in measured)
@@ -535,7 +549,7 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []
-    needed = f"blocks of at least {_rounded_up(enough / width):g} s"
+    needed = f"blocks of at least {rounded_up(enough / width):g} s"
     which = (
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"
@@ -580,7 +594,7 @@ def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | Non
     return float(frequency[chosen]), float(width[chosen])
 
 
-def _rounded_up(length: float) -> float:
+def rounded_up(length: float) -> float:
     """The length [s] with two digits, not below it."""
     digit = 10.0 ** (np.floor(np.log10(length)) - 1)
     return float(np.ceil(length / digit * (1 - 1e-9)) * digit)

@@ -19,7 +19,13 @@ from labpipe.estimation.budget import (
     with_contributions,
     with_given_mass,
 )
-from labpipe.estimation.causes import EXPLAINED, drift_findings, mass_findings, stated_findings
+from labpipe.estimation.causes import (
+    EXPLAINED,
+    delay_findings,
+    drift_findings,
+    mass_findings,
+    stated_findings,
+)
 from labpipe.estimation.comparison import candidates, comparison_findings, comparison_notes
 from labpipe.estimation.damping import damped
 from labpipe.estimation.derived import (
@@ -46,6 +52,7 @@ from labpipe.estimation.diagnostics import (
     quality_findings,
     with_feedback,
     with_lost_samples,
+    with_weak_injection,
 )
 from labpipe.estimation.draws import bootstrapped, propagated
 from labpipe.estimation.leakage import expected
@@ -99,7 +106,10 @@ def identify(
             fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             with_unstated(
-                with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                with_weak_injection(
+                    with_lost_samples(with_feedback(fit, measured.findings), measured.findings),
+                    measured.findings,
+                ),
                 measured,
                 settings,
             )
@@ -477,10 +487,21 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return list(judged.findings)
     if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
+    late = _delay_findings(case, model)
+    if late:
+        return [*judged.findings, *late]
     return [
         *judged.findings,
         *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated),
     ]
+
+
+def _delay_findings(case: Case, model: DynamicModel) -> list[Finding]:
+    """A channel that is late, where the residual is not noise."""
+    chance = case.estimate.gof.chi2_p
+    if chance is None or chance >= MISMATCH_P:
+        return []
+    return delay_findings(case.measured, model, case.estimate.values)
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:

@@ -104,7 +104,7 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> Compared:
 # Holding a result against the pipeline's accept and expect rules.
 
 # Warnings with which nothing is accepted: the size of the error is not known.
-FORBIDDING = ("feedback",)
+FORBIDDING = ("feedback", "weak-injection")
 
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
     "gof": lambda fit: fit.gof.r2_adjusted,

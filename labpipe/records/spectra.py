@@ -11,7 +11,7 @@ from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
-from labpipe.records.response import Port
+from labpipe.records.response import Blocks, Port
 
 # Complex amplitudes of all channels of a test, line by line and run by run, with their covariance.
 
@@ -58,7 +58,8 @@ class ChannelSpectra:
     not share noise covariance_dof  complex degrees of freedom behind each covariance (inf: known)
     line_correlation  E[e_(k+d) e_k*] of noise of unit variance with that of the next lines, d = 1, 2, ...;
     empty where independent factors      numbers with an uncertainty that stand in derived channels, and
-    uncertainties of the channels' calibrations
+    uncertainties of the channels' calibrations blocks         of random data, whose ends leave leakage in the
+    vectors, or None
 
     The channels are forces (role input) and responses (output), then sums of these and their members; a
     member that is no force or response of its own has the role reference, and the covariance is singular
@@ -74,6 +75,7 @@ class ChannelSpectra:
     covariance_dof: float = float("inf")
     line_correlation: tuple[complex, ...] = ()
     factors: tuple[UncertainFactor, ...] = ()
+    blocks: Blocks | None = None
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)

@@ -242,6 +242,7 @@ def channel_spectra(
         runs=lines.runs,
         covariance_dof=lines.dof,
         line_correlation=lines.line_correlation,
+        blocks=lines.blocks,
         factors=layout.factors(),
         name=name,
         findings=findings,

@@ -32,6 +32,8 @@ WEIGHTED = (
 )
 # Chance of a false alarm that is taken, over all pairs of force and response.
 LEVEL = 1e-3
+# Chance from which a reference that is moved forward is in order: far above that of a feedback hardly seen.
+IN_ORDER = 0.05
 # Samples of every recording that are looked at, so that the test costs little beside a long record's FRF;
 # fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
@@ -71,39 +73,108 @@ def feedback_of_records(
     reference.
 
     None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a
-    recording are looked at.
+    recording are looked at. A reference that was recorded late, with which all is in order once it is moved
+    forward, is the warning `reference-lag` instead.
     """
     chances: dict[str, float] = {}
+    late: dict[str, float] = {}
     for number, source in enumerate(sources):
         names = [channel.name for channel in source.channels]
         forces = [column for column in layout.input_columns[number] if column >= 0]
-        driving = [names.index(name) for name in settings.reference if name in names] or forces
-        samples = _first_samples(source)
-        driving = [column for column in driving if np.any(samples[:, column] != samples[0, column])]
-        if driving and samples.shape[0] >= FEWEST_SAMPLES:
-            p_value = chance_of_order(samples[:, driving], samples[:, list(layout.output_columns[number])])
-            chances[", ".join(names[column] for column in driving)] = min(p_value * len(sources), 1.0)
-    return _findings(chances, settings.reference)
+        driving = [names.index(name) for name in settings.reference if name in names]
+        _judge(source, driving or forces, list(layout.output_columns[number]), chances, len(sources))
+        if driving:
+            _judge_lag(source, (driving, forces, list(layout.output_columns[number])), chances, late)
+    return (*_findings(chances, settings.reference), *_lag_findings(late))
+
+
+def _judge(
+    source: SampleSource, driving: Sequence[int], rows: Sequence[int], chances: dict[str, float], n: int
+) -> None:
+    """Adds the p-value of the *driving* columns of one of *n* recordings to *chances*."""
+    samples = _first_samples(source)
+    driving = [column for column in driving if np.any(samples[:, column] != samples[0, column])]
+    if driving and rows and samples.shape[0] >= FEWEST_SAMPLES:
+        name = ", ".join(source.channels[column].name for column in driving)
+        chances[name] = min(chance_of_order(samples[:, driving], samples[:, rows]) * n, 1.0)
+
+
+def _judge_lag(
+    source: SampleSource,
+    columns: tuple[Sequence[int], Sequence[int], Sequence[int]],
+    chances: dict[str, float],
+    late: dict[str, float],
+) -> None:
+    """Moves a reference that only lags from *chances* to *late* [s]; *columns* of references, forces and
+    responses.
+    """
+    driving, forces, responses = columns
+    name = ", ".join(source.channels[column].name for column in driving)
+    if chances.get(name, 1.0) >= LEVEL or not forces:
+        return
+    samples = _first_samples(source)
+    lag = lag_of_reference(samples[:, driving], samples[:, forces], samples[:, responses])
+    if lag:
+        del chances[name]
+        late[name] = lag / source.sample_rate
+
+
+def lag_of_reference(references: FloatArray, forces: FloatArray, responses: FloatArray) -> int:
+    """Samples [1] by which *references* (n_sample, n_reference) [SI] were recorded later than they act; 0
+    where the order tells nothing or a lag does not explain it.
+
+    What is injected acts on the *forces* (n_sample, n_force) at once, by the sum that it is added to: the
+    highest correlation gives the lag. Moved forward by it a reference from outside comes before the forces
+    and the *responses* (n_sample, n_response); one that the loop makes does not. Equation (frf-lag).
+    """
+    if chance_of_order(references, forces) >= LEVEL:
+        return 0
+    n = references.shape[0]
+    taper = _tukey(n)[:, None]
+    driving, driven = (fft.rfft(part * taper, axis=0) for part in (references, forces))
+    power = _average(np.abs(driving) ** 2).real
+    weight = np.where(power > DARK * np.max(power, axis=0), 1 / np.maximum(power, np.finfo(float).tiny), 0.0)
+    crossed = np.abs(
+        fft.irfft(driven[:, :, None] * (driving.conj() * weight)[:, None, :], n, axis=0).reshape(n, -1)
+    )
+    place = int(np.argmax(np.max(crossed / np.max(crossed, axis=0), axis=1) * (np.arange(n) > n // 2)))
+    lag = n - place
+    if lag > n // 2 or np.max(crossed[place] / np.max(crossed, axis=0)) < 1:
+        return 0
+    others = np.column_stack([forces, responses])[:-lag]
+    return lag if chance_of_order(references[lag:], others) >= IN_ORDER else 0
+
+
+def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
+    """A warning for references that were recorded late, by name [s]."""
+    return tuple(
+        Finding(
+            "reference-lag",
+            f"the reference {name} lags by {1e3 * lag:.3g} ms: forces and responses come before it, and in "
+            f"order once it is moved forward. State `delay: {1e3 * lag:.3g} ms` of that channel, or record "
+            "all on one clock; blocks must be long beside the lag, since their ends tear the reference from "
+            "what it moves",
+        )
+        for name, lag in late.items()
+    )
 
 
 def feedback_of_drives(
-    sources: Sequence[SampleSource], drives: Sequence[str], responses: Sequence[str]
+    sources: Sequence[SampleSource], drives: Sequence[str], forces: Sequence[str], responses: Sequence[str]
 ) -> tuple[Finding, ...]:
-    """A warning where *drives* of random spectra side by side follow the *responses*, by their channels'
-    names; as feedback_of_records.
+    """A warning where *drives* of random spectra side by side follow the *responses*, or lag behind the
+    *forces* as well, by their channels' names; as feedback_of_records.
     """
     chances: dict[str, float] = {}
+    late: dict[str, float] = {}
     for source in sources:
         names = [channel.name for channel in source.channels]
-        columns, rows = (
-            [names.index(name) for name in some if name in names] for some in (drives, responses)
+        columns, acting, rows = (
+            [names.index(name) for name in some if name in names] for some in (drives, forces, responses)
         )
-        samples = _first_samples(source)
-        columns = [column for column in columns if np.any(samples[:, column] != samples[0, column])]
-        if columns and rows and samples.shape[0] >= FEWEST_SAMPLES:
-            chance = min(chance_of_order(samples[:, columns], samples[:, rows]) * len(sources), 1.0)
-            chances[", ".join(names[column] for column in columns)] = chance
-    return _findings(chances, tuple(drives))
+        _judge(source, columns, rows, chances, len(sources))
+        _judge_lag(source, (columns, acting, rows), chances, late)
+    return (*_findings(chances, tuple(drives)), *_lag_findings(late))
 
 
 def _findings(
@@ -139,7 +210,14 @@ def _first_samples(source: SampleSource) -> FloatArray:
         pieces.append(block)
         if sum(piece.shape[0] for piece in pieces) >= MOST_SAMPLES:
             break
-    return np.concatenate(pieces)[:MOST_SAMPLES]
+    samples = np.concatenate(pieces)[:MOST_SAMPLES]
+    late = np.round(source.sample_rate * np.array([channel.delay for channel in source.channels])).astype(int)
+    late = late - np.min(late)
+    if not np.any(late):
+        return samples
+    # Channels whose delay is stated are moved forward by it.
+    n = samples.shape[0] - int(np.max(late))
+    return np.column_stack([column[lag : lag + n] for column, lag in zip(samples.T, late, strict=True)])
 
 
 def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:

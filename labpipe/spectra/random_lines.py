@@ -20,6 +20,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.records.response import Blocks
 from labpipe.registry import nearest
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channel_layout import ChannelLayout
@@ -74,6 +75,7 @@ class MeasuredLines:
     runs: tuple[str, ...]
     dof: float
     line_correlation: tuple[complex, ...] = ()
+    blocks: Blocks | None = None
     findings: tuple[Finding, ...] = ()
     weak: set[str] = field(default_factory=set)
     acting: BoolArray | None = None
@@ -168,6 +170,9 @@ def random_lines(
         runs=drives,
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
+        blocks=Blocks(
+            settings.block, settings.window, settings.overlap, sum(one.n_block for one in spectra), "H1"
+        ),
         findings=(*findings, *_unexplained(s_zz, residual, layout), *_fed_back(sources, drives, layout)),
         weak=weak,
     )
@@ -296,8 +301,10 @@ def _fed_back(
     sources: Sequence[SampleSource], drives: Sequence[str], layout: ChannelLayout
 ) -> tuple[Finding, ...]:
     """The warning `feedback` where a drive follows the responses: it is made in the loop."""
-    responses = [channel.name for channel in layout.channels if channel.role == "output"]
-    return feedback_of_drives(sources, drives, responses)
+    forces, responses = (
+        [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
+    )
+    return feedback_of_drives(sources, drives, forces, responses)
 
 
 def _unexplained(s_zz: ComplexArray, residual: ComplexArray, layout: ChannelLayout) -> tuple[Finding, ...]:

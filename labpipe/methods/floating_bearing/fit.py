@@ -57,6 +57,7 @@ from labpipe.methods.floating_bearing.given import (
     response_of,
     smoothed_channels,
 )
+from labpipe.methods.floating_bearing.leakage import smeared_balance
 from labpipe.methods.floating_bearing.likelihood import (
     Balance,
     ErrorsInVariables,
@@ -350,6 +351,8 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
 # noise and of given numbers.
 
 BANDS_BY_DEFAULT = 10
+# Rounds in which what leaks by the model of the last round is taken out of the balance.
+LEAKAGE_ROUNDS = 3
 LS_NOTE = (
     "ls: as in the literature: H of every line from two runs, then Re H on (1, -w^2) and Im H on w with "
     "equal weights. The noise of the motion is not regarded and that of the lines taken as equal: errors are "
@@ -416,12 +419,15 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
     )
     fit = _reported(settings, balance, solved, whole_band, parameters)
+    smeared = smeared_balance(stator, given, balance)
+    stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
         *fit.findings,
         *solved.findings,
         *(mismatch_findings(best) if likely else ()),
         *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
         *(noise_findings(best, noise) if likely else ()),
+        *(() if smeared is None else smeared.finding(stiffness, modelled=likely)),
         *motion_findings(stator, given),
         *whirl_findings(turning, shaft.speed),
         *physical_findings(parameters),
@@ -494,9 +500,14 @@ def _solved_fit(
         )
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
         return Solved(best, given_uncertainties(errors, respond), None)
-    best, candidates = _most_likely(
-        balance, settings, noise, functools.partial(errors_by_given, stator, given)
-    )
+    uncertain = functools.partial(errors_by_given, stator, given)
+    best, candidates = _most_likely(balance, settings, noise, uncertain)
+    smeared = smeared_balance(stator, given, balance)
+    if smeared is not None:
+        measured = balance
+        for _ in range(LEAKAGE_ROUNDS):
+            balance = smeared.corrected(measured, functools.partial(best.model.stiffness, best.values))
+            best, candidates = _most_likely(balance, settings, noise, uncertain)
     problem = ErrorsInVariables(balance, best.model)
     stiffness, state, columns = (
         best.model.stiffness(best.values, stator.omega),

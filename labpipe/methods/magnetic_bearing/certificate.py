@@ -39,7 +39,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_matrix import SensitivityMatrix, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
-from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
+from labpipe.methods.magnetic_bearing.measured_margins import GAIN, MEASURED, measured_margins
 from labpipe.methods.magnetic_bearing.recorded_loop import cause_of, recorded_loop, sound
 from labpipe.methods.magnetic_bearing.sensitivity import MeasuredSensitivity, Peak, peak_of
 from labpipe.methods.magnetic_bearing.stability import (
@@ -400,7 +400,9 @@ def _measured_amounts(
         amounts.append(Parameter("largest_frequency", float(matrix.frequency[top]), "Hz", derived=True))
         changes += [matrix.largest_changes()[:, top], np.zeros(len(matrix.errors))]
     dof = 2 * matrix.dof if np.isfinite(matrix.dof) else None
-    return with_budget(amounts, [error.uncertainty for error in matrix.errors], np.array(changes).T, dof)
+    factors = [amount.name for amount in amounts if amount.name.startswith(f"{MEASURED}{GAIN}")]
+    sources = [error.uncertainty for error in matrix.errors]
+    return with_budget(amounts, sources, np.array(changes).T, dof, factors)
 
 
 def _fitted(

@@ -9,10 +9,11 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
+from labpipe.estimation.causes import stated_findings
 from labpipe.estimation.descent import Minimum, linearised, minimise
 from labpipe.estimation.diagnostics import COLLINEAR_CONDITION, MISMATCH_P
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.statistics import Stated, correlation, pulls_of, steps_by, student_limit
+from labpipe.estimation.statistics import SAYS_NOTHING, Pulls, correlation, steps_by, student_limit
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
 from labpipe.records.finding import Finding, Parameter
@@ -117,7 +118,7 @@ class LoopMinimum:
     """The problem at the end *u* (n_parameter,) [1] of its descent.
 
     residual (n_equation,) [1], jacobian (n_equation, n_parameter) [1], inverse (n_parameter, n_parameter) [1]
-    of J^T J; sources and their changes (n_source, n_equation) [1] of the residual.
+    of J^T J.
     """
 
     problem: LoopProblem
@@ -125,8 +126,6 @@ class LoopMinimum:
     residual: FloatArray
     jacobian: FloatArray
     inverse: FloatArray
-    sources: tuple[Uncertainty, ...]
-    changes: FloatArray
 
     @classmethod
     def of(cls, problem: LoopProblem, u: FloatArray) -> LoopMinimum:
@@ -140,35 +139,36 @@ class LoopMinimum:
         inverse = (
             (turn[determined].T / singular[determined] ** 2) @ turn[determined] / np.outer(length, length)
         )
-        return cls(problem, u, problem.residual(u), jacobian, inverse, *problem.changes(u))
+        return cls(problem, u, problem.residual(u), jacobian, inverse)
 
     def chi2(self, excess: float) -> float:
-        """Chi-square for weights that are too large by *excess*, without what systematic errors explain of
-        it.
+        """Chi-square for weights that are too large by *excess*, of the responses less what their sources
+        explain, and of these.
         """
-        scale = np.sqrt(excess)
-        # At the edge of what a bearing can have, the residual still has a part that the unknowns would take
-        # away.
-        across = self.residual - self.jacobian @ (self.inverse @ (self.jacobian.T @ self.residual))
-        by_uncertainties = pulls_of(
-            across / scale, Stated.of(self.changes / scale), self.jacobian, self.inverse
-        ).explained
-        return float(self.residual @ self.residual) / excess - by_uncertainties
+        n = self.residual.size - len(self.problem.sources)
+        return float(self.residual[:n] @ self.residual[:n] / excess + self.residual[n:] @ self.residual[n:])
+
+    @property
+    def pulls(self) -> Pulls:
+        """What the responses say of the numbers that were stated."""
+        n = len(self.problem.unknowns)
+        posterior = np.diag(self.inverse)[n:]
+        by_data = 1 - posterior
+        share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
+        error = np.sqrt(np.maximum(posterior, 0.0) / np.maximum(by_data, SAYS_NOTHING**2))
+        return Pulls(self.u[n:], self.u[n:] / share, error, 0.0)
 
     @property
     def steps(self) -> FloatArray:
-        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source, those of the
-        support the last.
-        """
-        n = len(self.problem.unknowns)
-        return np.vstack([steps_by(self.changes, self.jacobian, self.inverse), self.inverse[n:]])
+        """Change (n_source, n_parameter) [1] of u by one standard uncertainty of every source."""
+        return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
-        support's uncertainty adds.
+        sources add.
         """
-        of_support = self.inverse[:, len(self.problem.unknowns) :]
-        return np.asarray(inflation * (self.inverse - of_support @ of_support.T))
+        steps = self.steps
+        return np.asarray(inflation * (self.inverse - steps.T @ steps))
 
     def combined(self, inflation: float) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
@@ -255,7 +255,8 @@ class LoopFit:
     noise and sources; *chi2_reduced* with *chi2_p* of the residual on *lines*, without what systematic errors
     explain; *condition_number* of the scaled Jacobian; *alike*: unknowns that are not separately
     identifiable. covariance (n, n) [units of the unknowns]: by noise alone; budget: of the unknowns, None
-    where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best there.
+    where no source moves them; bent: second over first order of each; at_zero: unknowns that fit best
+    there; contradicted: findings on stated numbers that the responses contradict.
     """
 
     parameters: tuple[Parameter, ...]
@@ -270,6 +271,7 @@ class LoopFit:
     budget: Budget | None = None
     bent: tuple[tuple[str, float], ...] = ()
     at_zero: tuple[str, ...] = ()
+    contradicted: tuple[Finding, ...] = ()
 
     @property
     def determined(self) -> bool:
@@ -290,8 +292,8 @@ class LoopFit:
 
 
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
-    """Output-error fit of all responses weighted by their noise; the support is fitted as well, within its
-    uncertainty.
+    """Output-error fit of all responses weighted by their noise; every number with an uncertainty, the
+    support's among them, is fitted within it.
 
     Without *names* only the goodness of fit of the loop as it is. ConfigError for unknown names, FitError for
     responses without noise estimate. Equation (comp-loop).
@@ -307,15 +309,18 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     problem = LoopProblem(
         tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0)
     )
-    start = np.zeros(len(unknowns) + len(problem.support))
+    start = problem.start
     # An unknown without influence on the response has no gradient.
-    idle = not start.size or bool(_without_influence(problem, problem.jacobian(start)))
-    return _loop_fit(
-        problem,
-        Minimum(start, True, 0)
-        if idle
-        else _settled(problem, along_the_edge(problem, minimise(problem, start))),
-    )
+    free = np.ones(start.size, bool)
+    if _without_influence(problem, problem.jacobian(start)):
+        free[: len(unknowns)] = False
+    held = HeldProblem(problem, start, free)
+    if not free.any():
+        return _loop_fit(problem, Minimum(start, True, 0))
+    if free.all():
+        return _loop_fit(problem, _settled(problem, along_the_edge(problem, minimise(problem, start))))
+    end = minimise(held, start[free])
+    return _loop_fit(problem, replace(end, values=held.whole(end.values)))
 
 
 def _settled(problem: LoopProblem, minimum: Minimum) -> Minimum:
@@ -348,7 +353,10 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     at_end = LoopMinimum.of(problem, minimum.values)
     reduced = at_end.chi2(uncertainty.excess) / dof
     lines = sum(observation.measured.omega.size for observation in problem.observations)
-    identifiable = _identifiable(problem, at_end.jacobian) if problem.unknowns else (1.0, ())
+    # By the responses themselves: a source that is known better from elsewhere hides no unknown.
+    identifiable = (
+        _identifiable(problem, at_end.jacobian[:, : problem.n_shared]) if problem.unknowns else (1.0, ())
+    )
     whole = LoopFit(
         parameters=_last_step(problem, minimum),
         correlations=(),
@@ -364,6 +372,9 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
             if share == ZERO
         ),
     )
+    if not whole.at_zero:
+        # An unknown that is held pulls at all numbers beside it.
+        whole = replace(whole, contradicted=tuple(stated_findings(problem.sources, at_end.pulls, {})))
     # What a model does not explain widens the intervals as if all noise were larger.
     misfit = max(reduced, 1.0) if whole.chi2_p < MISMATCH_P else 1.0
     return (
@@ -404,8 +415,9 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
         with_error(parameter.name, parameter.unit, parameter.value, float(error), limit)
         for parameter, error in zip(fit.parameters, np.sqrt(np.diag(covariance)), strict=True)
     ]
-    sources, changes = (*at_end.sources, *problem.support_sources), steps[:, :n] * values
-    parameters, budget = with_budget(plain, *_by_name(sources, changes), dof)
+    # A number that the responses contradict counts with its distance.
+    changes = steps[:, :n] * values * at_end.pulls.factors[:, None]
+    parameters, budget = with_budget(plain, *_by_name(problem.sources, changes), dof)
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
     bent = tuple((one.name, float(size)) for one, size in zip(plain, at_end.bent(whole), strict=True))
@@ -483,7 +495,7 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
     errors beyond first order.
     """
     if not fit.parameters:
-        return []
+        return list(fit.contradicted)
     together = " and ".join(fit.alike)
     if not fit.determined:
         what = (
@@ -505,7 +517,7 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
             f"{COLLINEAR_CONDITION:g})"
         )
         findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
-    return [*findings, *_edge_findings(fit), *_bent_findings(fit)]
+    return [*findings, *_edge_findings(fit), *_bent_findings(fit), *fit.contradicted]
 
 
 def _edge_findings(fit: LoopFit) -> list[Finding]:

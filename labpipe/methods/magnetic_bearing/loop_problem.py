@@ -222,8 +222,8 @@ class LoopObservation:
 
 @dataclass(frozen=True)
 class LoopProblem:
-    """Whitened residual of all responses over u: unknowns as shares of their start, then the support's
-    deviations in standard errors.
+    """Whitened residual of all responses over u: unknowns as shares of their start, then deviations in
+    standard uncertainties, of the support's numbers and of all other sources.
 
     *support*: 0 for stiffness or 1 for damping, with its standard error, of every number of the support that
     has one.
@@ -245,6 +245,27 @@ class LoopProblem:
             np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs]))
         )
 
+    @cached_property
+    def sources(self) -> tuple[Uncertainty, ...]:
+        """Uncertainties in the order of their deviations: of the support, then of all others, each once."""
+        of_support = support_uncertainties(self.observations[0].support)
+        others: dict[str, Uncertainty] = {}
+        for observation in self.observations:
+            place = self._at(observation, np.zeros(self.n_shared))
+            for error in observation.errors(*place):
+                others.setdefault(error.uncertainty.source, error.uncertainty)
+        return (*(uncertainty for _, uncertainty in of_support), *others.values())
+
+    @property
+    def n_shared(self) -> int:
+        """Number of parameters the prediction depends on: unknowns and the support's deviations."""
+        return len(self.unknowns) + len(self.support)
+
+    @property
+    def start(self) -> FloatArray:
+        """The file as it is and all numbers as they were stated (n_parameter,) [1]."""
+        return np.zeros(len(self.unknowns) + len(self.sources))
+
     def file_values(self, u: FloatArray) -> dict[str, float]:
         """The unknowns by name at u (n_parameter,) [1]."""
         return {
@@ -253,63 +274,62 @@ class LoopProblem:
         }
 
     def residual(self, u: FloatArray) -> FloatArray:
-        """(n_equation,) [1]: measured minus predicted, then the support's deviations from its nominal
-        values.
+        """(n_equation,) [1]: measured minus predicted, each source off by its deviation, then the deviations.
+
+        What the sources change is taken out of the data and does not tilt the unknowns by the weights, which
+        follow the data with all their errors.
         """
         residuals = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
             predicted = observation.predict(*self._at(observation, u))
             residuals.append(whitened(weight, observation.measured.matrix - predicted))
-        return np.concatenate([*residuals, u[len(self.unknowns) :]])
+        deviations = u[len(self.unknowns) :]
+        of_sources = u[self.n_shared :]
+        change = of_sources @ self.changes(u) if np.any(of_sources) else 0.0
+        return np.concatenate([np.concatenate(residuals) + change, deviations])
 
     def _at(self, observation: LoopObservation, u: FloatArray) -> tuple[MagneticFile, tuple[float, float]]:
         """The file of an observation with its unknowns, and stiffness and damping of its support."""
         support = [observation.support.stiffness.value, observation.support.damping.value]
-        for (which, error), deviation in zip(self.support, u[len(self.unknowns) :], strict=True):
+        deviations = u[len(self.unknowns) : self.n_shared]
+        for (which, error), deviation in zip(self.support, deviations, strict=True):
             support[which] += error * float(deviation)
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
-    def changes(self, u: FloatArray) -> tuple[tuple[Uncertainty, ...], FloatArray]:
-        """All sources but the support, and the change (n_source, n_equation) [1] of the residual by one
-        standard uncertainty of each.
+    def changes(self, u: FloatArray) -> FloatArray:
+        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
+        each source beside the support.
 
         A source of several responses changes all of them.
         """
-        uncertainties: dict[str, Uncertainty] = {}
-        parts: list[dict[str, FloatArray]] = []
+        others = [source.source for source in self.sources[len(self.support) :]]
+        parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
-            errors = merged(observation.errors(*self._at(observation, u)))
-            uncertainties = {
-                **{error.uncertainty.source: error.uncertainty for error in errors},
-                **uncertainties,
+            errors = {
+                error.uncertainty.source: error
+                for error in merged(observation.errors(*self._at(observation, u)))
             }
-            parts.append({error.uncertainty.source: whitened(weight, error.change) for error in errors})
-        sizes = [observation.measured.n_equation for observation in self.observations]
-        rows = [
-            np.concatenate(
-                [
-                    *(part.get(source, np.zeros(n)) for part, n in zip(parts, sizes, strict=True)),
-                    np.zeros(len(self.support)),
-                ]
+            nothing = np.zeros(observation.measured.n_equation)
+            parts.append(
+                np.array(
+                    [whitened(weight, errors[name].change) if name in errors else nothing for name in others]
+                ).reshape(len(others), nothing.size)
             )
-            for source in uncertainties
-        ]
-        return tuple(uncertainties.values()), np.array(rows).reshape(
-            len(uncertainties), sum(sizes) + len(self.support)
-        )
-
-    @property
-    def support_sources(self) -> tuple[Uncertainty, ...]:
-        """Uncertainties of the support, in the order of its deviations."""
-        return tuple(uncertainty for _, uncertainty in support_uncertainties(self.observations[0].support))
+        return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
         """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
-        one-sided ones.
+        one-sided ones; the residual is linear in the sources.
         """
-        if not u.size:
-            return np.zeros((self.residual(u).size, 0))
-        return np.column_stack([self._slope(u, step) for step in STEP * np.eye(u.size)])
+        count, shared = self.residual(u).size, self.n_shared
+        slopes = np.zeros((count, u.size))
+        for number, step in enumerate(STEP * np.eye(u.size)[:shared]):
+            slopes[:, number] = self._slope(u, step)
+        if u.size > shared:
+            changes = self.changes(u)
+            slopes[: changes.shape[1], shared:] = changes.T
+            slopes[count - (u.size - shared) :, shared:] = np.eye(u.size - shared)
+        return slopes
 
     def _slope(self, u: FloatArray, step: FloatArray) -> FloatArray:
         ahead, behind = (self.residual_within(u + sign * step) for sign in (1.0, -1.0))

@@ -5,14 +5,14 @@ a parabola follows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.distributions import chi2_quantile, f_quantile
 from labpipe.records.finding import Parameter
-from labpipe.uncertainty.amounts import with_error
+from labpipe.uncertainty.amounts import from_log, with_error
 
 # A margin by its name, of a response (2,) at two places omega (2,) [rad/s] around a crossing.
 Margin = Callable[[ComplexArray, FloatArray], float]
@@ -24,12 +24,16 @@ STEP = 1e-7
 FEWEST, LOCAL, GROWTH = 5, 11, 1.3
 # Coefficients of the polynomial that tells how many lines go together, and of the one through them: what the
 # second leaves of the first is no more than noise, so that it has no bias that counts beside it.
-PARABOLA, QUARTIC = 3, 5
+LINE, PARABOLA, QUARTIC = 2, 3, 5
 # Chance below which a parabola leaves more than noise of its lines.
 ENOUGH = 0.05
 # Standard errors within which a function is zero all the way from one crossing to the next: both are one,
 # crossed by noise.
 SURE = 3.0
+# Standard errors that a gain margin is away from zero where it is told.
+TELLING = 4.0
+# How names of margins without a model begin, and of gain margins after that.
+MEASURED, GAIN = "measured_", "gain_margin"
 # Places between the lines on either side of a crossing.
 FINE = 32
 # Share of a response below which what is left is rounding.
@@ -198,9 +202,11 @@ def measured_margins(
     for near, n in _crossings(course, smooth, np.imag):
         if near.values[n].real + near.values[n + 1].real < 0:
             gain = near.of(_gain, n)
-            candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(
-                gain
-            )
+            # A loop that noise may turn has no gain margin there: -1 / Re L of noise is any number.
+            if gain[1] * TELLING < gain[0]:
+                candidates.setdefault("gain_margin_lower" if gain[0] < 1 else "gain_margin_upper", []).append(
+                    gain
+                )
     for near, n in _crossings(course, smooth, lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(near.of(margin, n))
@@ -210,7 +216,13 @@ def measured_margins(
         for name, margins in candidates.items()
     }
     return [
-        (with_error(f"measured_{name}{suffix}", units.get(name, "1"), value, error, quantile), moved)
+        (
+            # A gain margin is a factor: its logarithm is nearer to a normal distribution.
+            from_log(f"{MEASURED}{name}{suffix}", "1", float(np.log(value)), error / value, quantile)
+            if name.startswith(GAIN)
+            else with_error(f"{MEASURED}{name}{suffix}", units[name], value, error, quantile),
+            moved,
+        )
         for name, (value, error, moved) in chosen.items()
     ]
 
@@ -225,18 +237,23 @@ def _crossings(
     """Places, and the number of the one behind which a real function of L changes its sign there."""
     signed = function(smooth.values)
     error = np.sqrt(np.diag(smooth.covariance) / 2)
-    for first, last in _together(_changes(signed), np.abs(signed) > SURE * error):
+    sure = np.abs(signed) > SURE * error
+    for first, last in _together(_changes(signed), sure):
+        # Not where noise crosses up to an end of the lines, or a function that only touches zero.
+        before, after = np.flatnonzero(sure[: first + 1]), np.flatnonzero(sure[last + 1 :])
+        if before.size == 0 or after.size == 0 or signed[before[-1]] * signed[last + 1 + after[0]] > 0:
+            continue
         ends = course.omega[[first, last + 1]]
         places = np.geomspace(ends[0], ends[1], max(FINE, last + 1 - first) + 1)
         single = first == last
         most = LOCAL + 1 if single else max(LOCAL + last - first, 2 * (last - first + 1))
         lines = course.around(first, last + 1, most)
-        near = course.at(places, lines, QUARTIC if single else PARABOLA)
-        again = _changes(function(near.values))
-        if len(again) == 1:
-            yield near, again[0]
-        else:
-            yield from ((smooth, n) for n in _changes(signed) if first <= n <= last)
+        for coefficients in (QUARTIC, PARABOLA, LINE)[0 if single else 1 :]:
+            near = course.at(places, lines, coefficients)
+            again = _changes(function(near.values))
+            if len(again) == 1:
+                yield near, again[0]
+                break
 
 
 def _together(crossings: Sequence[int], sure: BoolArray) -> list[tuple[int, int]]:
@@ -311,7 +328,12 @@ def crest_of(course: Course) -> Crest | None:
     top = int(np.argmax(np.abs(of_place.values)))
     if (top == 0 and low == 0) or (top == places.size - 1 and high == count - 1):
         return None
-    return _crest(course.at(places, lines), of_place, min(max(top, 1), places.size - 2), follows)
+    top = min(max(top, 1), places.size - 2)
+    crest = _crest(course.at(places, lines), of_place, top, follows)
+    place, error, changes = crest.place
+    return replace(
+        crest, place=(place, float(np.hypot(error, truncation(course, of_place, top, lines))), changes)
+    )
 
 
 def _crest_lines(course: Course) -> tuple[slice, bool]:
@@ -352,6 +374,23 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     place = float(np.exp(at[1] + shift))
     shifts = (changes @ slope + shift * (moved @ bend)) / curvature
     return Crest((height, error, changes[:, 1]), (place, place * spread, place * shifts))
+
+
+def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> float:
+    """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
+    through the same lines, a step of Newton each: what lines far apart leave of the place.
+
+    1/S = 1 + L has no resonance of the closed loop and bends far less. Equation (comp-peak-truncation).
+    """
+    places = of_place.omega[top - 1 : top + 2]
+    step = float(np.log(places[1] / places[0]))
+    slope, bend = np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
+    through = _through(places, course.omega[lines], QUARTIC)
+    shifts = []
+    for values in (course.plain[lines], 1 / course.plain[lines]):
+        size = np.abs(through @ values)
+        shifts.append(-float(slope @ size) / float(bend @ size))
+    return float(places[1] * abs(shifts[1] - shifts[0]))
 
 
 def _modulus(near: Smooth, part: slice) -> tuple[FloatArray, FloatArray, FloatArray]:

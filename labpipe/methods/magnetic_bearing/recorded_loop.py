@@ -109,7 +109,8 @@ def cause_of(
     changes = []
     for what, changed_own, changed in _changes(own, response):
         observation = recorded_loop(changed_own, changed, file)
-        changes.append((LoopProblem((observation,), (), ()).chi2(np.zeros(0)), what, observation))
+        problem = LoopProblem((observation,), (), ())
+        changes.append((problem.chi2(problem.start), what, observation))
     for _, what, observation in sorted(changes, key=lambda change: change[0])[:FITTED_CAUSES]:
         fit = loop_fit([observation], estimate)
         if sound(fit):

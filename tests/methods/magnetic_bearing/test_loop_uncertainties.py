@@ -134,11 +134,15 @@ def test_the_peak_and_its_frequency_follow_the_channels(label: str, effect: str)
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
 
 
-def without_sources(amounts: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """The amounts less sources that are stated as zero."""
-    assert not any(one.systematic for one in amounts)
-    nothing = {"systematic": None, "combined": None, "expanded": None, "coverage_factor": None, "budget": ()}
-    return tuple(replace(one, **nothing) for one in amounts)
+def assert_same(said: tuple[Parameter, ...], silent: tuple[Parameter, ...]) -> None:
+    """Amounts with sources that change nothing, beside those without sources: the same to rounding."""
+    for one, other in zip(said, silent, strict=True):
+        assert one.name == other.name and one.value == pytest.approx(other.value, rel=1e-6)
+        if other.std_error is not None:
+            # Slopes over a hundredth of a standard error lose some digits.
+            errors = [amount.combined or amount.std_error for amount in (one, other)]
+            assert errors[0] == pytest.approx(errors[1], rel=1e-3), one.name
+            assert one.std_error == pytest.approx(other.std_error, rel=1e-3), one.name
 
 
 def test_what_both_sides_have_in_common_cancels() -> None:
@@ -156,8 +160,7 @@ def test_what_both_sides_have_in_common_cancels() -> None:
     )
     again = loop_sensitivity(CompareSettings(kind="sensitivity"), common, None)
     for found in (said, again):
-        assert without_sources(found.amounts) == silent.amounts
-        assert [one.combined for one in found.amounts] == [one.std_error for one in silent.amounts]
+        assert_same(found.amounts, silent.amounts)
 
 
 def test_the_interval_of_the_peak_is_the_square_sum_of_noise_and_sources() -> None:
@@ -257,8 +260,9 @@ def change_by(fit: LoopFit, source: str) -> np.ndarray:
 
 
 def test_unknowns_of_a_prediction_follow_the_channels() -> None:
-    view = viewed()
-    fit = fitted([replace(view, response=with_uncertainties(view.response, *SIZES))])
+    plain = viewed()
+    view = replace(plain, response=with_uncertainties(plain.response, *SIZES))
+    fit = fitted([view])
     for label in ("y", "f"):
         for effect, size in SIZES.items():
             expected = slopes(
@@ -268,9 +272,9 @@ def test_unknowns_of_a_prediction_follow_the_channels() -> None:
             np.testing.assert_allclose(change_by(fit, f"{label}.{effect}"), expected, rtol=1e-3)
     # One gain on both channels cancels.
     common = fitted(
-        [replace(view, response=with_uncertainties(view.response, "gain", "delay", source="card"))]
+        [replace(plain, response=with_uncertainties(plain.response, "gain", "delay", source="card"))]
     )
-    assert common.parameters == fitted([view]).parameters
+    assert_same(common.parameters, fitted([plain]).parameters)
 
 
 def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> None:
@@ -283,7 +287,8 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
     )
     shape = response.matrix * (1 + 0.2j * np.sin(response.frequency))[:, None, None]
     sums = MatrixError(Uncertainty("arm", 1.0, "1"), 0.01 * shape)
-    uncertain = replace(
+    plain = view
+    view = replace(
         view,
         response=replace(
             response,
@@ -293,7 +298,8 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
         ),
         settings=replace(view.settings, uncertainties=(("mass", Uncertain(0.92, of_mass, source="scale")),)),
     )
-    fit = fitted([uncertain])
+    response = view.response
+    fit = fitted([view])
 
     def at(error: float, label: str) -> np.ndarray:
         ports = {
@@ -334,11 +340,11 @@ def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> N
     noise = fitted(
         [
             replace(
-                view, settings=replace(view.settings, subtract=Support(Uncertain(134.5e3), Uncertain(3.68)))
+                plain, settings=replace(plain.settings, subtract=Support(Uncertain(134.5e3), Uncertain(3.68)))
             )
         ]
     )
-    alone = fitted([view])
+    alone = fitted([plain])
     for one, other in zip(alone.parameters, noise.parameters, strict=True):
         assert one.std_error >= other.std_error and one.combined > one.std_error
 
@@ -368,17 +374,14 @@ def test_a_sensor_across_tells_what_a_turned_one_reads() -> None:
     (error,) = observation.errors(GEOMETRY, (134.5e3, 3.68))
     np.testing.assert_allclose(error.change[:, 0], 0.01 * 0.3 * response.matrix[:, 0], rtol=1e-12)
     assert not np.any(error.change[:, 1])
-    expected = slopes(lambda d: values([case((1 + d) * response.matrix, 1.0, response.outputs[0])]), 0.01)
+    expected = slopes(lambda d: values([case((1 + d) * response.matrix, 1.0, turned)]), 0.01)
     np.testing.assert_allclose(
         change_by(fitted([case(response.matrix, 1.0, turned)]), "y.dof"), expected, rtol=1e-3
     )
 
 
 def test_tests_with_one_sensor_err_together() -> None:
-    """Two tests with one force sensor: both are changed.
-
-    With a sensor each the changes of the unknowns add up to the same.
-    """
+    """Two tests with one force sensor: both are changed. With a sensor each, one test is off by itself."""
     first, other = viewed(), viewed(2e-3)
 
     def gauged(view: View, source: str) -> View:
@@ -389,40 +392,44 @@ def test_tests_with_one_sensor_err_together() -> None:
             ),
         )
 
+    both = [gauged(view, "cell") for view in (first, other)]
     expected = slopes(
-        lambda d: values([replace(v, response=off(v.response, "f", "gain", d)) for v in (first, other)]),
+        lambda d: values([replace(v, response=off(v.response, "f", "gain", d)) for v in both]), SIZES["gain"]
+    )
+    one = fitted(both)
+    np.testing.assert_allclose(change_by(one, "cell"), expected, rtol=1e-3)
+    each = [gauged(first, "cell 1"), gauged(other, "cell 2")]
+    off_by_itself = slopes(
+        lambda d: values([replace(each[0], response=off(each[0].response, "f", "gain", d)), each[1]]),
         SIZES["gain"],
     )
-    one = fitted([gauged(first, "cell"), gauged(other, "cell")])
-    each = fitted([gauged(first, "cell 1"), gauged(other, "cell 2")])
-    np.testing.assert_allclose(change_by(one, "cell"), expected, rtol=1e-3)
-    np.testing.assert_allclose(
-        change_by(each, "cell 1") + change_by(each, "cell 2"), change_by(one, "cell"), rtol=1e-9
-    )
+    np.testing.assert_allclose(change_by(fitted(each), "cell 1"), off_by_itself, rtol=1e-3)
 
 
 def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
-    plain = both_sides(1e-5)
+    plain = both_sides(1e-4)
     asked = CompareSettings(kind="sensitivity", theory=TheorySettings("hmb.yaml"), estimate=NAMES)
 
     def found(response: FrequencyResponse) -> np.ndarray:
         comparison = loop_sensitivity(asked, response, GEOMETRY)
         return np.array([comparison.amount(name).value for name in NAMES])
 
-    whole = loop_sensitivity(asked, with_uncertainties(plain, *SIZES), GEOMETRY)
+    plain = with_uncertainties(plain, *SIZES)
+    whole = loop_sensitivity(asked, plain, GEOMETRY)
     _, budget = whole.budgets
     for label in ("before", "after"):
         for effect, size in SIZES.items():
             expected = slopes(lambda d, of=(label, effect): found(off(plain, *of, d)), size)
-            told = [budget.change_by(f"{label}.{effect}", name) for name in NAMES]
-            np.testing.assert_allclose(told, expected, rtol=2e-3, err_msg=f"{label}.{effect}")
+            told = np.array([budget.change_by(f"{label}.{effect}", name) for name in NAMES])
+            sizes = np.array([whole.amount(name).combined for name in NAMES])
+            np.testing.assert_allclose(told / sizes, expected / sizes, atol=2e-3, err_msg=f"{label}.{effect}")
 
 
 @pytest.mark.parametrize("before", ["before", ""])
 def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     """Unknowns, margins, modes and measured peak; with both sides of the sum, and per recorded excitation."""
     plain = of_signals(None, 1e-3, LATER)
-    plain = thinned(plain, 8)
+    plain = with_uncertainties(thinned(plain, 8), "gain", "delay")
     own = {**OWN, "after": ["after"], **({"before": [before]} if before else {})}
     asked = CompareSettings(
         kind="certificate",
@@ -436,7 +443,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
         comparison = certificate(asked, response, FILE)
         return np.array([comparison.amount(name).value for name in wanted])
 
-    whole = certificate(asked, with_uncertainties(plain, "gain", "delay"), FILE)
+    whole = certificate(asked, plain, FILE)
     changes = {name: budget for budget in whole.budgets for name in budget.names}
     sizes = np.array([whole.amount(name).combined for name in wanted])
     for label, effect in (
@@ -465,7 +472,7 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
     silent = certificate(asked, plain, FILE)
     for other in (common, excited):
         said = certificate(asked, other, FILE)
-        assert without_sources(said.amounts) == silent.amounts
+        assert_same(said.amounts, silent.amounts)
     alone = replace(asked, kind_settings=CertificateSettings(after=["after"], **OWN))
     assert certificate(alone, excited, FILE).budgets
 

@@ -30,7 +30,14 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
     margins = measured_margins(frequency, transfer, none, (np.inf, 1.96))
     of_phase = next(margin for margin, _ in margins if margin.name == "measured_phase_margin")
     assert crest is not None and of_phase.std_error is not None
-    return {"peak": crest.value[:2], "phase": (of_phase.value, of_phase.std_error)}
+    found = {margin.name.removeprefix("measured_"): margin for margin, _ in margins}
+    gain = found.get("gain_margin_upper")
+    return {
+        "peak": crest.value[:2],
+        "place": crest.place[:2],
+        "phase": (of_phase.value, of_phase.std_error),
+        "gain": (np.log(gain.value), gain.std_error / gain.value) if gain else (np.nan, np.nan),
+    }
 
 
 @pytest.mark.parametrize("noise", [0.003, 0.02])
@@ -39,15 +46,35 @@ def test_margins_and_peak_have_no_bias_that_counts(lines: np.ndarray, noise: flo
     """60 draws: the mean within half a standard error of the closed form, 95 % intervals hold it in 85 % or
     more (the binomial quantile at 0.1 %).
 
-    A parabola over eleven lines is 1.6 to 15 standard errors off for the phase margin.
+    A parabola over eleven lines is 1.6 to 15 standard errors off for the phase margin. The place of the peak
+    is as far off as it says: at 27 lines the polynomial through them is six standard errors by noise away.
     """
     rng = np.random.default_rng(36)
-    truth = {"peak": AXIS.peak(), "phase": AXIS.phase_margin()}
+    s = 2j * np.pi * np.geomspace(30, 90, 100_000)
+    place = float(np.abs(s[np.argmin(np.abs(1 + AXIS.loop(s)))]))
+    truth = {"peak": AXIS.peak(), "phase": AXIS.phase_margin(), "place": place}
     found = [drawn(lines, noise, rng) for _ in range(60)]
     for name, true in truth.items():
         away = np.array([(one[name][0] - true) / one[name][1] for one in found])
-        assert abs(np.mean(away)) < 0.5
+        assert abs(np.mean(away)) < (1.2 if name == "place" else 0.5)
         assert np.mean(np.abs(away) < 1.96) >= 0.85
+
+
+@pytest.mark.parametrize(("noise", "told"), [(0.003, True), (0.02, False)])
+def test_no_gain_margin_is_told_of_noise(noise: float, told: bool) -> None:
+    """|L| = 0.048 where Im L = 0; noise of a sixteenth of it, and of two fifths, in either part of a line:
+    told in nearly all draws with its interval, or in nearly none. It was told in 80 % of the second.
+    """
+    omega = 2 * np.pi * np.geomspace(500, 890, 400_000)
+    loop = AXIS.loop(1j * omega)
+    (at,) = np.flatnonzero(loop.imag[:-1] * loop.imag[1:] < 0)
+    rng = np.random.default_rng(36)
+    found = [drawn(SPARSE, noise, rng)["gain"] for _ in range(60)]
+    away = np.array([(log + np.log(-loop[at].real)) / error for log, error in found])
+    stated = np.isfinite(away)
+    assert np.mean(stated) > 0.8 if told else np.mean(stated) < 0.05
+    if told:
+        assert np.mean(np.abs(away[stated]) < 1.96) >= 0.85
 
 
 def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> None:
@@ -101,3 +128,53 @@ def test_intervals_of_a_certificate_hold_on_sparse_lines(tmp_path: Path) -> None
     coverage = held.mean(axis=0)
     assert np.all(coverage >= 0.89), dict(zip(truth, coverage, strict=True))
     assert np.mean(coverage) >= 0.93
+
+
+@pytest.mark.parametrize(("gain_x", "gain_i"), [(0.006, 0.0), (-0.006, -0.006), (0.0, 0.006)])
+def test_gains_within_what_is_stated_move_no_unknown(tmp_path: Path, gain_x: float, gain_i: float) -> None:
+    """Gains of reading and current off by two of their uncertainties, one noise: what the controller and the
+    other signals tell of a gain leaves k_n, k_i and the decrement within 0.2 of their uncertainties of those
+    of true gains. Of fits that leave such gains to the residual k_n was off by up to two of its
+    uncertainties.
+    """
+    columns = AXIS.record(np.random.default_rng(5))
+    names = ("negative_stiffness", "force_per_current", "bandwidth", "log_decrement_1")
+    found = []
+    for gains in ({"x": gain_x, "i": gain_i}, {}):
+        moved = {name: samples * (1 + gains.get(name, 0.0)) for name, samples in columns.items()}
+        pipeline = certificate_pipeline(written(tmp_path, AXIS, moved), AXIS, certificate=ASKED)
+        stated_gains(tmp_path / "rig.yaml", 0.3)
+        (one,) = labpipe.run(pipeline).sections["compare"]
+        assert not [finding.code for finding in one.findings if finding.level == "warning"]
+        found.append(one)
+    for name in names:
+        changed, plain = (one.amount(name) for one in found)
+        assert abs(changed.value - plain.value) < 0.2 * plain.combined, name
+    k_n = found[0].amount("negative_stiffness")
+    assert k_n.ci95[0] < AXIS.k_n < k_n.ci95[1]
+
+
+def test_a_gain_that_the_loop_contradicts_is_named(tmp_path: Path) -> None:
+    """A current whose gain is 1.2 % too large, stated within 0.3 %: the number that is asked for is
+    0.012 / 1.012, and the unknowns are not off by it.
+    """
+    columns = AXIS.record(np.random.default_rng(5))
+    columns["i"] = 1.012 * columns["i"]
+    pipeline = certificate_pipeline(written(tmp_path, AXIS, columns), AXIS, certificate=ASKED)
+    stated_gains(tmp_path / "rig.yaml", 0.3)
+    (found,) = labpipe.run(pipeline).sections["compare"]
+    (finding,) = [one for one in found.findings if one.code == "stated-value"]
+    asked = float(finding.message.partition("a change by +")[2].split(" ")[0])
+    assert "i.gain" in finding.message and "x.gain" not in finding.message
+    assert asked == pytest.approx(1.2, abs=0.03)
+    k_i = found.amount("force_per_current")
+    assert k_i.ci95[0] < AXIS.k_i < k_i.ci95[1] and k_i.combined < 0.002 * AXIS.k_i
+
+
+def stated_gains(rig: Path, per_cent: float) -> None:
+    """The rig file with an uncertainty of the gain of current and reading."""
+    lines = rig.read_text().splitlines()
+    stated = f", uncertainty: {{gain: {per_cent} %}}}}"
+    rig.write_text(
+        "\n".join(line[:-1] + stated if line.startswith(("  i:", "  x:")) else line for line in lines)
+    )

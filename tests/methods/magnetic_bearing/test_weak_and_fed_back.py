@@ -5,6 +5,7 @@ and k_s = -420 kN/m.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +106,69 @@ def test_a_hum_on_a_line_of_the_multisine_is_named(fitted) -> None:
     )
     stiffness = next(one for one in fit["parameters"] if one["name"] == "k")
     assert "model-mismatch" not in codes(fit) and stiffness["ci95"][0] < -420e3 < stiffness["ci95"][1]
+
+
+def late(columns: dict[str, np.ndarray], name: str, samples: int) -> dict[str, np.ndarray]:
+    """A channel that was recorded later than the others."""
+    return {**columns, name: np.roll(columns[name], samples)}
+
+
+@pytest.mark.parametrize("samples", [20, 80])
+def test_a_late_reference_is_no_feedback(fitted, samples: int) -> None:
+    """An injection recorded 5 or 20 ms late: the lag is named to a sample beside the 0.2 ms of delay and
+    amplifier, and the stiffness is right.
+    """
+    columns = late(RANDOM.record(np.random.default_rng(2)), "e", samples)
+    ended, fit = fitted(RANDOM, columns, FRF, SDOF, FORCE)
+    lag = float(ended.out.partition("reference-lag: the reference e lags by ")[2].split(" ")[0])
+    assert abs(lag - samples / 4) <= 0.45 and "feedback" not in codes(fit)
+    stiffness = next(one for one in fit["parameters"] if one["name"] == "k")
+    assert ended.code == 0 and stiffness["ci95"][0] < -420e3 < stiffness["ci95"][1]
+
+
+def test_a_stated_delay_is_no_lag(fitted) -> None:
+    columns = late(RANDOM.record(np.random.default_rng(2)), "e", 20)
+    stated = FORCE[:-1] + ", e: {delay: 5 ms}}"
+    ended, fit = fitted(RANDOM, columns, FRF, SDOF, stated)
+    assert ended.code == 0 and "reference-lag" not in ended.out and "feedback" not in codes(fit)
+
+
+@pytest.mark.parametrize("samples", [0, 20])
+def test_a_command_that_lags_stays_feedback(fitted, samples: int) -> None:
+    """The command holds the motion, whenever it is recorded."""
+    pushed = RANDOM.other(disturbance=10.0)
+    columns = late(pushed.record(np.random.default_rng(2)), "u", samples)
+    ended, fit = fitted(pushed, columns, FRF.replace("reference: e", "reference: u"), SDOF, FORCE)
+    assert ended.code == 1 and "feedback" in codes(fit) and "reference-lag" not in ended.out
+
+
+@pytest.mark.parametrize(("samples", "axis"), [(4, PERIODIC), (-2, PERIODIC), (4, RANDOM)])
+def test_a_reading_that_is_late_in_a_loop_is_named(fitted, samples: int, axis: Axis) -> None:
+    """1 ms late, .5 ms early: the delay within four of its standard errors, and with it k = -420 kN/m and no
+    damping. Without it the damping was -1565, 766 and -5274 N s/m.
+    """
+    columns = late(axis.record(np.random.default_rng(1)), "x", samples)
+    _, fit = fitted(axis, columns, FRF, SDOF, FORCE)
+    (said,) = [finding["message"] for finding in fit["warnings"] if finding["code"] == "delay"]
+    assert f"x against i is {'late' if samples > 0 else 'early'} by " in said
+    value, error, unit = re.search(r"by ([\d.]+) \+- ([\d.]+) (ms|us)", said).groups()
+    scale = 1.0 if unit == "ms" else 1e-3
+    assert abs(scale * float(value) - abs(samples) / 4) < 4 * scale * float(error) < 0.01
+    stiffness, damping = re.search(r"k = (-[\d.]+) \+- [\d.]+ kN/m, c = (-?[\d.]+) \+-", said).groups()
+    assert abs(float(stiffness) + 420) < 2 and abs(float(damping)) < 8
+
+
+@pytest.mark.parametrize("stated", ["6.5 kg", "6.3 kg"])
+def test_nothing_else_is_taken_for_a_delay(fitted, stated: str) -> None:
+    """A sound record, and a mass 3 % off, which leaves a residual as well."""
+    columns = PERIODIC.record(np.random.default_rng(1))
+    _, fit = fitted(PERIODIC, columns, FRF, SDOF.replace("6.5 kg", stated), FORCE)
+    assert "delay" not in codes(fit)
+
+
+def test_a_weak_injection_that_leaves_more_than_noise_is_not_accepted(fitted) -> None:
+    """3 mA: just above what is refused, chi-square 2.4. With 20 mA the same record is accepted."""
+    for rms, code in ((3e-3, 1), (2e-2, 0)):
+        axis = PERIODIC.other(rms=rms)
+        ended, fit = fitted(axis, axis.record(np.random.default_rng(0)), FRF, SDOF, FORCE)
+        assert ended.code == code and ("weak-injection" in codes(fit)) is bool(code)
