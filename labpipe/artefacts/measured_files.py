@@ -123,8 +123,17 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
-        **({"repeats": list(response.repeat_names)} if response.repeat_names else {}),
+        **(_contents_of_repeats(response) if response.repeat_names else {}),
         "conditions": response.conditions,
+    }
+
+
+def _contents_of_repeats(response: FrequencyResponse) -> dict[str, Any]:
+    levels = response.repeat_levels
+    return {
+        "repeats": list(response.repeat_names),
+        "repeats_are": response.repeats_are,
+        **({} if levels is None else {"repeat_levels": levels.tolist()}),
     }
 
 
@@ -176,6 +185,8 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
         errors=_errors(columns, pairs, contents.get("errors", [])),
         repeats=_repeats(columns, pairs, len(contents.get("repeats", ()))),
         repeat_names=tuple(contents.get("repeats", ())),
+        repeat_levels=np.array(contents["repeat_levels"]) if "repeat_levels" in contents else None,
+        repeats_are=contents.get("repeats_are", "recordings"),
         name=contents["name"],
         findings=header.findings,
         conditions=contents["conditions"],

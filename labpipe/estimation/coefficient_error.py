@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg, special
@@ -40,6 +41,10 @@ LENGTHS: Mapping[str, FloatArray] = {
     MOVED[-2]: np.array([np.inf]),
 }
 FOLLOWED = 0.9
+# Relative size [1] of a gain curve, and of an error of the dynamic stiffness over the direct ones, that is
+# usual: an r.m.s. beyond it is the less likely. The residual of a long course is small, and its size, which
+# the coefficients follow, told by that prior alone.
+USUAL: Mapping[str, float] = {"m": 0.05, "z": 0.3}
 # By what the noise may be larger than measured [1]; the first is that of a sound measurement.
 LARGER = np.concatenate([[1.0], np.geomspace(1.1, 30.0, 12)])
 # Weak prior around the fit, as a share of the largest coefficient of its kind, which stops run-away.
@@ -47,7 +52,7 @@ PRIOR = 0.5
 # Linearisations, and the shift in standard errors of noise beyond which there is another.
 LINEARISATIONS, FAR = 4, 1.0
 
-# A course's patterns (n_line, n_output, n_input, n_pattern) [m/N] by its type.
+# A course's patterns by its type: (n_line, n_output, n_input, n_pattern) [m/N] of FRFs, or whitened.
 Patterns = Mapping[str, ComplexArray]
 
 
@@ -117,19 +122,82 @@ class CoefficientError:
         )
 
 
+class Misfit(Protocol):
+    """A fit whose residual is not noise, as courses are held against it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+
+    @property
+    def values(self) -> FloatArray:
+        """At the minimum, (n,) [parameter units]."""
+
+    @property
+    def omega(self) -> FloatArray:
+        """Of the lines, (n_line,) [rad/s]."""
+
+    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n) [1 per
+        parameter unit], at *at* (n,).
+        """
+
+    def patterns(self) -> Patterns:
+        """Whitened b (n_line, n_equation, n_pattern) [1] of every type of a course."""
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """The misfit of a model of FRFs: whitened by *weights* [N/m], the variance *larger* [1] times."""
+
+    measured: Measured
+    model: ReceptanceModel
+    values: FloatArray
+    weights: Weights
+    larger: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.model.names  # type: ignore[attr-defined]
+
+    @property
+    def omega(self) -> FloatArray:
+        return self.measured.omega
+
+    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        residual = self.measured.matrix - self.model.receptance(at, self.omega)
+        jacobian = self.model.jacobian(at, self.omega).transpose(1, 2, 3, 0)
+        return self._white(residual[..., None])[..., 0], self._white(jacobian)
+
+    def _white(self, columns: ComplexArray) -> ComplexArray:
+        return white_columns(self.weights, slice(None), columns) / np.sqrt(self.larger)
+
+    def patterns(self) -> Patterns:
+        parts = _patterns(self.model, self.values, self.measured)
+        return {kind: self._white(part) for kind, part in parts.items()}
+
+
 def coefficient_error(
     measured: Measured, model: ReceptanceModel, values: FloatArray, weights: Weights, larger: float
 ) -> CoefficientError | None:
-    """The model error of coefficients at the minimum *values* (n,) [parameter units] of a *model*.
+    """The model error of coefficients at the minimum *values* (n,) [parameter units] of a *model* of FRFs.
 
     *weights* [N/m] of the noise, whose variance counts *larger* [1] times. None for too few lines, or where
     the sums have no solution. Equation (unc-coefficients).
     """
-    if measured.omega.size < FEWEST_LINES:
+    return averaged_error(_Responses(measured, model, values, weights, larger))
+
+
+def averaged_error(misfit: Misfit) -> CoefficientError | None:
+    """The average over all courses, linearised until its mean stays.
+
+    None for too few lines, or where the sums have no solution.
+    """
+    if misfit.omega.size < FEWEST_LINES:
         return None
     try:
-        scene = _Scene(measured, model, values, weights, larger)
-        mean = values
+        scene = _Scene(misfit)
+        mean = misfit.values
         for _ in range(LINEARISATIONS):
             error = scene.averaged(mean)
             shift = float(np.max(np.abs(error.mean - mean) / scene.errors))
@@ -145,55 +213,45 @@ def coefficient_error(
 class _Scene:
     """The fit that courses are held against, and what it makes of them once."""
 
-    measured: Measured
-    model: ReceptanceModel
-    values: FloatArray
-    weights: Weights
-    larger: float
+    misfit: Misfit
 
     def __post_init__(self) -> None:
-        _, jacobian = self.linearised(self.values)
+        self.values = self.misfit.values
+        residual, jacobian = self.misfit.linearised(self.values)
+        self.n_equation = residual.size
         self.scale = np.sqrt(np.sum(np.abs(jacobian) ** 2, axis=(0, 1)))
         if not np.all(np.isfinite(self.scale)) or not np.all(self.scale > 0):
             raise FitError("a coefficient changes nothing")
         scaled = jacobian / self.scale
         self.errors = np.sqrt(np.diag(np.linalg.inv(2 * _real_product(scaled, scaled)))) / self.scale
-        kinds = [name[:1] for name in self.model.names]  # type: ignore[attr-defined]
+        kinds = [name[:1] for name in self.misfit.names]
         largest = {
             kind: max(abs(v) for k, v in zip(kinds, self.values, strict=True) if k == kind) for kind in kinds
         }
         self.reach = PRIOR * np.array([largest[kind] for kind in kinds]) + 3 * self.errors
         self.courses = list(self._courses())
 
-    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Whitened residual (n_line, n_element) and derivatives (n_line, n_element, n) at *at* (n,)."""
-        omega = self.measured.omega
-        residual = self.measured.matrix - self.model.receptance(at, omega)
-        jacobian = self.model.jacobian(at, omega).transpose(1, 2, 3, 0)
-        return self._white(residual[..., None])[..., 0], self._white(jacobian)
-
-    def _white(self, columns: ComplexArray) -> ComplexArray:
-        return white_columns(self.weights, slice(None), columns) / np.sqrt(self.larger)
-
     def limited(self, mean: FloatArray) -> FloatArray:
         return self.values + np.clip(mean - self.values, -self.reach, self.reach)
 
     def _courses(self) -> Iterator[_Course]:
-        n_equation = self.measured.matrix.size
-        for kind, patterns in _patterns(self.model, self.values, self.measured).items():
-            white = self._white(patterns)
+        for kind, white in self.misfit.patterns().items():
             power = float(np.sum(np.abs(white) ** 2))
             if not power > 0 or not np.isfinite(power):
                 continue
-            white = white * np.sqrt(n_equation / power)
+            unit = float(np.sqrt(self.n_equation / power))
+            relative = unit * AMPLITUDES[1:] / USUAL.get(kind, np.inf)
+            prior = special.log_softmax(-0.5 * relative**2) + np.log(1 - SOUND)
             kept = [
-                f for length in LENGTHS[kind] if (f := self._functions(length, white.shape[2])) is not None
+                f
+                for length in LENGTHS[kind]
+                if (f := self._functions(kind, length, white.shape[2])) is not None
             ]
             for functions in kept:
-                yield _Course.of(kind, 1 / (len(LENGTHS) * len(kept)), white, functions)
+                yield _Course.of(kind, prior - np.log(len(LENGTHS) * len(kept)), unit * white, functions)
 
-    def _functions(self, length: float, n_pattern: int) -> FloatArray | None:
-        f = self.measured.omega / (2 * np.pi)
+    def _functions(self, kind: str, length: float, n_pattern: int) -> FloatArray | None:
+        f = self.misfit.omega / (2 * np.pi)
         if not np.isfinite(length):
             return np.ones((f.size, 1))
         length = length * float(f[-1] - f[0])
@@ -204,11 +262,12 @@ class _Scene:
         if np.sum(values) < FOLLOWED * nodes.size:
             return None
         kept = values > 1e-10 * values[-1]
-        return matern(f, nodes, length) @ (vectors[:, kept] / np.sqrt(values[kept]))
+        functions = matern(f, nodes, length) @ (vectors[:, kept] / np.sqrt(values[kept]))
+        return functions if kind not in USUAL else _as_large_as_it_varies(functions)
 
     def averaged(self, at: FloatArray) -> CoefficientError:
         """The average over all courses, linearised at *at* (n,) [parameter units]."""
-        residual, jacobian = self.linearised(at)
+        residual, jacobian = self.misfit.linearised(at)
         jacobian = jacobian / self.scale
         away = (self.values - at) * self.scale
         prior = np.diag(1 / (self.reach * self.scale) ** 2)
@@ -219,13 +278,15 @@ class _Scene:
             residual.size,
         )
         parts = [_evidence(plain, None, prior, away, np.zeros(1))]
-        names, logs = ["none"], [np.log(1.0)]
+        names, logs = ["none"], [np.full(1, np.log(SOUND))]
         columns = np.concatenate([jacobian, residual[..., None]], axis=2)
         for course in self.courses:
             parts.append(_evidence(plain, course, prior, away, AMPLITUDES[1:], course.turned(columns)))
             names.append(course.kind)
-            logs.append(float(np.log(course.prior * (1 - SOUND) / SOUND / (AMPLITUDES.size - 1))))
-        weight = np.concatenate([log.ravel() + own for (log, _, _), own in zip(parts, logs, strict=True)])
+            logs.append(course.prior)
+        weight = np.concatenate(
+            [(log + own[:, None]).ravel() for (log, _, _), own in zip(parts, logs, strict=True)]
+        )
         weight = np.exp(weight - special.logsumexp(weight))
         means = np.concatenate([mean for _, mean, _ in parts])
         covariances = np.concatenate([covariance for _, _, covariance in parts])
@@ -246,6 +307,19 @@ class _Scene:
             shares[str(label)] = shares.get(str(label), 0.0) + float(one)
         growth = float(np.max(np.sqrt(np.diag(covariance * unit) / np.diag(noise))))
         return CoefficientError(at + mean / self.scale, covariance, noise / unit, shares, growth)
+
+
+def _as_large_as_it_varies(functions: FloatArray) -> FloatArray:
+    """Courses (n_line, n) [1] whose mean over the band is as large as their variation about it, and whose
+    mean square is 1.
+
+    Coefficients follow the mean, which no residual shows. That of a long course would be many times what can
+    be seen of it.
+    """
+    varying = functions - functions.mean(axis=0)
+    power = float(np.mean(np.sum(varying**2, axis=1)))
+    mean = np.full((len(functions), 1), np.sqrt(power))
+    return np.hstack([mean, varying]) / np.sqrt(2 * power)
 
 
 def _labels(name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -322,19 +396,20 @@ class _Sums:
 
 @dataclass(frozen=True)
 class _Course:
-    """A course of one type, its prior [1], with the eigenvalues (n_number,) of D^H D and its eigenvectors
-    (n_number, n_number) [1]; patterns (n_line, n_element, n_pattern), functions (n_line, n_function) [1].
+    """A course of one type, ln of its prior by amplitude (n_amplitude,) [1], with the eigenvalues (n_number,)
+    of D^H D and its eigenvectors (n_number, n_number) [1]; patterns (n_line, n_element, n_pattern), functions
+    (n_line, n_function) [1].
     """
 
     kind: str
-    prior: float
+    prior: FloatArray
     patterns: ComplexArray
     functions: FloatArray
     eigenvalues: FloatArray
     vectors: ComplexArray
 
     @classmethod
-    def of(cls, kind: str, prior: float, patterns: ComplexArray, functions: FloatArray) -> _Course:
+    def of(cls, kind: str, prior: FloatArray, patterns: ComplexArray, functions: FloatArray) -> _Course:
         """D^H D is the sum over lines of (patterns by patterns) times (functions by functions)."""
         n_line, _, n_pattern = patterns.shape
         n = functions.shape[1]

@@ -66,7 +66,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
-from labpipe.estimation.transfer_mode import TransferMode, place_notes, transfer_of
+from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
 from labpipe.estimation.unstated import with_unstated
 from labpipe.estimation.weights import fit_weights, has_noise
 from labpipe.records.finding import Finding, Parameter
@@ -223,21 +223,50 @@ class _BandFit:
 def _model(setup: Setup) -> BandModel:
     """The settings' model.
 
-    A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations.
+    A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations, and
+    residual terms beside a mode do not either.
     """
+    if _may_have_residuals(setup):
+        if transfer_of(setup):
+            return TransferMode()
+        if setup.settings.residuals:
+            return DrivingMode()
+    return damped(setup.settings.kind.model(setup), setup.settings)
+
+
+def _may_have_residuals(setup: Setup) -> bool:
+    """Whether a fit is of one mode of unknown mass, by nothing but its coefficients."""
     settings = setup.settings
     plain = settings.damping == VISCOUS and not (
         settings.fixed or settings.tied or settings.eliminate or is_corrected(settings)
     )
-    if (
-        settings.kind.one_frf
-        and settings.mass == ESTIMATE
-        and not settings.estimates.linear
-        and plain
-        and transfer_of(setup)
-    ):
-        return TransferMode()
-    return damped(settings.kind.model(setup), settings)
+    return settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain
+
+
+def _beside_others(
+    setup: Setup, measured: Measured, estimate: Estimate, band: Band
+) -> tuple[DrivingMode, Estimate, str] | None:
+    """The mode with residual terms, its estimate and a note, where a driving point gives no mode without
+    them: None where it does, or where none comes out with them either.
+    """
+    if not _may_have_residuals(setup) or transfer_of(setup) or setup.settings.sliding is not None:
+        return None
+    k, _, m = (dict(zip("kcm", estimate.values, strict=False))[name] for name in "kcm")
+    if not estimate.converged or k * m > 0 or measured.matrix.shape[1:] != (1, 1):
+        return None
+    try:
+        other = _estimated(measured, DrivingMode(), setup.settings)
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    f_n = float(np.sqrt(max(other.values[0] / other.values[2], 0.0))) / (2 * np.pi)
+    if not other.converged or not np.all(other.values[:3] > 0) or not band[0] <= f_n <= band[1]:
+        return None
+    said = (
+        f"{setup.settings.model}: one mode alone has a mass of {m:.3g} kg and a stiffness of {k:.3g} N/m, "
+        "which is no oscillator: other modes are in the FRF. A constant stands for them beside the mode; "
+        "`residuals: true` says so beforehand."
+    )
+    return DrivingMode(), other, said
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> BandModel:
@@ -260,6 +289,12 @@ def _fit_band(
     settings = setup.settings
     estimate = _estimated(measured, model, settings)
     dropped: list[str] = []
+    beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
+    if beside is not None:
+        model, estimate = beside[:2]
+        settings = replace(settings, residuals=True)
+        setup = replace(setup, settings=settings)
+        dropped.append(beside[2])
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminated(measured, model, estimate, settings)
     estimator = settings.estimates

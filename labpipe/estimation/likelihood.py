@@ -195,12 +195,12 @@ def maximum_likelihood(
 def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
     """The lowest minimum from least squares and, where that is not surely right, from the peaks of |H|."""
     name = "least squares of a mode with a residue of any phase"
-    best = maximum_likelihood_from(measured, model, transfer_start(measured), name)
+    best = maximum_likelihood_from(measured, model, model.start_of(transfer_start(measured)), name)
     if best.gof.chi2_p is not None and best.gof.chi2_p >= SUSPECT_P and best.converged:
         return best
     for start in peak_starts(measured):
         try:
-            other = maximum_likelihood_from(measured, model, start, "a peak of the FRF")
+            other = maximum_likelihood_from(measured, model, model.start_of(start), "a peak of the FRF")
         except (FitError, np.linalg.LinAlgError):
             continue
         if (

@@ -195,6 +195,8 @@ SDOF = linear_kind(
     sdof,
     "peaks",
     "damping",
+    "residuals",
+    by_likelihood=("residuals",),
     one_frf=True,
     one_mode=True,
     own_damping=True,

@@ -18,7 +18,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
 from labpipe.estimation.model import DynamicModel, FittedModel
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.transfer_mode import TransferMode
+from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
 from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 
@@ -220,6 +220,8 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
     without a resonance.
     """
     by_name = dict(zip(model.names, map(float, values), strict=True))
+    if isinstance(model, DrivingMode):
+        return _driving(by_name) if all(by_name[name] > 0 for name in "kcm") else None
     if isinstance(model, TransferMode):
         return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
@@ -240,15 +242,26 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
     if np.any(numbers <= 0) or (mass is not None and mass <= 0):
         return None
     mode = ModeModel(_NO_CURVE, coefficients=True, residual=0, mass=mass)
+    rows = _coefficient_rows(mode, names["k"], names["c"])
+    return _Built(mode, np.log(numbers), rows, sign * float(constant.force[0, 0]))
+
+
+def _coefficient_rows(mode: ModeModel, stiffness: str, damping: str) -> dict[str, StatedRow]:
+    """Coefficients, a free mass among them, and the resonance that they give."""
     unit = np.eye(mode.n_interest)
-    rows = {names["k"]: StatedRow(unit[0]), names["c"]: StatedRow(unit[1])}
-    if free:
+    rows = {stiffness: StatedRow(unit[0]), damping: StatedRow(unit[1])}
+    if mode.mass is None:
         rows |= {"m": StatedRow(unit[2]), "modal_constant": StatedRow(-unit[2])}
-    rows |= {
+    return rows | {
         name: StatedRow(row, offset)
         for name, row, offset in zip(("f_n", "zeta"), mode.to_resonance, mode.offset, strict=True)
     }
-    return _Built(mode, np.log(numbers), rows, sign * float(constant.force[0, 0]))
+
+
+def _driving(by_name: dict[str, float]) -> _Built:
+    """k, c and m beside a constant."""
+    mode = ModeModel(_NO_CURVE, coefficients=True, residual=1)
+    return _Built(mode, np.log([by_name[name] for name in "kcm"]), _coefficient_rows(mode, "k", "c"))
 
 
 def _transfer(by_name: dict[str, float]) -> _Built:

@@ -1,5 +1,6 @@
-"""A test of several recordings of the same FRFs: each recording is fitted alone, and the parameters are means
-of these repeats, with the part between them and the model error that all of them share.
+"""A test of several recordings, or of several hits, of the same FRFs: each is fitted alone, and the
+parameters are means of these repeats, with the part between them and the model error that all of them share.
+Where they follow the level of the force, they are stated at the middle one.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, kept_repeats, repeat_mean
+from labpipe.estimation.repeats import (
+    LEAST_RANGE,
+    PRIOR_SCALE,
+    Kept,
+    RepeatMean,
+    follows,
+    kept_repeats,
+    repeat_mean,
+)
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import student_limit
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, Repeats, note
@@ -22,6 +31,8 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
 # Least scale of the prior of others, relative to their size.
 LEAST_SCALE = 0.03
+# What values may follow.
+LEVEL = "level of the force"
 # Neighbouring lines that share the scatter of the aligned residuals, and the least share they divide by.
 NEIGHBOURS, LEAST_REST = 15, 0.02
 # The fits of a response by settings, whose residual is judged or not.
@@ -47,6 +58,7 @@ class _Test:
             distortion=None,
             repeats=None,
             repeat_names=(),
+            repeat_levels=None,
             averages=1.0,
             covariance_dof=float("inf"),
             findings=(),
@@ -56,13 +68,24 @@ class _Test:
             raise FitError("its fit does not converge")
         return fits
 
+    def named(self, name: str) -> str:
+        """One of them, as a sentence begins with it."""
+        return name if self.response.repeats_are == "hits" else f"recording '{name}'"
+
+    def levels(self, names: Sequence[str]) -> FloatArray | None:
+        """Of the force, (n,) [its unit]; None where they are not known."""
+        levels = self.response.repeat_levels
+        if levels is None or not np.all(levels > 0):
+            return None
+        return levels[[self.response.repeat_names.index(name) for name in names]]
+
 
 def over_repeats(
     pooled: tuple[Fit, ...], response: FrequencyResponse, settings: FitSettings, fitting: Fitting
 ) -> tuple[Fit, ...]:
-    """The fits with their parameters as means over the recordings of a *response*.
+    """The fits with their parameters as means over the recordings, or the hits, of a *response*.
 
-    *pooled*: the fits of all recordings together; *fitting* makes those of one. As they are where fewer than
+    *pooled*: the fits of all of them together; *fitting* makes those of one. As they are where fewer than
     two recordings can be fitted. Equations (repeats-mean), (repeats-aligned).
     """
     assert response.repeats is not None
@@ -73,7 +96,7 @@ def over_repeats(
         try:
             fits = test.alone(matrix)
         except FitError as error:
-            failed.append(note("repeat-left-out", f"recording '{name}' is left out: {error.what}"))
+            failed.append(note("repeat-left-out", f"{test.named(name)} is left out: {error.what}"))
             continue
         if len(fits) == len(pooled):
             repeats[name] = fits
@@ -115,10 +138,7 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         return pooled
     columns = {name: _Values.of([one[name] for one in own]) for name in names}
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
-    kept = kept_repeats(
-        np.stack([columns[name].values for name in judged], axis=1),
-        np.stack([columns[name].variances for name in judged], axis=1),
-    )
+    kept, covariate, at = _course(test.levels(list(repeats)), [columns[name] for name in judged])
     used = [bool(one) for one in kept.used]
     good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
     common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
@@ -128,20 +148,45 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         name = parameter.name
         if name in columns:
             of = columns[name].chosen(used)
-            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios))
-            stated.append(
-                _stated(
-                    parameter, means[name], of, common.get(name), pooled.dof, len(test.response.repeat_names)
-                )
+            means[name] = repeat_mean(of.values, of.variances, _scale(name, of, ratios), covariate)
+            told = Repeats(
+                len(test.response.repeat_names),
+                of.values.size,
+                means[name].spread,
+                (),
+                "" if at is None else LEVEL,
+                at,
             )
+            stated.append(_stated(parameter, means[name], of, common.get(name), pooled.dof, told))
         else:
             stated.append(parameter)
     return replace(
         pooled,
         parameters=tuple(stated),
-        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means)),
-        notes=(*pooled.notes, _said(sum(used), len(test.response.repeat_names))),
+        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test)),
+        notes=(*pooled.notes, _said(sum(used), test.response, at)),
     )
+
+
+def _course(
+    levels: FloatArray | None, judged: Sequence[_Values]
+) -> tuple[Kept, FloatArray | None, float | None]:
+    """Which repeats are used; where what is *judged* follows their *levels* (n,), these over the middle one
+    less 1 (n_used,), and the middle one.
+    """
+    values, variances = (
+        np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
+    )
+    if levels is None:
+        return kept_repeats(values, variances), None, None
+    middle = float(np.median(levels))
+    covariate = levels / middle - 1
+    kept = kept_repeats(values, variances, covariate if np.ptp(covariate) >= LEAST_RANGE else None)
+    covariate = covariate[kept.used]
+    chosen = [of.chosen(list(kept.used)) for of in judged]
+    if not any(follows(of.values, of.variances, covariate) for of in chosen):
+        return kept, None, None
+    return kept, covariate, middle
 
 
 def _usable(parameter: Parameter | None) -> bool:
@@ -222,7 +267,7 @@ def _shared(common: Parameter | None, *, log: bool) -> tuple[float, float]:
 
 
 def _stated(
-    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, recorded: int
+    parameter: Parameter, mean: RepeatMean, of: _Values, common: Parameter | None, dof: int, told: Repeats
 ) -> Parameter:
     """The mean with the hull of its own interval and that with the model error that all repeats share."""
     shift, extra = _shared(common, log=of.log)
@@ -253,28 +298,39 @@ def _stated(
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
         discrepancy=None if common is None else common.discrepancy,
-        repeats=Repeats(recorded, of.values.size, mean.spread * unit, tuple(back(one) for one in of.values)),
+        repeats=replace(told, spread=mean.spread * unit, values=tuple(back(one) for one in of.values)),
     )
 
 
-def _said(used: int, recorded: int) -> str:
-    over = f"{used} recordings" if used == recorded else f"{used} of {recorded} recordings"
+def _said(used: int, response: FrequencyResponse, at: float | None) -> str:
+    recorded, what = len(response.repeat_names), response.repeats_are
+    over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"
+    level = ""
+    if at is not None:
+        size = "a peak" if what == "hits" else "an r.m.s."
+        level = (
+            f" They follow the level of '{response.inputs[0].label}' and hold at {size} of {at:.3g} [SI], "
+            "the middle one; for levels that were not measured nothing is stated."
+        )
     return (
         f"values are means over {over}, each fitted alone; intervals hold what these scatter by and the "
-        "model error that they share. `repeats: pool` fits all of them together."
+        f"model error that they share.{level} `repeats: pool` fits all of them together."
     )
 
 
-def _findings(names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean]) -> list[Finding]:
-    """Notes on recordings that stand out or drift, and a warning where they are two populations."""
+def _findings(
+    names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test
+) -> list[Finding]:
+    """Notes on repeats that stand out or drift, and a warning where they are two populations."""
+    what = test.response.repeats_are
     if kept.two_populations:
         message = (
-            "more than a quarter of the recordings lie apart from the others: two populations, and the mean "
+            f"more than a quarter of the {what} lie apart from the others: two populations, and the mean "
             "is of both. Name the groups"
         )
         return [Finding("two-populations", message)]
     findings = [
-        note("repeat-left-out", f"recording '{name}' is left out: its frequency or damping stands out")
+        note("repeat-left-out", f"{test.named(name)} is left out: its frequency or damping stands out")
         for name, is_used in zip(names, kept.used, strict=True)
         if not is_used
     ]
@@ -283,7 +339,7 @@ def _findings(names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean])
     ]
     if ordered:
         message = (
-            f"{', '.join(ordered)}: neighbouring recordings are alike, so the values drift or come in "
+            f"{', '.join(ordered)}: neighbouring {what} are alike, so the values drift or come in "
             "steps (temperature, mounting). The interval allows for it; record what changes"
         )
         findings.append(note("repeats-in-order", message))

@@ -37,6 +37,8 @@ N_TAU = 80
 # values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
+# Repeats from which on a course over a condition is looked for, and the range of that over its middle.
+LEAST_FOR_COURSE, LEAST_RANGE = 5, 0.25
 # Largest correlation of neighbours that is believed.
 MOST_CORRELATED = 0.9
 
@@ -168,6 +170,19 @@ def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | No
     inverse = np.linalg.pinv(curved.T @ (weights[:, None] * curved))
     solution = inverse @ curved.T @ (weights * values)
     return curved if abs(solution[2]) > CURVED * np.sqrt(inverse[2, 2]) else line
+
+
+def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
+    """Whether *values* (n,) [any unit], *variances* (n,) of their noise, follow the *covariate* (n,) [1] by
+    more than two standard errors by Hartung and Knapp.
+
+    Not of fewer than five, nor of conditions within a quarter of each other.
+    """
+    if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
+        return False
+    turned = np.stack([covariate, np.ones_like(covariate)], axis=1)
+    slope, variance = hartung_knapp(values, variances, turned)
+    return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > CURVED * np.sqrt(variance)
 
 
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:

@@ -202,6 +202,9 @@ class FitSettings(Settings):
     scale_mass: bool = setting(
         "flag", "the given mass is known but for a factor, which is estimated", default=False
     )
+    residuals: bool = setting(
+        "flag", "with mass: estimate: a constant beside the mode for those outside the band", default=False
+    )
     relative: bool = setting("flag", "the response is measured relative to the base", default=False)
     damping: str = setting(
         "choice",
@@ -309,10 +312,24 @@ class FitSettings(Settings):
             raise ConfigError(
                 "'lumped_mass' is for a mass that is estimated", hint="mass: estimate", field="lumped_mass"
             )
+        self._check_residuals()
         if self.kind.of_base and self.mass == ESTIMATE and (self.subtract or self.share != 1):
             key = "subtract" if self.subtract else "share"
             what = f"'{key}' needs the mass: without it a transmissibility gives no stiffness"
             raise ConfigError(what, hint="for example mass: 0.92 kg", field=key)
+
+    def _check_residuals(self) -> None:
+        """ConfigError for residual terms beside what leaves a mode without its mass, or none of its own."""
+        if not self.residuals:
+            return
+        if self.mass != ESTIMATE:
+            hint = "mass: estimate"
+            raise ConfigError("'residuals' is for a mass that is estimated", hint=hint, field="residuals")
+        others = {"damping": self.damping != VISCOUS, "fixed": self.fixed, "eliminate": self.eliminate}
+        others |= {"subtract": self.subtract, "share": self.share != 1}
+        for key in (key for key, there in others.items() if there):
+            hint = "leave one of them out"
+            raise ConfigError(f"'residuals' cannot be combined with '{key}'", hint=hint, field="residuals")
 
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""

@@ -48,6 +48,10 @@ class TransferMode:
         """None: the parameters have no matrices."""
         return ()
 
+    def start_of(self, values: FloatArray) -> FloatArray:
+        """From start values (6,) of a mode with a residue of any phase [parameter units]."""
+        return values
+
     def whole(self, parameters: FloatArray) -> Matrices:
         """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,)
         [parameter units].
@@ -75,6 +79,48 @@ class TransferMode:
             unit,
             1j * unit,
         ]
+        return np.array(rows)[:, :, None, None]
+
+
+@dataclass(frozen=True)
+class DrivingMode(TransferMode):
+    """H(w) = 1 / (k + j w c - w^2 m) + C + j D at a driving point: a mode, and a constant for those outside
+    the band.
+
+    Parameters: k [N/m], c [N.s/m], m [kg] of the mode, C and D [m/N]. Equation (est-driving-mode).
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("k", "c", "m", "residual_re", "residual_im")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return ("N/m", "N.s/m", "kg", "m/N", "m/N")
+
+    def start_of(self, values: FloatArray) -> FloatArray:
+        """From start values (6,) of a mode with a residue of any phase: its size is 1 / m. (5,) [parameter
+        units].
+        """
+        w_n, mass = 2 * np.pi * values[0], 1 / max(float(np.hypot(*values[2:4])), np.finfo(float).tiny)
+        return np.array([w_n**2 * mass, 2 * abs(values[1]) * w_n * mass, mass, *values[4:]])
+
+    def whole(self, parameters: FloatArray) -> Matrices:
+        """Matrices (1, 1) of the mode at *parameters* (5,) [parameter units]."""
+        k, c, m = (value * np.ones((1, 1)) for value in parameters[:3])
+        return Matrices(k, c, m, np.ones((1, 1)))
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H [m/N] at *parameters* (5,) [parameter units], (n_line, 1, 1); *omega* (n_line,) [rad/s]."""
+        k, c, m = parameters[:3]
+        mode = 1 / (k + 1j * omega * c - omega**2 * m)
+        return np.asarray(mode + complex(*parameters[3:]))[:, None, None]
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (5, n_line, 1, 1) [m/N per parameter unit]."""
+        square = (self.receptance(np.array([*parameters[:3], 0, 0]), omega)[:, 0, 0]) ** 2
+        unit = np.ones(omega.size, np.complex128)
+        rows = [-square, -1j * omega * square, omega**2 * square, unit, 1j * unit]
         return np.array(rows)[:, :, None, None]
 
 

@@ -216,10 +216,11 @@ class DynamicStiffness(FitDetail):
     the column's, x then y.
 
     form, symmetry: of the model; values (n_parameter,): as they are fitted (of positive shape parameters the
-    logarithm), noise (n_parameter, n_parameter): their covariance by noise alone, uncertainties: what given
-    numbers add to it. frequency (n_line,) [Hz], measured (n_line, 2, 2) [N/m]: line by line without a model,
-    variance (n_line, 2, 2) [(N/m)^2] of the complex values; *paired*: of two neighbouring lines each, since a
-    line alone has one vector. Empty where lines do not tell H. drawn_frequency (n,) [Hz] with fitted (n, 2,
+    logarithm), noise (n_parameter, n_parameter): their covariance by noise and by what the form leaves
+    unexplained, uncertainties: what given numbers add to it. frequency (n_line,) [Hz], measured (n_line, 2,
+    2) [N/m]: line by line without a model, variance (n_line, 2, 2) [(N/m)^2] of the complex values; *paired*:
+    of two neighbouring lines each, since a line alone has one vector. Empty where lines do not tell H.
+    drawn_frequency (n,) [Hz] with fitted (n, 2,
     2) and, where there is one, baseline (n, 2, 2) [N/m]. effective_stiffness, effective_damping (n, 3): of
     forward circular orbits at drawn_frequency, value, lower and upper end of the 95 % interval [N/m, N.s/m].
     """

@@ -275,7 +275,9 @@ class FrequencyResponse:
     blocks           of random data, whose ends leave leakage in the FRF, or None errors           systematic
     errors that no single port carries: of the numbers in sums of channels and of the members of these
     repeats          (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where each
-    has all of it, or None; named by repeat_names
+    has all of it, or of every hit of one recording, or None; named by repeat_names
+    repeat_levels    (n_repeat,) [unit of the force] r.m.s. force of each recording, peak of each hit, or
+    None; *repeats_are*: "recordings" or "hits"
     """
 
     frequency: FloatArray
@@ -301,6 +303,8 @@ class FrequencyResponse:
     errors: tuple[MatrixError, ...] = ()
     repeats: ComplexArray | None = None
     repeat_names: tuple[str, ...] = ()
+    repeat_levels: FloatArray | None = None
+    repeats_are: str = "recordings"
     name: str = ""
     findings: tuple[Finding, ...] = ()
     conditions: dict[str, Any] = field(default_factory=dict)
@@ -331,6 +335,7 @@ class FrequencyResponse:
             "open_loop": (np.complex128, (n_f, n_o, n_i)),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
             "repeats": (np.complex128, (len(self.repeat_names), n_f, n_o, n_i)),
+            "repeat_levels": (np.float64, (len(self.repeat_names),)),
             "line_gains": (
                 np.complex128,
                 (n_f, np.shape(self.line_gains)[1] if self.line_gains is not None else 1, n_o, n_i),

@@ -23,22 +23,15 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.spectra.bands import line_range, mask_findings, masked_bands
+from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
-from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import without_rounding
-from labpipe.spectra.period_average import (
-    LineSpectrum,
-    PeriodAverage,
-    excited_lines,
-    samples_per_period,
-    smoothed_noise,
-)
-from labpipe.spectra.ports import check_rates, lines_left, source_findings
+from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
+from labpipe.spectra.periodic import period_average
+from labpipe.spectra.ports import check_rates, source_findings
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.settling import settling_finding
 from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # All channels under periodic excitation: averages over periods, and their covariance from the scatter
@@ -99,19 +92,8 @@ def periodic_lines(
 def _averaged(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int
 ) -> tuple[LineSpectrum, tuple[Finding, ...]]:
-    """The lines of the recorded channels of one recording in the band, and whether its motion had settled."""
-    assert settings.period is not None
-    n_sample = samples_per_period(settings.period, source.sample_rate)
-    average = PeriodAverage(
-        n_sample,
-        len(source.channels),
-        settings.skip,
-        line_range(n_sample, source.sample_rate, settings.band, source.n_sample),
-    )
-    for block in checked_blocks(source):
-        average.add(block)
-    spectrum = average.spectrum(source.sample_rate)
-    spectrum = spectrum.select(lines_left(spectrum.frequency, settings))
+    """The lines of the recorded channels of one recording in the band, and findings."""
+    spectrum, _, findings = period_average(source, settings)
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
     picked = LineSpectrum(
         spectrum.frequency,
@@ -120,7 +102,7 @@ def _averaged(
         spectrum.n_period,
         spectrum.line_dof,
     )
-    return picked, settling_finding(average.differences, source.channels, source.name, settings.skip)
+    return picked, findings
 
 
 def _summed(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:

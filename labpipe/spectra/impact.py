@@ -203,6 +203,8 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     parts = dataclasses.replace(
         parts, dof=parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
     )
+    if len(averages) == 1:
+        parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = _undamped(parts, settings.damping_window, correlation)
     return _selected(
@@ -263,6 +265,8 @@ class _HitAverage:
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self._n_hit = self.n_found = 0
         self._origins: list[float] = []
+        # Of each hit alone: number, peak force [N], amplitudes (n_line, n_channel).
+        self._alone: list[tuple[int, float, ComplexArray]] = []
         self.slow: set[str] = set()
         self.findings: list[Finding] = []
 
@@ -279,6 +283,7 @@ class _HitAverage:
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self._n_hit += 1
+        self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def _named(self, fault: str) -> str:
@@ -320,6 +325,26 @@ class _HitAverage:
             self._source.sample_rate / self.n_sample
         )
         return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
+
+    def with_hits(self, parts: Parts, layout: Layout) -> Parts:
+        """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
+        responses.
+        """
+        columns = list(layout.output_columns[0])
+        forces = np.array([amplitude[:, self.force] for _, _, amplitude in self._alone])
+        if len(self._alone) < 2 or len(layout.inputs) != 1 or min(columns) < 0 or not np.all(forces):
+            return parts
+        matrices: list[ComplexArray] = [
+            amplitude[:, columns, None] / amplitude[:, self.force, None, None]
+            for _, _, amplitude in self._alone
+        ]
+        if self._settings.damping_window is not None:
+            decay = self._settings.damping_window
+            matrices = [without_added_damping(parts.frequency, one, decay).matrix for one in matrices]
+        numbers, peaks, _ = zip(*self._alone, strict=True)
+        return dataclasses.replace(
+            parts, hits=np.stack(matrices, axis=1), hit_numbers=numbers, hit_peaks=peaks
+        )
 
     @property
     def has_hit(self) -> bool:

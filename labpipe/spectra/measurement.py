@@ -20,7 +20,7 @@ from labpipe.records.response import (
 )
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
-from labpipe.spectra.channels import uncertainty_findings
+from labpipe.spectra.channels import READ_SAMPLES, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import impact_parts
@@ -82,10 +82,11 @@ def _with_repeats(
 ) -> FrequencyResponse:
     """The response with that of every recording alone, where each has all of it.
 
-    Recordings that alone give no response, or other lines, are no repeats.
+    Recordings that alone give no response, or other lines, are no repeats; of a single recording its hits
+    are.
     """
     ports = [port.label for port in (*response.outputs, *response.inputs)]
-    alone, names = [], []
+    alone, names, levels = [], [], []
     for source in sources if len(sources) > 1 else ():
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
@@ -100,11 +101,26 @@ def _with_repeats(
             return response
         alone.append(one.matrix[lines])
         names.append(source.name)
-    return (
-        dataclasses.replace(response, repeats=np.array(alone), repeat_names=tuple(names))
-        if alone
-        else response
+        levels.append(_level(source))
+    if not alone:
+        return response
+    return dataclasses.replace(
+        response,
+        repeats=np.array(alone),
+        repeat_names=tuple(names),
+        repeat_levels=None if len(response.inputs) > 1 else np.array(levels),
+        repeats_are="recordings",
     )
+
+
+def _level(source: SampleSource) -> float:
+    """r.m.s. of the force about its mean [N]."""
+    column = next(number for number, channel in enumerate(source.channels) if channel.role == "input")
+    count, total, square = 0, 0.0, 0.0
+    for block in source.blocks(READ_SAMPLES):
+        force = block[:, column]
+        count, total, square = count + force.size, total + float(force.sum()), square + float(force @ force)
+    return float(np.sqrt(max(square / count - (total / count) ** 2, 0.0)))
 
 
 def _of_sensor_places(
@@ -186,6 +202,10 @@ def _measured(
         line_correlation=parts.line_correlation,
         line_gains=None if parts.line_gains is None else parts.line_gains * _phase(sensor_factor)[:, None],
         blocks=parts.blocks,
+        repeats=None if parts.hits is None else np.moveaxis(parts.hits, 1, 0) * sensor_factor,
+        repeat_names=tuple(f"hit {number}" for number in parts.hit_numbers),
+        repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
+        repeats_are="hits",
         errors=sum_errors(
             cleaned, settings, layout, (parts.frequency, matrix), EXCITATIONS[settings.excitation]
         ),

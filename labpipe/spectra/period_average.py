@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, special
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.spectra.settling import Differences
 
@@ -18,6 +18,8 @@ from labpipe.spectra.settling import Differences
 OUTLIER_LEVEL = 1e-3
 # Standard deviation of a line as a share of the channel's strongest line below which it is rounding.
 ROUNDING = 1e-12
+# Lines to either side over which noise is averaged that a creeping rest position is held against.
+SEEN_BESIDE = 5
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,58 @@ def samples_per_period(period: float, sample_rate: float) -> int:
     return n_sample
 
 
+@dataclass(frozen=True)
+class RestMotion:
+    """How the rest position creeps over the periods: its rise *slope* and its bend per period and period
+    squared, (n_period, n_channel) [unit of the channel]; both are zero for channels that do not creep.
+    """
+
+    slope: FloatArray
+    bend: FloatArray
+
+    @classmethod
+    def of(cls, levels: FloatArray) -> RestMotion:
+        """From the means of two periods or more, *levels* (n_period, n_channel) [unit of the channel].
+
+        The parabola through the means of a period and of its neighbours; before the second and after the last
+        but one that of their neighbour. What repeats with the periods is in none of them. Equation
+        (spec-creep).
+        """
+        if len(levels) == 2:
+            slope = np.repeat(np.diff(levels, axis=0), 2, axis=0)
+            return cls(slope, np.zeros_like(slope))
+        slope = np.pad((levels[2:] - levels[:-2]) / 2, ((1, 1), (0, 0)), mode="edge")
+        bend = np.pad(np.diff(levels, 2, axis=0) / 2, ((1, 1), (0, 0)), mode="edge")
+        slope[0] -= 2 * bend[0]
+        slope[-1] += 2 * bend[-1]
+        return cls(slope, bend)
+
+    def within(self, number: int, n_sample: int) -> FloatArray:
+        """Its course less its mean in period *number*, (n_sample, n_channel) [unit of the channel]."""
+        time = (np.arange(n_sample)[:, None] - (n_sample - 1) / 2) / n_sample
+        course: FloatArray = self.slope[number] * time + self.bend[number] * (time**2 - np.mean(time**2))
+        return course
+
+    def seen(self, spectrum: LineSpectrum, n_sample: int, numbers: IntArray) -> BoolArray:
+        """Channels (n_channel,) with a line on which it shifts the mean by more than its standard deviation,
+        or a single period by more than that of a period (twice that of two periods, which tell it poorly).
+
+        *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*. Noise alone shifts a period on
+        line k by 1/(9 k) of its standard deviation.
+        """
+        if spectrum.noise is None:
+            return np.zeros(self.slope.shape[1], bool)
+        every = np.ones(spectrum.frequency.size, bool)
+        power = neighbourhood_mean(np.einsum("fii->fi", spectrum.noise).real, every, SEEN_BESIDE)
+        sawtooth = 1 / (n_sample * np.sin(np.pi * numbers / n_sample))[:, None]
+        steady = np.abs(self.slope.mean(axis=0)) * sawtooth
+        single = np.sqrt(np.mean(self.slope**2, axis=0)) * sawtooth
+        rounding = ROUNDING * np.max(np.abs(spectrum.mean), axis=0, initial=0.0)
+        size = np.sqrt(power) * (1 + 1 / (spectrum.n_period - 1))
+        over = (steady > size) | (single > np.sqrt(spectrum.n_period) * size)
+        return np.asarray(np.any(over & (single > rounding), axis=0))
+
+
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
 
@@ -73,10 +127,17 @@ class PeriodAverage:
     (spec-period).
     """
 
-    def __init__(self, n_sample: int, n_channel: int, skip: int, lines: slice = slice(1, None)) -> None:
+    def __init__(
+        self,
+        n_sample: int,
+        n_channel: int,
+        skip: int,
+        lines: slice = slice(1, None),
+        creep: RestMotion | None = None,
+    ) -> None:
         """*n_sample* samples per period, *skip* transient periods.
 
-        *lines* of the DFT, by default all above 0 Hz.
+        *lines* of the DFT, by default all above 0 Hz; *creep* is subtracted.
         """
         self._n_sample = n_sample
         self._lines = lines
@@ -88,6 +149,8 @@ class PeriodAverage:
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self.differences = Differences(n_line)
         self.n_period = 0
+        self._creep = creep
+        self._levels: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
@@ -102,15 +165,28 @@ class PeriodAverage:
             self._skip -= 1
             return
         # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
-        amplitude = fft.rfft((period - period.mean(axis=0)).T, axis=1)[:, self._lines].T * (
-            2 / self._n_sample
-        )
+        level = period.mean(axis=0)
+        self._levels.append(level)
+        period = period - level
+        if self._creep is not None:
+            period -= self._creep.within(self.n_period, self._n_sample)
+        amplitude = fft.rfft(period.T, axis=1)[:, self._lines].T * (2 / self._n_sample)
         self.n_period += 1
         self.differences.add(amplitude)
         before = amplitude - self._mean
         self._mean += before / self.n_period
         after = amplitude - self._mean
         self._scatter += before[:, :, None] * after[:, None, :].conj()
+
+    def creep(self, spectrum: LineSpectrum) -> RestMotion | None:
+        """How the rest position moves, in channels where that is *seen* beside the noise of the *spectrum*;
+        None where it is in none.
+        """
+        if self.n_period < 2:
+            return None
+        motion = RestMotion.of(np.array(self._levels))
+        seen = motion.seen(spectrum, self._n_sample, self._line_numbers)
+        return RestMotion(motion.slope * seen, motion.bend * seen) if np.any(seen) else None
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
         """The averaged lines; DataError when no period is left after the transient ones.

@@ -24,6 +24,7 @@ from labpipe.spectra.joint import check_references, covariance_by_neighbours, op
 from labpipe.spectra.period_average import (
     LineSpectrum,
     PeriodAverage,
+    RestMotion,
     excited_lines,
     samples_per_period,
     smoothed_noise,
@@ -33,7 +34,7 @@ from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.random import cut_at, rest_of_mean
 from labpipe.spectra.random_lines import check_moved
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.settling import settling_finding
+from labpipe.spectra.settling import is_unsettled, settling_finding
 
 # Recordings of a periodic excitation -> FRF matrix with the covariance from the scatter between periods.
 
@@ -47,9 +48,10 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     (frf-periodic).
     """
     assert settings.period is not None
-    averaged = [_period_average(source, settings) for source in sources]
+    averaged = [period_average(source, settings) for source in sources]
     single = [spectrum for spectrum, _, _ in averaged]
-    unsettled = tuple(finding for *_, findings in averaged for finding in findings)
+    of_motion = tuple(finding for *_, findings in averaged for finding in findings)
+    unsettled = is_unsettled(of_motion)
     spectra = [smoothed_noise(spectrum, settings.smooth) for spectrum in single]
     acting = _acting(spectra, layout)
     lines = np.all(acting, axis=1)
@@ -96,7 +98,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         covariance=covariance,
         averages=averages,
         dof=dof,
-        findings=(*unsettled, *findings),
+        findings=(*of_motion, *findings),
         snr=snr,
         change=None if unsettled else _change(spectra, [half for _, half, _ in averaged], lines, layout),
         open_loop=open_loop,
@@ -196,26 +198,54 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
     return acting
 
 
-def _period_average(
+def period_average(
     source: SampleSource, settings: FrfSettings
 ) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
-    """The averaged lines of one recording in the band, those of the first half of its periods, and whether
-    its motion had settled.
+    """The averaged lines of one recording in the band, those of the first half of its periods, and findings:
+    motion that had not settled, a rest position that creeps.
+
+    The creep is subtracted; where nothing moves but the force makes it, the file is read once.
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
+    average, spectrum, half = _averaged(source, settings, n_sample)
+    findings = settling_finding(average.differences, source.channels, source.name, settings.skip)
+    creep = None if findings else average.creep(spectrum)
+    if creep is not None:
+        _, spectrum, half = _averaged(source, settings, n_sample, creep)
+        findings = (_creep_note(creep, source),)
+    chosen = lines_left(spectrum.frequency, settings)
+    return spectrum.select(chosen), None if half is None else half.select(chosen), findings
+
+
+def _averaged(
+    source: SampleSource, settings: FrfSettings, n_sample: int, creep: RestMotion | None = None
+) -> tuple[PeriodAverage, LineSpectrum, LineSpectrum | None]:
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
-    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines, creep)
     half: LineSpectrum | None = None
     n_half = (source.n_sample // n_sample - settings.skip) // 2
     for block, ends_half in cut_at(checked_blocks(source), (settings.skip + n_half) * n_sample):
         average.add(block)
         if ends_half and n_half > 0:
             half = average.spectrum(source.sample_rate)
-    spectrum = average.spectrum(source.sample_rate)
-    chosen = lines_left(spectrum.frequency, settings)
-    unsettled = settling_finding(average.differences, source.channels, source.name, settings.skip)
-    return spectrum.select(chosen), None if half is None else half.select(chosen), unsettled
+    return average, average.spectrum(source.sample_rate), half
+
+
+def _creep_note(creep: RestMotion, source: SampleSource) -> Finding:
+    """What creeps, by how much from period to period."""
+    sizes = np.sqrt(np.mean(creep.slope**2, axis=0))
+    moved = "; ".join(
+        f"{channel.name} by {size:.3g} {channel.unit} from period to period"
+        for channel, size in zip(source.channels, sizes, strict=True)
+        if size > 0
+    )
+    message = (
+        f"recording '{source.name}': the rest position creeps: {moved} (r.m.s.). A straight line and a "
+        "parabola through the means of neighbouring periods are subtracted, as `detrend` does from random "
+        "data; what bends within a period stays. Fix what creeps, or give it a spring to a place of rest"
+    )
+    return note("rest-moves", message)
 
 
 def _signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:

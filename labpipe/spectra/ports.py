@@ -265,7 +265,8 @@ class Parts:
 
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts;
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
-    n_output, n_input) likewise, change, open_loop and blocks.
+    n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input)
+    [output unit / N] of one recording's hits alone, with their numbers and peak forces [N].
     """
 
     frequency: FloatArray
@@ -283,6 +284,9 @@ class Parts:
     blocks: Blocks | None = None
     change: ComplexArray | None = None
     open_loop: ComplexArray | None = None
+    hits: ComplexArray | None = None
+    hit_numbers: tuple[int, ...] = ()
+    hit_peaks: tuple[float, ...] = ()
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:

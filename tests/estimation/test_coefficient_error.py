@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from labpipe.estimation.coefficient_error import LARGER, LENGTHS, PRIOR, coefficient_error
+from labpipe.estimation.coefficient_error import LARGER, LENGTHS, PRIOR, USUAL, coefficient_error
 from labpipe.estimation.discrepancy import AMPLITUDES, SOUND, matern
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import sdof
@@ -108,14 +108,28 @@ def averaged_by_matrices(data, model, start, at, std):
     errors = np.sqrt(np.diag(own))
     prior = np.diag(1 / (PRIOR * np.abs(start) + 3 * errors) ** 2)
     stiffness = dict(zip(model.names, start, strict=True))["k"]
-    shapes = {"a": np.ones(f.size), "m": h0, "z": h0**2, "U": h0**3 * stiffness**2}
+    shapes = {
+        "a": np.ones(f.size),
+        "m": h0,
+        "z": h0**2 * np.sqrt(np.mean(np.abs(1 / h0) ** 2)),
+        "U": h0**3 * stiffness**2,
+    }
     courses = [(np.zeros((f.size, f.size)), 0.0, SOUND)]
     for kind, lengths in LENGTHS.items():
         for length in lengths:
             b = shapes[kind] / std
-            k = b[:, None] * matern(f, f, length * (f[-1] - f[0])) * b.conj()
-            k = k * f.size / np.trace(k).real
-            courses += [(k, a, (1 - SOUND) / 21 / 4 / len(lengths)) for a in AMPLITUDES[1:]]
+            unit = np.sqrt(f.size / np.sum(np.abs(b) ** 2))
+            kappa = matern(f, f, length * (f[-1] - f[0]))
+            usual = np.ones(21)
+            if kind in USUAL:
+                # Its mean over the band as large as the rest, which is without one.
+                centre = np.eye(f.size) - 1 / f.size
+                kappa = centre @ kappa @ centre
+                kappa = (kappa + np.trace(kappa) / f.size) / (2 * np.trace(kappa) / f.size)
+                usual = np.exp(-((unit * AMPLITUDES[1:] / USUAL[kind]) ** 2) / 2)
+            k = unit**2 * b[:, None] * kappa * b.conj()
+            share = (1 - SOUND) / 4 / len(lengths) * usual / np.sum(usual)
+            courses += [(k, a, part) for a, part in zip(AMPLITUDES[1:], share, strict=True) if part > 0]
     logs, means, covariances = [], [], []
     for k, a, weight in courses:
         for s in LARGER:

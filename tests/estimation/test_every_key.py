@@ -88,6 +88,7 @@ WRITTEN = {
     "symmetric": "true",
     "lumped_mass": "true",
     "scale_mass": "true",
+    "residuals": "true",
     "relative": "true",
     "damping": "hysteretic",
     "fixed": "{c: 1 N.s/m}",
@@ -109,7 +110,9 @@ VALUES: dict[str, Any] = {
     "subtract": {"stiffness": "10 kN/m"},
     "fixed": (("c", 1.0),),
     "tied": (("k_xx", "k_yy"),),
-    **dict.fromkeys(("eliminate", "symmetric", "lumped_mass", "scale_mass", "relative", "compare"), True),
+    **dict.fromkeys(
+        ("eliminate", "symmetric", "lumped_mass", "scale_mass", "relative", "compare", "residuals"), True
+    ),
     **{key: int(WRITTEN[key]) for key in ("share", "bootstrap", "monte_carlo")},
 }
 OF_MODEL: dict[tuple[str, str], Any] = {
@@ -128,6 +131,7 @@ OF_MODEL: dict[tuple[str, str], Any] = {
 BESIDE: dict[str, dict[str, Any]] = {
     "weight": {"estimator": "ls"},
     "lumped_mass": {"mass": "estimate"},
+    "residuals": {"mass": "estimate"},
     "peaks": {"input": (), "output": ()},
 }
 PAIRS = list(itertools.product(MODELS, WRITTEN))

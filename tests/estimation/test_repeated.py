@@ -106,6 +106,31 @@ def test_a_drift_between_recordings_is_said_and_makes_the_interval_longer() -> N
     assert "repeats-in-order" in [finding.code for finding in drifting.findings]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frequency_that_follows_the_force_is_stated_at_the_middle_one(seed: int) -> None:
+    """Softer by a fifth of the half-power half-width at the middle of nine levels, in proportion to them."""
+    levels = np.linspace(5.0, 15.0, 9)
+    response = repeated(9, seed)
+    rng = np.random.default_rng(seed + 50)
+    std = NOISE * float(np.sqrt(np.mean(np.abs(mode(F_N, ZETA)) ** 2)))
+    noise = std * (rng.normal(size=(9, 101)) + 1j * rng.normal(size=(9, 101))) / np.sqrt(2)
+    matrices = np.array([mode(F_N * (1 - 0.2 * ZETA * level / 10), ZETA) for level in levels]) + noise
+    fit = fitted(replace(response, repeats=matrices[:, :, None, None], repeat_levels=levels))
+    f_n = fit.parameter("f_n")
+    assert f_n.repeats.covariate == "level of the force" and f_n.repeats.at == 10.0
+    assert f_n.ci95[0] < F_N * (1 - 0.2 * ZETA) < f_n.ci95[1]
+    # The scatter about the course is that of the noise alone; without it, that of the levels.
+    assert np.ptp(f_n.ci95) < 0.3 * 0.2 * ZETA * F_N
+    unknown = fitted(replace(response, repeats=matrices[:, :, None, None]))
+    assert np.ptp(unknown.parameter("f_n").ci95) > 2 * np.ptp(f_n.ci95)
+    assert any("hold at an r.m.s. of 10 " in text for text in fit.notes)
+
+
+def test_levels_that_change_nothing_are_no_course() -> None:
+    fit = fitted(replace(repeated(9, 7), repeat_levels=np.linspace(5.0, 15.0, 9)))
+    assert fit.parameter("f_n").repeats.covariate == "" and fit.parameter("f_n").repeats.at is None
+
+
 def test_pool_fits_all_of_them_together() -> None:
     response = repeated(6, 4)
     pooled, alone = fitted(response, repeats="pool"), fitted(replace(response, repeats=None, repeat_names=()))
@@ -113,9 +138,10 @@ def test_pool_fits_all_of_them_together() -> None:
 
 
 def test_repeats_are_written_and_read(tmp_path: Path) -> None:
-    response = repeated(3, 5)
+    response = replace(repeated(3, 5), repeat_levels=np.array([1.0, 2.0, 3.0]), repeats_are="hits")
     path = tmp_path / "test.frf.parquet"
     write_response(path, response, Header("frf", {}, inputs=()))
     again = read_response(path)
     np.testing.assert_array_equal(again.repeats, response.repeats)
-    assert again.repeat_names == response.repeat_names
+    assert again.repeat_names == response.repeat_names and again.repeats_are == "hits"
+    np.testing.assert_array_equal(again.repeat_levels, response.repeat_levels)

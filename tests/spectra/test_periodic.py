@@ -150,3 +150,52 @@ def test_few_broadband_lines_are_taken_for_disturbed_ones() -> None:
     power = np.random.default_rng(8).chisquare(8, 20_000) / 8
     smooth = smoothed_noise(line_noise(power, 4.0), 5).noise[:, 0, 0].real
     assert 0.0003 < np.mean(smooth == power) < 0.002
+
+
+def creeping(levels: np.ndarray, periods: int = 12) -> np.ndarray:
+    """Two cosines, (n, 2), the second on a rest position along the polynomial *levels* of time in periods."""
+    t = np.arange(periods * N) / N
+    wave = np.cos(2 * np.pi * 3 * t + 0.4) + 0.1 * np.cos(2 * np.pi * t)
+    return np.stack([wave, wave + np.polyval(levels, t)], axis=1)
+
+
+@pytest.mark.parametrize("levels", [[3.0, 0.0], [-0.2, 3.0, 1.0]])
+def test_a_rest_position_along_a_parabola_is_taken_out_exactly(levels: list[float]) -> None:
+    samples = creeping(np.array(levels))
+    plain, still = spectrum_of(samples), spectrum_of(creeping(np.zeros(1)))
+    assert abs(plain.mean[0, 1] - still.mean[0, 1]) > 0.1
+    average = PeriodAverage(N, 2, 0)
+    average.add(samples)
+    motion = average.creep(plain)
+    assert np.all(motion.slope[:, 0] == 0) and np.all(motion.bend[:, 0] == 0)
+    again = PeriodAverage(N, 2, 0, creep=motion)
+    again.add(samples)
+    np.testing.assert_allclose(again.spectrum(float(N)).mean, still.mean, atol=1e-11)
+    assert np.max(np.abs(again.spectrum(float(N)).noise)) < 1e-20
+
+
+def test_a_cart_that_creeps_unevenly_is_less_noise_without_it(rng: np.random.Generator) -> None:
+    """A position that moves on by 3 to 7 in a period, evenly within each."""
+    rises = np.repeat(5 + 2 * np.cos(np.arange(12) / 2), N) / N
+    samples = creeping(np.zeros(1)) + 0.01 * rng.normal(size=(12 * N, 2))
+    samples[:, 1] += np.cumsum(rises)
+    average = PeriodAverage(N, 2, 0)
+    average.add(samples)
+    plain = average.spectrum(float(N))
+    again = PeriodAverage(N, 2, 0, creep=average.creep(plain))
+    again.add(samples)
+    without = again.spectrum(float(N))
+    assert without.noise[2, 1, 1].real < 0.1 * plain.noise[2, 1, 1].real
+    truth = spectrum_of(creeping(np.zeros(1)))
+    error = np.abs(without.mean[:5, 1] - truth.mean[:5, 1]) / np.sqrt(without.noise[:5, 1, 1].real)
+    assert np.all(error < 3.5) and abs(plain.mean[2, 1] - truth.mean[2, 1]) > 0.3
+
+
+@pytest.mark.parametrize("periods", [2, 3, 10])
+def test_noise_alone_is_no_rest_position_that_creeps(periods: int, rng: np.random.Generator) -> None:
+    seen = 0
+    for _ in range(200):
+        average = PeriodAverage(N, 1, 0)
+        average.add(rng.normal(size=(periods * N, 1)))
+        seen += average.creep(average.spectrum(float(N))) is not None
+    assert seen <= 2

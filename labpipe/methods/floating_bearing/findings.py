@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing.given import Given
 from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, Noise
 from labpipe.methods.floating_bearing.stator import Stator, shown_stiffness
@@ -90,26 +89,6 @@ def remedy(group: Sequence[str]) -> str:
         "widen the band, so that K and -w^2 M differ in their course over it, or fit a form with fewer "
         "coefficients, `form: kc`"
     )
-
-
-def mismatch_factor(found: Estimate) -> float:
-    """sqrt(chi-square per degree of freedom) where it is significantly above 1, else 1."""
-    return float(np.sqrt(found.reduced)) if found.p_value < MISMATCH_P else 1.0
-
-
-def mismatch_findings(found: Estimate) -> tuple[Finding, ...]:
-    """A warning where the residual is larger than noise."""
-    factor = mismatch_factor(found)
-    if factor == 1.0:
-        return ()
-    message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {found.reduced:.3g}, p = {found.p_value:.2g}): form {found.model.form.name} is not the "
-        "course over frequency, the bearing is not linear at this amplitude, or a channel is wrong. "
-        f"Standard errors are {factor:.3g} times those of noise alone, since the excess counts as noise. "
-        "Hold forms against each other with `compare: true`, or narrow the band"
-    )
-    return (Finding("model-mismatch", message),)
 
 
 def noise_findings(found: Estimate, noise: Noise) -> tuple[Finding, ...]:

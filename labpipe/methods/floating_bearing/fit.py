@@ -36,8 +36,6 @@ from labpipe.methods.floating_bearing.budget import budgeted
 from labpipe.methods.floating_bearing.findings import (
     effective_forces,
     given_notes,
-    mismatch_factor,
-    mismatch_findings,
     motion_findings,
     noise_findings,
     physical_findings,
@@ -66,6 +64,7 @@ from labpipe.methods.floating_bearing.likelihood import (
     Noise,
     estimate,
 )
+from labpipe.methods.floating_bearing.model_error import BalanceError, stator_error
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.floating_bearing.stator import (
     LineStiffness,
@@ -128,14 +127,14 @@ def baseline_of(fit: Fit) -> Baseline:
     """The fitted stiffness of another fit as a baseline: its noise and its given numbers become uncertainties
     of this one.
 
-    A residual beyond the noise counts as noise here as in the intervals of that fit.
+    What its model leaves unexplained counts as its noise.
     """
     shown = fit.detail(DynamicStiffness)
     if shown is None or not fit.converged:
         raise ConfigError(f"the fit '{fit.name}' is no baseline: it did not converge")
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
     values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
-    changes = _excess(fit.gof) * (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
+    changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
     return Baseline(
         fitted_model(shown),
         shown.values,
@@ -143,12 +142,6 @@ def baseline_of(fit: Fit) -> Baseline:
         fit.name,
         fit.test,
     )
-
-
-def _excess(gof: Goodness) -> float:
-    """The factor of a residual that is larger than noise, else 1."""
-    beyond = gof.chi2_reduced is not None and gof.chi2_p is not None and gof.chi2_p < MISMATCH_P
-    return float(np.sqrt(gof.chi2_reduced)) if beyond and gof.chi2_reduced is not None else 1.0
 
 
 def _scale(shown: DynamicStiffness) -> FloatArray:
@@ -403,11 +396,10 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
     solved = _solved_fit(stator, given, balance, settings, noise)
     likely = settings.estimates.likelihood
-    best, factor = solved.best, mismatch_factor(solved.best) if likely else 1.0
+    best = solved.best
+    error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
     of_given = systematic(solved.uncertainties, best.values.size)
-    fitted = FittedStiffness(
-        best.model, best.values, best.covariance, factor**2 * best.covariance + of_given, best.dof
-    )
+    fitted = FittedStiffness(best.model, best.values, best.covariance, error.covariance + of_given, best.dof)
     shaft = Shaft(_stated(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness)
     load = _stated(section.load, spectra, "load", "N") if section.clearance is not None else None
     bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
@@ -418,13 +410,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     parameters, budget = budgeted(
         (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
     )
-    fit = _reported(settings, balance, solved, whole_band, parameters)
+    fit = _reported(settings, balance, solved, whole_band, error.named(parameters))
     smeared = smeared_balance(stator, given, balance)
     stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
         *fit.findings,
         *solved.findings,
-        *(mismatch_findings(best) if likely else ()),
+        *error.finding,
         *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
         *(noise_findings(best, noise) if likely else ()),
         *(() if smeared is None else smeared.finding(stiffness, modelled=likely)),
@@ -438,13 +430,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *(() if likely else (LS_NOTE,)),
     )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
-    shown = replace(shown, excitations=solved.excitations)
+    shown = replace(shown, noise=error.covariance, excitations=solved.excitations)
     return replace(
         fit,
         findings=(*findings, *spectra.findings),
         notes=notes,
         details=(shown,),
         budget=budget if fit.converged else None,
+        discrepancy=error.discrepancy,
     )
 
 

@@ -12,10 +12,11 @@ from labpipe.display import number
 from labpipe.errors import ConfigError
 from labpipe.estimation import statistics
 from labpipe.estimation.derived import reported_fit, without_intervals
-from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
+from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, estimated, inflation_factors, widened
 from labpipe.methods.floating_bearing.budget import budgeted
+from labpipe.methods.floating_bearing.model_error import BalanceError, BalanceMisfit, balance_error
 from labpipe.methods.floating_bearing.values import SAME, Valued
 from labpipe.methods.magnetic_bearing.balance import (
     Between,
@@ -25,7 +26,13 @@ from labpipe.methods.magnetic_bearing.balance import (
     magnet_model,
     mass_matrix,
 )
-from labpipe.methods.magnetic_bearing.likelihood import MagnetEstimate, magnet_estimate, noise_of, unweighted
+from labpipe.methods.magnetic_bearing.likelihood import (
+    MagnetEstimate,
+    MagnetLikelihood,
+    magnet_estimate,
+    noise_of,
+    unweighted,
+)
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.fit_details import RobustPlant, systematic
@@ -133,18 +140,31 @@ def remedy(_group: Sequence[str]) -> str:
     )
 
 
-def mismatch_findings(best: MagnetEstimate, factor: float) -> tuple[Finding, ...]:
-    """A warning where the residual is larger than noise by *factor*."""
-    if factor == 1.0:
-        return ()
-    message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {best.reduced:.3g}, p = {best.p_value:.2g}): the rotor is no rigid mass in the band "
-        "(bending, a moving housing), another force acts, the mass is wrong, or the magnet is not linear at "
-        f"this amplitude. Standard errors are {factor:.3g} times those of noise alone. Narrow the band; "
-        "where the current was sampled without a filter behind a held output, give `hold`"
+def magnet_error(rotor: Levitation, best: MagnetEstimate) -> BalanceError:
+    """The covariance of noise and, where the rotor is no rigid mass on its magnets, of what that leaves."""
+    model, omega, n = best.model, rotor.omega, rotor.n_axis
+    rows, state = model.rows(best.values, omega), MagnetLikelihood(rotor, model).at(best.values)
+    axes = state.smoothed @ rotor.to_axes.T
+    inertia = omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
+    misfit = BalanceMisfit(
+        names=model.names,
+        values=best.values,
+        omega=omega,
+        white=state.white,
+        whiten=state.whiten,
+        added=lambda at: np.einsum("lac,lrc->lra", rows - model.rows(at, omega), axes),
+        slopes=lambda at: -np.einsum("plac,lrc->plra", model.slopes(at, omega), axes),
+        motion=axes[..., n:],
+        size=np.sqrt(np.mean(np.abs(inertia) ** 2, axis=(0, 1))),
+        gains=np.einsum("lac,lrc->clra", rows, axes),
+        larger=noise_of(rotor).inflation,
     )
-    return (Finding("model-mismatch", message),)
+    cause = (
+        "the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
+        "wrong, or the magnet is not linear at this amplitude"
+    )
+    cure = "Narrow the band; where the current was sampled without a filter behind a held output, give `hold`"
+    return balance_error(best.covariance, best.reduced, best.p_value, misfit, cause, cure)
 
 
 def sign_findings(model: MagnetModel, parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
@@ -289,8 +309,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         between,
     )
     best = magnet_estimate(rotor, model, _given(rotor, settings, mass))
-    factor = float(np.sqrt(best.reduced)) if best.p_value < MISMATCH_P else 1.0
-    whole = factor**2 * best.covariance + systematic(best.uncertainties, best.values.size)
+    error = magnet_error(rotor, best)
+    whole = error.covariance + systematic(best.uncertainties, best.values.size)
     parameters, budget = budgeted(_valued(best, whole), best.uncertainties, best.dof)
     if not best.converged:
         parameters = tuple(
@@ -311,7 +331,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     findings = (
         *estimate_findings(as_estimate, model.names, rotor.omega.size, model.units, remedy),
         *goodness_findings(gof),
-        *mismatch_findings(best, factor),
+        *error.finding,
         *sign_findings(model, parameters),
         *noise_findings(rotor),
         *spectra.findings,
@@ -324,12 +344,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
     band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
     return replace(
-        reported_fit(settings, as_estimate, parameters, band, rotor.omega.size),
+        reported_fit(settings, as_estimate, error.named(parameters), band, rotor.omega.size),
         findings=findings,
         notes=fit_notes(rotor, best, settings.uncertainties),
         curve=curve,
         details=() if plant is None else (plant,),
         budget=budget if best.converged else None,
+        discrepancy=error.discrepancy,
     )
 
 

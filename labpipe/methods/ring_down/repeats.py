@@ -12,24 +12,11 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.repeats import (
-    PRIOR_SCALE,
-    Kept,
-    RepeatMean,
-    hartung_knapp,
-    kept_repeats,
-    paule_mandel,
-    repeat_mean,
-)
+from labpipe.estimation.repeats import PRIOR_SCALE, Kept, RepeatMean, follows, kept_repeats, repeat_mean
 from labpipe.estimation.statistics import student_limit
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.spectra import FreeDecays
-
-# Decays from which on a course over the amplitude is looked for, and its t-ratio. Amplitudes within a quarter
-# of each other tell no course: where a decay is used from a while after the hit on, its damping alone moves
-# its amplitude.
-LEAST_FOR_COURSE, COURSE, LEAST_RANGE = 5, 2.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -152,23 +139,12 @@ def _means(
     scales = (PRIOR_SCALE * float(np.exp(np.median(logs[:, 1]))), PRIOR_SCALE)
     middle = float(np.median(sizes))
     covariate = (sizes - middle) / middle
-    follows = any(_follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
-    chosen = covariate if follows else None
+    is_course = any(follows(logs[:, which], variances[:, which], covariate) for which in (0, 1))
+    chosen = covariate if is_course else None
     frequency, damping = (
         repeat_mean(logs[:, which], variances[:, which], scales[which], chosen) for which in (0, 1)
     )
-    return (frequency, damping), middle if follows else np.nan
-
-
-def _follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
-    """Whether *values* (n,) follow the *covariate* (n,) by more than two standard errors by Hartung and
-    Knapp.
-    """
-    if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
-        return False
-    turned = np.stack([covariate, np.ones_like(covariate)], axis=1)
-    slope, variance = hartung_knapp(values, variances, turned)
-    return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > COURSE * np.sqrt(variance)
+    return (frequency, damping), middle if is_course else np.nan
 
 
 def _outliers(
