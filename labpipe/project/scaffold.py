@@ -9,30 +9,33 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.first_guess import (
     GuessedChannel,
-    GuessedFrf,
     copies,
     first_rows,
     guess_channels,
-    guessed_frf,
     step_of,
     time_columns,
+    with_hammer,
 )
+from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look
-from labpipe.raw_files.table import Table, open_table
+from labpipe.raw_files.table import Table, guarded, open_table
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
@@ -114,6 +117,8 @@ NOT_SHOWN = (
 )
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
 AROUND, LEAST_LINES = 0.1, 12
+# Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
+STANDS_OUT = 0.7
 
 
 @dataclass(frozen=True)
@@ -159,8 +164,12 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     """
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
-        return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
-    guessed = guessed_frf(files[0]) if files[0].is_file() else None
+        try:
+            return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+        except DataError:
+            if plain_suffix(files[0]) not in UFF_SUFFIXES:
+                raise
+    guessed = guarded(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, paths))
     first = first_look(open_table(files[0]))
@@ -187,7 +196,7 @@ def first_look(table: Table) -> FirstLook:
         *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
     )
     channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
-    return FirstLook(tuple(channels), rate, time, rows[:, chosen], unused)
+    return FirstLook(with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
 
 
 def _rig(first: FirstLook, path: Path) -> str:
@@ -388,8 +397,15 @@ def _mobility(response: FrequencyResponse) -> FloatArray:
 
 
 def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band around the highest peak, with LEAST_LINES lines at least."""
-    peak = int(np.argmax(mobility))
+    """The band around the highest peak, with LEAST_LINES lines at least.
+
+    A value at an end is none, and neither is one that hardly stands out of its surroundings, unless there is
+    no other.
+    """
+    logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
+    width = max(mobility.size // 400, 1)
+    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=width)
+    peak = int(found[np.argmax(mobility[found])]) if found.size else int(np.argmax(mobility))
     reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
     lowest = float(frequency[frequency > 0][0])
     return max(float(frequency[peak]) - reach, lowest), min(
@@ -415,18 +431,11 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
 
 
 def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
-    """A pipeline that begins with FRFs in tables of another program: one file, or one for each point."""
-    columns = ", ".join(
-        f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in guessed.columns.items()
-    )
-    unit = (
-        json.dumps(guessed.unit, ensure_ascii=False)
-        if guessed.unit
-        else f"{DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"
-    )
+    """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     lines = [
         "# What to do with the FRFs. Paths are relative to this file.",
         "title: Stiffness and damping from measured FRFs",
+        *(f"# a guess, {doubt}" for doubt in guessed.doubts),
         "frfs:",
     ]
     if len(paths) > 1:
@@ -437,14 +446,60 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         )
     else:
         lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
-    lines += [f"  columns: {{{columns}}}", f"  unit: {unit}"]
+    if guessed.word:
+        lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
+    lines += _unit_lines(guessed)
+    outputs, force = ["y"], "f"
+    if guessed.elements:
+        outputs = _labels(guessed.elements)
+        lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
+        lines += [
+            f"    {json.dumps(name)}: {_flow(parts)}"
+            for name, parts in zip(outputs, guessed.elements.values(), strict=True)
+        ]
+    elif len(paths) == 1:
+        lines.append("  output: y".ljust(31) + "# the dof of the response: any name, such as 3.z")
     if len(paths) == 1:
-        lines.append(f"  output: {DECIDE}    {MARK} the dof of the response, for example x")
-        lines.append(f"  input: {DECIDE}    {MARK} the dof of the force, for example f")
+        lines.append("  input: f".ljust(31) + "# the dof of the force")
+    lines.append("identify:")
+    if len(paths) > 1:
+        outputs = [f"{DECIDE}    {MARK} the dof of a response"]
+        force = f"{DECIDE}    {MARK} the dof of the force"
     moving = guessed.frequency > 0
-    band = _around(guessed.frequency[moving], guessed.size[moving, None]) if moving.sum() > 1 else None
-    fit = _fit_lines(
-        "fit", f"{DECIDE}    {MARK} the dof of the force", f"{DECIDE}    {MARK} the dof of the response", band
-    )
-    lines += ["identify:", *(line.replace("estimator: ml", "estimator: ls") for line in fit)]
+    for number, output in enumerate(outputs):
+        band = None
+        if moving.sum() > 1 and number < guessed.size.shape[1]:
+            band = _around(guessed.frequency[moving], guessed.size[moving, number])
+        fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
+        lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
     return "\n".join(lines) + "\n"
+
+
+def _flow(columns: Mapping[str, str]) -> str:
+    return (
+        "{"
+        + ", ".join(f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in columns.items())
+        + "}"
+    )
+
+
+def _unit_lines(guessed: GuessedFrf) -> list[str]:
+    """The form and the unit of FRFs: as the file says them, else to be decided."""
+    if guessed.unit:
+        return [f"  unit: {json.dumps(guessed.unit, ensure_ascii=False)}"]
+    if guessed.label:
+        form = [f"  form: {guessed.form}"] if guessed.form else []
+        mark = f"{MARK} the unit of the numbers, for example g/N; the records say {guessed.label}"
+        return [*form, f"  unit: {DECIDE}    {mark}"]
+    if guessed.form:
+        return [f"  form: {guessed.form}".ljust(31) + "# in SI units; for others add unit: g/N, for example"]
+    return [f"  unit: {DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"]
+
+
+def _labels(elements: Mapping[str, object]) -> list[str]:
+    """A dof for each element: what its name has beside that of the others."""
+    names = list(elements)
+    differing = (n for n, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
+    start = next(differing, min(map(len, names)))
+    labels = [re.sub(r"\W+", "_", name[start:]).strip("_") or name for name in names]
+    return labels if len(set(labels)) == len(labels) else [f"y{n}" for n in range(1, len(names) + 1)]

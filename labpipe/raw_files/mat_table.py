@@ -194,7 +194,21 @@ def mat_table(path: Path) -> ArraysTable:
         name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()
     }
     rate = rate_of({name: value.item() for name, value in numeric.items() if value.size == 1}, path)
-    return ArraysTable(path, columns, units, rate)
+    texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
+    return ArraysTable(path, columns, units, rate, texts)
+
+
+def lines_of(value: Any) -> list[str]:
+    """The texts of a char variable, of its rows, or of a cell array of texts; [] for anything else."""
+    array = np.asarray(value)
+    if array.dtype.kind == "U":
+        return [str(text).strip() for text in array.flat]
+    if array.dtype.kind != "O" or not array.size:
+        return []
+    cells = [np.asarray(cell) for cell in array.flat]
+    if any(cell.dtype.kind != "U" or cell.size > 1 for cell in cells):
+        return []
+    return [text_of(cell).strip() for cell in cells]
 
 
 def text_of(value: Any) -> str:
@@ -205,7 +219,9 @@ def text_of(value: Any) -> str:
 
 # HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block.
 
-_UNITS = ("unit", "units", "unit_string")
+_UNITS, _SENSITIVITIES = ("unit", "units", "unit_string", "y_unit"), ("sensitivity",)
+# Longest list of texts that may describe channels.
+MOST_TEXTS = 10_000
 
 
 def hdf5_table(path: Path) -> ArraysTable:
@@ -232,8 +248,27 @@ def hdf5_table(path: Path) -> ArraysTable:
         if item.size > 1
         for name, column in columns_of(key, item).items()
     }
-    units = {name: _unit(sets, name) for name in columns}
-    return ArraysTable(path, columns, units, rate_of(scalars, path))
+    units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
+    table = ArraysTable(path, columns, units, rate_of(scalars, path), _hdf5_texts(file))
+    for name in table.columns:
+        if text := _attribute(sets, name, _SENSITIVITIES):
+            table.sensitivities[name] = text
+    return table
+
+
+def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
+    """Data sets of texts by name; of MATLAB's chars and cells nothing is read here."""
+    texts: dict[str, list[str]] = {}
+
+    def add(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.size < MOST_TEXTS:
+            texts[name] = [
+                part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
+                for part in np.atleast_1d(item[()]).ravel()
+            ]
+
+    file.visititems(add)
+    return texts
 
 
 def _numeric_sets(file: h5py.File) -> dict[str, Any]:
@@ -265,12 +300,16 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
     return rates
 
 
-def _unit(sets: dict[str, Any], name: str) -> str:
+def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
+    """The first attribute of a column's data set that is named as one of *keys*, in letters of any size."""
     item: Any = sets.get(name)
     if item is None:
         item = sets.get(name.rpartition("_")[0])
-    for key in _UNITS if item is not None else ():
-        if key in item.attrs:
-            value = item.attrs[key]
+    if item is None:
+        return ""
+    attributes = {key.lower(): key for key in item.attrs}
+    for key in keys:
+        if key in attributes:
+            value = item.attrs[attributes[key]]
             return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     return ""

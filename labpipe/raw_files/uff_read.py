@@ -39,6 +39,8 @@ SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N", 15: "Pa", 17: "s", 
 FORMS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _FORM_UNITS = {8: "m/N", 11: "m/(N.s)", 12: "m/(N.s^2)"}
 _FORCES = (9, 13)
+# Data types that leave open what was measured: unknown, general.
+_OPEN = (0, 1)
 _SAME = 1e-4
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
 # Relative tolerance between the frequency axes of records, which are printed with six digits.
@@ -301,7 +303,9 @@ def readable_unit(label: str, kind: int) -> str:
     """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown
     one.
     """
-    text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", label.strip().strip("[]"))
+    # Some programs write a quotient as (1/N)*(m/s2).
+    text = re.sub(r"^\(1/(\w+)\)\*\((.+)\)$", r"\2/\1", label.strip().strip("[]"))
+    text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", text)
     if kind == 12:
         text = re.sub(r"(?<![A-Za-z])g(?![A-Za-z])", "gn", text)
     try:
@@ -321,7 +325,11 @@ def form_of(record: UffRecord) -> str:
 
     DataError for any other function.
     """
-    if record.ordinate.kind not in FORMS or record.denominator.kind not in _FORCES:
+    of_force = record.denominator.kind in _FORCES
+    if record.ordinate.kind in _OPEN and not of_force and (form := _labelled_form(record)):
+        _check_directions(record)
+        return form
+    if record.ordinate.kind not in FORMS or not of_force:
         label = f", labelled {record.ordinate.unit}" if record.ordinate.unit else ""
         what = (
             f"{record.where}: the data types {record.ordinate.kind} per {record.denominator.kind}{label} are "
@@ -378,6 +386,23 @@ def titled_form(record: UffRecord) -> str:
     return next((form for form, word in _CALLED if re.match(word, called[1], re.IGNORECASE)), "")
 
 
+def frf_sizes(path: Path, records: Sequence[UffRecord]) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (n,) [Hz] and |H| (n, n_record) [unit of the file] of FRF records of one length; of the
+    first alone where they differ.
+    """
+    with open_uff(path) as buffer:
+        frequency = _frequency(buffer, records[0])
+        alike = [record for record in records if record.n_value == frequency.size]
+        return frequency, np.abs(np.stack([read_numbers(buffer, r.layout)[1] for r in alike], axis=1))
+
+
+def _labelled_form(record: UffRecord) -> str:
+    """The form of which the label of a record with open data types is a unit; '' for none."""
+    unit = readable_unit(record.ordinate.unit, 12) if record.ordinate.unit else ""
+    dimension = parse_unit(unit).dimension if unit else None
+    return next((f for f in FORMS.values() if parse_unit(RESPONSE_FORMS[f]).dimension == dimension), "")
+
+
 def _stated_factor(record: UffRecord, form: str, factor: float | None) -> float:
     """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
     that is a unit of this form, else 1.
@@ -407,10 +432,12 @@ def _labelled_factor(record: UffRecord) -> float | None:
     kind, label = record.ordinate.kind, record.ordinate.unit
     if not label:
         return 1.0
-    unit = readable_unit(label, kind)
+    unit = readable_unit(label, 12 if kind in _OPEN else kind)
     if not unit:
         return None
     ordinate = parse_unit(unit)
+    if kind in _OPEN:
+        return ordinate.factor
     if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
         return ordinate.factor
     force = parse_unit(axis_unit(record.denominator) or "N")
