@@ -12,6 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -41,6 +42,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sweeps import find_sweeps
 
 # The shipped examples: for every rig its recordings, what describes it, and the pipelines that use it.
 
@@ -117,6 +119,8 @@ NOT_SHOWN = (
 )
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
 AROUND, LEAST_LINES = 0.1, 12
+# Share of a record that sweeps take where they are its excitation.
+SWEPT = 0.4
 # Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
 STANDS_OUT = 0.7
 
@@ -236,7 +240,7 @@ def _channel_line(channel: GuessedChannel) -> str:
 
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
-    excitation = look(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    excitation = _excitation(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
     if excitation is not None and _side_by_side(first, outputs):
         return _pipeline_of_stator(first, excitation, paths)
     lines = [
@@ -265,6 +269,22 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     )
     return "\n".join(lines) + "\n"
+
+
+def _excitation(force: FloatArray, rate: float) -> Excitation:
+    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], sweeps among what has no period."""
+    seen = look(force, rate)
+    if seen.kind != "random":
+        return seen
+    try:
+        sweeps = find_sweeps(force)
+    except DataError:
+        return seen
+    if sum(sweep.stop - sweep.start for sweep in sweeps) < SWEPT * force.size:
+        return seen
+    widest = max(sweeps, key=lambda sweep: sweep.high - sweep.low)
+    band = widest.low * rate, min(widest.high * rate, 0.4 * rate)
+    return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
 
 
 def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
@@ -317,6 +337,7 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
         "impact": f"{excitation.repeats} hits",
+        "sweep": f"{excitation.repeats} sweep(s)",
     }[excitation.kind]
     low, high = excitation.band
     length = (
@@ -325,7 +346,8 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         else (f"{DECIDE}    {MARK} the time that {excitation.length} samples take")
     )
     lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
-    lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
+    if excitation.kind != "sweep":
+        lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
     if excitation.kind == "periodic":
         lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
     if rate:
@@ -362,13 +384,10 @@ def _peaks(
         return {}
     length = excitation.length / first.rate
     periodic = excitation.kind == "periodic"
-    settings = FrfSettings(
-        excitation=excitation.kind,
-        period=length if periodic else None,
-        skip=1 if excitation.repeats > 2 else 0,
-        block=None if periodic else length,
-        band=excitation.band,
-    )
+    keys: dict[str, Any] = {"block": length} if excitation.kind in ("random", "impact") else {}
+    if periodic:
+        keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
+    settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
     try:
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:

@@ -385,3 +385,19 @@ def test_every_example_is_whole_where_it_is_copied(tmp_path: Path, labpipe, name
 def test_an_example_runs_as_it_is(tmp_path: Path, labpipe) -> None:
     labpipe("init", tmp_path / "x", "--example", "hmb")
     assert labpipe("check", tmp_path / "x/pipelines/pedestal.yaml").code == 0
+
+
+def test_a_swept_sine_is_evaluated_as_one(tmp_path: Path, labpipe) -> None:
+    """One linear sweep over the resonance of `signals`, whose motion is the closed form's; K is held."""
+    n = np.arange(30000)
+    force = np.where(n < 20000, np.sin(2 * np.pi * (5 * n / RATE + 70 / 20 * (n / RATE) ** 2 / 2)), 0.0)
+    frequency = np.fft.rfftfreq(2 * n.size, 1 / RATE)
+    y = np.fft.irfft(np.fft.rfft(force, 2 * n.size) * receptance(frequency))[: n.size]
+    y += 0.01 * y.std() * np.random.default_rng(4).normal(size=y.size)
+    savemat(tmp_path / "run.mat", {"F": force, "y": y, "fs": RATE, "Unit": np.array(["N", "m"], object)})
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.mat")
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert "to be decided" not in ended.out and "excitation: sweep" in text and "block" not in text
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    k = first_fit(tmp_path / "out")["parameters"][0]
+    assert k["ci95"][0] <= K <= k["ci95"][1]
