@@ -126,10 +126,11 @@ def run(command: Command) -> tuple[int, str]:
     if command.parse_only:
         TABLE[words[0]].make_context(words[0], list(words[1:]))
         return 0, ""
-    stream = io.StringIO()
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):
         code = run_command([*words, *command.added])
-    return code, stream.getvalue()
+    stream.seek(0)
+    return code, stream.read()
 
 
 def without_report(command: Command) -> Command:

@@ -8,6 +8,7 @@ power of ten. What programs read (JSON, CSV) stays in SI at full precision.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from labpipe.quantities import PREFIXED, display_unit, to_display
@@ -145,6 +146,22 @@ def amount_text(value: float, error: float | None, si_unit: str, sign: str = "±
     return with_error(
         to_display(value, unit), None if error is None else difference_in(error, unit), unit, sign
     )
+
+
+# A number with its power of ten as this module writes it, and a power of a unit or a symbol.
+_POWER_OF_TEN = re.compile(r"((?<![\w.])\d(?:\.\d+)?|\))e([+-]?\d{1,3})(?![\w.])")
+_POWER = re.compile(r"(?<=[A-Za-z)])\^(-?\d)(?![\w.])")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def as_printed(text: str) -> str:
+    """A text with its powers and ± as a hand writes them: '(1.234 ± 0.011) × 10⁻⁷ m/s²' for '(1.234 +-
+    0.011)e-07 m/s^2'.
+
+    For people: programs read the text as it was.
+    """
+    raised = _POWER_OF_TEN.sub(lambda m: f"{m[1]} × 10{str(int(m[2])).translate(_RAISED)}", text)
+    return _POWER.sub(lambda m: m[1].translate(_RAISED), raised).replace(" +- ", " ± ")
 
 
 def plain_text(value: float, si_unit: str, digits: int = 5) -> str:

@@ -12,7 +12,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties
 from labpipe.cli import options
-from labpipe.cli.output import echo
+from labpipe.cli.output import echo, for_terminal
 from labpipe.display import amount_text, plain_text, significant
 from labpipe.project.bearing import (
     Evaluated,
@@ -146,7 +146,7 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     ranges = ", ".join(
         f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True)
     )
-    echo(f"over one ball passage the direct stiffness varies: {ranges}")
+    echo(for_terminal(f"over one ball passage the direct stiffness varies: {ranges}"))
 
 
 def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) -> None:

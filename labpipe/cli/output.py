@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import sys
 import unicodedata
 from collections.abc import Sequence
 
 import click
 
-from labpipe.display import difference_in, shown_unit, unit_label, written
+from labpipe.display import as_printed, difference_in, shown_unit, unit_label, written
 from labpipe.quantities import to_display
 
 # What commands print: text from files never acts on a terminal, and no message is longer than people read.
@@ -67,12 +68,18 @@ def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
     )
 
 
+def for_terminal(text: str) -> str:
+    """The text with powers and ± as a hand writes them, where the terminal takes UTF-8; else as it is."""
+    encoding = (getattr(sys.stdout, "encoding", "") or "").lower().replace("-", "")
+    return as_printed(text) if encoding == "utf8" else text
+
+
 # Tables on the terminal: columns of minimum width, empty ones omitted.
 
 
 def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
     """The rows below their header; the columns in *right* are numbers."""
-    rows = [[printable(cell) for cell in row] for row in rows]
+    rows = [[for_terminal(printable(cell)) for cell in row] for row in rows]
     columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
     widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
     for row in (header, *rows):

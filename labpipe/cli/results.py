@@ -12,7 +12,7 @@ from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read
 from labpipe.artefacts.writing import shown as shown_path
 from labpipe.cli import options
-from labpipe.cli.output import echo, echo_table, value_cells
+from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
 from labpipe.errors import DataError, cut
 from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow
@@ -239,7 +239,7 @@ def _slope(series: Series) -> str:
     per = series.condition_unit.split(" ")[0]
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    return (
+    return for_terminal(
         f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %): {verdict}, p = "
         f"{p_value:.2g}{scatter}"
     )

@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from labpipe.cli.output import echo
+from labpipe.cli.output import echo, for_terminal
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import DatasetIndex, Fit, Identification
 from labpipe.records.text import parameter_cells
@@ -80,12 +80,13 @@ def _echo_fit(fit: Fit) -> None:
 
 
 def _parameter_line(parameter: Parameter) -> str:
-    name, value, error, _, unit, _ = parameter_cells(parameter)
+    name, value, error, _, unit, _ = map(for_terminal, parameter_cells(parameter))
     mark = "" if parameter.significant is not False or parameter.derived else " *"
     if parameter.full_error is None:
         return f"{name:<14}{value:>12} {unit}".rstrip()
     what = "combined uncertainty" if parameter.systematic else "standard error"
-    return f"{name:<14}{value:>12} +- {error:<9} {unit:<6} ({what}){mark}"
+    sign = for_terminal(" +- ")
+    return f"{name:<14}{value:>12}{sign}{error:<9} {unit:<6} ({what}){mark}"
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
@@ -98,10 +99,12 @@ def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
             by_code.setdefault(finding.code, {}).setdefault(number, finding.message)
     for code, messages in by_code.items():
         times = "" if len(carriers) == 1 else f" (in {len(messages)} of {len(carriers)} {what}; the first:)"
-        echo(f"  {_coloured('warning', 'yellow')} {code}{times}: {next(iter(messages.values()))}")
+        echo(
+            f"  {_coloured('warning', 'yellow')} {code}{times}: {for_terminal(next(iter(messages.values())))}"
+        )
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))
     for finding in notes[:MAX_NOTES]:
-        echo(f"  {_coloured('note', 'cyan')} {finding.code}: {finding.message}")
+        echo(f"  {_coloured('note', 'cyan')} {finding.code}: {for_terminal(finding.message)}")
     if len(notes) > MAX_NOTES:
         echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
 

@@ -13,6 +13,7 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 
+from labpipe.display import as_printed
 from labpipe.document.figure_numbers import figure_json, figure_table, json_text, shape_numbers, short_name
 from labpipe.report.chart import Chart, Drawing, Graphic
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
@@ -90,9 +91,10 @@ class _Figures:
             still = f"<noscript><p>{NEEDS_SCRIPT}</p>{_whole(figure_table(graphic))}</noscript>"
         else:
             still = f'<div class="static"><img alt="{name}" src="{drawing_source(graphic)}"></div>'
+        caption = escape(as_printed(figure.caption))
         return (
             f'<figure id="figure-{self.count}" role="group" aria-label="{name}"{kind}>{still}{numbers}'
-            f"<figcaption><b>Figure {self.count}.</b> {escape(figure.caption)}</figcaption></figure>"
+            f"<figcaption><b>Figure {self.count}.</b> {caption}</figcaption></figure>"
         )
 
 
@@ -137,11 +139,8 @@ def _section(number: int, section: Section, counter: _Figures) -> str:
 
 def _block(block: Block, counter: _Figures) -> str:
     if isinstance(block, Paragraph):
-        return (
-            f'<p class="{escape(block.kind)}">{escape(block.text)}</p>'
-            if block.kind
-            else f"<p>{escape(block.text)}</p>"
-        )
+        kind = f' class="{escape(block.kind)}"' if block.kind else ""
+        return f"<p{kind}>{escape(as_printed(block.text))}</p>"
     if isinstance(block, Code):
         return f'<pre tabindex="0">{escape(block.text)}</pre>'
     return counter.html(block) if isinstance(block, Figure) else _table(block)
@@ -159,9 +158,10 @@ def _name(table: Table) -> str:
 
 def _whole(table: Table) -> str:
     """Rows under a header; a first cell with text is the row's header."""
-    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    caption = f"<caption>{escape(as_printed(table.caption))}</caption>" if table.caption else ""
     heads = "".join(
-        f'<th scope="col"{_mark(table, n)}>{escape(cell)}</th>' for n, cell in enumerate(table.header)
+        f'<th scope="col"{_mark(table, n)}>{escape(as_printed(cell))}</th>'
+        for n, cell in enumerate(table.header)
     )
     body = "\n".join(
         "<tr>" + "".join(_cell(table, n, cell) for n, cell in enumerate(cells)) + "</tr>"
@@ -195,8 +195,8 @@ def _folded(table: Table, name: str, whole: str) -> str:
 
 def _cell(table: Table, column: int, text: str) -> str:
     if column == 0 and text.strip():
-        return f'<th scope="row"{_mark(table, 0)}>{escape(text)}</th>'
-    return f"<td{_mark(table, column)}>{escape(text)}</td>"
+        return f'<th scope="row"{_mark(table, 0)}>{escape(as_printed(text))}</th>'
+    return f"<td{_mark(table, column)}>{escape(as_printed(text))}</td>"
 
 
 def _mark(table: Table, column: int) -> str:

@@ -23,6 +23,7 @@ from pypdf.generic import (
     StreamObject,
 )
 
+from labpipe.display import as_printed
 from labpipe.document.charts import STYLE, canvas_of, laid_out, png_bytes
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
@@ -220,7 +221,7 @@ def _box(pages: _Pages, block: Paragraph) -> None:
     pages.set_text_color(*TONES.get(block.kind, INK))
     pages.set_x(23)
     pages.multi_cell(
-        167, 6.5, block.text, fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3)
+        167, 6.5, as_printed(block.text), fill=True, new_x="LMARGIN", new_y="NEXT", align="L", padding=(2, 3)
     )
     if pages.page == page:
         pages.set_fill_color(*TONES.get(block.kind, INK))
@@ -239,9 +240,8 @@ def _text(
 
 def _put(pages: _Pages, block: Block) -> None:
     if isinstance(block, Paragraph):
-        _text(
-            pages, block.text, 9, bold=block.kind in ("passed", "failed"), colour=TONES.get(block.kind, INK)
-        )
+        text, bold = as_printed(block.text), block.kind in ("passed", "failed")
+        _text(pages, text, 9, bold=bold, colour=TONES.get(block.kind, INK))
         pages.ln(1.5)
     elif isinstance(block, Code):
         _text(pages, block.text, 6, colour=GREY)
@@ -268,7 +268,7 @@ def _figure(pages: _Pages, figure: Figure) -> None:
         room = io.BytesIO(ROOM.format(*figure.graphic.size).encode())
         pages.image(room, w=width, alt_text=figure.alternative)
     pages.figures += 1
-    _text(pages, f"Figure {pages.figures}. {figure.caption}", 8, colour=GREY)
+    _text(pages, as_printed(f"Figure {pages.figures}. {figure.caption}"), 8, colour=GREY)
     pages.ln(2)
 
 
@@ -283,7 +283,7 @@ def _as_dots(figure: Figure) -> bool:
 def _table(pages: _Pages, table: Table) -> None:
     """A table whose columns share the width by their longest text; its head comes again on each page."""
     if table.caption:
-        _text(pages, table.caption, 8.5, bold=True)
+        _text(pages, as_printed(table.caption), 8.5, bold=True)
     pages.set_font(FONT, "", 7)
     pages.set_text_color(*INK)
     pages.set_draw_color(*LINE)
@@ -297,6 +297,6 @@ def _table(pages: _Pages, table: Table) -> None:
         headings_style=FontFace(emphasis="BOLD", fill_color=SOFT),
     ) as drawn:
         for row in (table.header, *table.rows):
-            drawn.row([cell or " " for cell in row])
+            drawn.row([as_printed(cell) or " " for cell in row])
     pages.set_draw_color(0)
     pages.ln(2)

@@ -4,6 +4,7 @@ a file.
 
 from __future__ import annotations
 
+from labpipe.display import as_printed
 from labpipe.document.html_page import render_html
 from labpipe.records.identification import Identification
 from labpipe.registry import Registry
@@ -79,7 +80,8 @@ def _markdown(block: Block) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text in which nothing is markup."""
+    """Text in which nothing is markup, with powers as a hand writes them."""
+    text = as_printed(text)
     for sign in "\\`*_[]<>|#":
         text = text.replace(sign, f"\\{sign}")
     return text.replace("\n", " ")

@@ -1,4 +1,4 @@
-"""What a file's own metadata say of its channels or FRFs: quantity, unit, role, direction.
+"""What a file's own metadata say of its channels: quantity, unit, role, direction.
 
 What they do not say stays open.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -16,13 +15,10 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
-from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings, unit_of
+from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
+from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.raw_files.table import TEXT_SUFFIXES, Table
-from labpipe.raw_files.text_columns import TextColumns
-from labpipe.raw_files.text_table import plain_suffix
-from labpipe.records.frf_layout import MECHANICAL
-from labpipe.records.response import FORMS
+from labpipe.raw_files.table import Table
 
 # What a recording's own metadata say of its channels: quantity, unit, role, direction; what they do not
 # say, a person must.
@@ -49,7 +45,10 @@ _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(\d+)[+-][XYZ](?:_\d+)?$")
 _BY_NAME = (
     ("tacho", r"tacho|keyphasor|key.?phasor|trigger|rpm|drehzahl"),
-    ("force", r"force|hammer|kraft|load.?cell|impact|impuls|excitation|anregung|shaker|\bf[xyz]?\d*\b"),
+    (
+        "force",
+        r"force|hammer|kraft|load.?cell|impact|impuls(?!e? ?resp)|excitation|anregung|shaker|\bf[xyz]?\d*\b",
+    ),
     ("acceleration", r"acc|beschl|\ba[xyz]?\d*\b"),
     ("velocity", r"vel|\bv[xyz]?\d*\b"),
     ("displacement", r"disp|prox|probe|eddy|gap|weg|\b[xyz]\d*\b"),
@@ -177,6 +176,26 @@ def guess_channels(
     return [_along(channel, outputs) for channel in guessed]
 
 
+def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
+    """The channels, where none is a force the shortest hits of an unknown quantity as one.
+
+    *rows* (n_sample, n_channel) [recorded units]. What a hit excites looks like one, too, and lasts longer.
+    """
+    lengths = {
+        n: float(np.sum(signal**2) / np.max(np.abs(signal)) ** 2)
+        for n, channel in enumerate(channels)
+        if channel.quantity == DECIDE and hit_starts(signal := rows[:, n] - np.median(rows[:, n])).size
+    }
+    if not lengths or any(channel.role == "input" for channel in channels):
+        return tuple(channels)
+    shortest = min(lengths, key=lengths.__getitem__)
+    sensitivity = DECIDE if _measured_in(channels[shortest].unit) == "voltage" else ""
+    guess = "a force by its hits, which is a guess"
+    hammer = replace(channels[shortest], quantity="force", role="input", sensitivity=sensitivity, guess=guess)
+    outputs = [channel for channel in channels if channel.role == "output"]
+    return tuple(_along(hammer, outputs) if n == shortest else c for n, c in enumerate(channels))
+
+
 def _at_node(channel: GuessedChannel) -> GuessedChannel:
     """The channel with the node before its direction, where there are several nodes."""
     node = _node(channel.column)
@@ -271,68 +290,3 @@ def _along(channel: GuessedChannel, outputs: Sequence[GuessedChannel]) -> Guesse
     if channel.role != "input" or channel.dof != channel.key or len(outputs) != 1:
         return channel
     return replace(channel, dof=outputs[0].dof)
-
-
-# The columns of an FRF in a table of another program, as far as their names say.
-
-_NAMES = (
-    ("frequency", r"^freq|frequenz|^f$|^f ?[\[(]"),
-    ("coherence", r"coh|kohärenz|gamma"),
-    ("phase_rad", r"(phase|arg|winkel).*\brad"),
-    ("phase_deg", r"phase|arg\b|winkel"),
-    ("re", r"^re(al|\b)|\breal|realteil"),
-    ("im", r"^im(ag|\b)|\bimag|imaginärteil"),
-    ("amplitude_db", r"(amp|mag|betrag|abs|h\b|frf).*\bdb\b"),
-    ("amplitude", r"amp|mag|betrag|\babs|^\|?h\|?\b"),
-)
-_WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
-
-
-@dataclass(frozen=True)
-class GuessedFrf:
-    """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
-    (n_frequency,) [Hz] and size (n_frequency,) [unit of the file] as they stand there.
-    """
-
-    columns: dict[str, str]
-    unit: str
-    frequency: FloatArray
-    size: FloatArray
-
-
-def guessed_frf(path: Path) -> GuessedFrf | None:
-    """The FRF of a text table whose header names a frequency and the parts of complex numbers.
-
-    None for any other file.
-    """
-    if plain_suffix(path) not in TEXT_SUFFIXES:
-        return None
-    table = TextColumns(path)
-    columns: dict[str, str] = {}
-    for name in table.columns:
-        kind = next((kind for kind, pattern in _NAMES if re.search(pattern, name, re.IGNORECASE)), "")
-        if kind and kind not in columns:
-            columns[kind] = name
-    phase = next((kind for kind in ("phase_deg", "phase_rad") if kind in columns), "phase")
-    parts = next(
-        (pair for pair in _WHOLE if {part.replace("phase", phase) for part in pair} <= columns.keys()), None
-    )
-    if parts is None or "frequency" not in columns:
-        return None
-    used = ["frequency", *(part.replace("phase", phase) for part in parts), "coherence"]
-    columns = {kind: columns[kind] for kind in used if kind in columns}
-    numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
-    size = np.hypot(numbers["re"], numbers["im"]) if parts == ("re", "im") else numbers[parts[0]]
-    return GuessedFrf(
-        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size
-    )
-
-
-def _unit_of_frf(unit: str) -> str:
-    """The unit, in labpipe's notation where it is SI; '' for one that is none of an FRF."""
-    for form in MECHANICAL:
-        try:
-            return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
-        except UnitError:
-            continue
-    return ""

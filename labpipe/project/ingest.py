@@ -22,7 +22,7 @@ from labpipe.artefacts.recording_file import (
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, readings
-from labpipe.raw_files.joined_table import JoinedTable
+from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.rig import Rig, RigChannel
@@ -57,7 +57,7 @@ def ingest(
     """
     if is_recording(source):
         return open_recording(source)
-    table = _joined([source, *joined], rig, by) if joined else open_table(source)
+    table = _joined([source, *joined], rig, by) if joined else _opened(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
     header = Header(
         "recording", parameters, inputs=tuple(source_ref(path, base) for path in (source, *joined))
@@ -75,6 +75,14 @@ def ingest(
 def changed_while_read(path: Path) -> DataError:
     """The fault of a file that was written to meanwhile."""
     return DataError("changed while it was read", where=str(path), hint="run again when it is complete")
+
+
+def _opened(source: Path, rig: Rig) -> Table:
+    """The table of a file, at the rate to which the rig brings channels of several rates."""
+    table = open_table(source)
+    if rig.resample is None:
+        return table
+    return ResampledTable([table, *getattr(table, "others", ())], rig.resample)
 
 
 def _joined(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
@@ -177,7 +185,10 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> S
                 writer.write(calibration.with_sums(block))
             sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
             contents = recording_contents(channels, sample_rate, name, screen.levels())
-            findings = (*(table.findings() if isinstance(table, JoinedTable) else ()), *screen.findings())
+            findings = (
+                *(table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()),
+                *screen.findings(),
+            )
             writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)

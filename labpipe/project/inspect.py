@@ -14,6 +14,7 @@ from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import DataError
+from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import contradictions, is_recording
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import format_of
@@ -163,6 +164,9 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
         for name in names
         if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES
     ]
+    if not times and table.sample_rate is None and names[0] not in frequencies and len(names) > 1:
+        # A first column of even steps is the time, whatever it is called, as for `init`.
+        times = [names[0]] if step_of(next(iter(table.chunks(names[:1])))[:, 0]) else []
     look, time = _Look(names), TimeAxisScreen(times[0]) if times else None
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     if any(name.lower() in TIME_NAMES for name in frequencies):

@@ -92,12 +92,12 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
 
 
 def write_rotor_xlsx(artefact: Path, target: Path) -> None:
-    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `frequency` [rad/s], one sheet
-    each, as an Excel file.
+    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], one
+    sheet each, as an Excel file.
 
-    Of every level of the other conditions: a sheet over the speed with the coefficients at whirl in step with
-    it (synchronous), and one for every speed over the whirl frequency. DataError where no condition is a
-    speed, or coefficients are missing.
+    Of every level of the other conditions: a sheet over the `speed` of the shaft with the coefficients at
+    whirl in step with it (synchronous), and one for every speed over the whirl `frequency`. DataError where
+    no condition is a speed, or coefficients are missing.
     """
     load_extra("openpyxl", "excel", artefact)
     sheets = dict(rotor_sheets(*_matrices(artefact)))
@@ -141,6 +141,7 @@ def rotor_sheets(
             yield (
                 _sheet(number, "synchronous"),
                 _table(
+                    "speed",
                     2 * np.pi * np.array(speeds),
                     np.array(
                         [
@@ -155,7 +156,7 @@ def rotor_sheets(
                 whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
                 yield (
                     _sheet(number, f"{60 * speed:.0f} rpm"),
-                    _table(2 * np.pi * whirl, _at(course, whirl), others),
+                    _table("frequency", 2 * np.pi * whirl, _at(course, whirl), others),
                 )
 
 
@@ -214,9 +215,14 @@ def _at(course: Course, frequency: FloatArray) -> ComplexArray:
     return _interpolated(*course, frequency)
 
 
-def _table(omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:
-    """Rows over omega (n,) [rad/s] of k = Re H and c = Im H / w, and the other conditions in words."""
-    columns: dict[str, object] = {"frequency": omega}
+def _table(over: str, omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:
+    """Rows over omega (n,) [rad/s], a column named *over*, of k = Re H and c = Im H / w, and the other
+    conditions in words.
+
+    ROSS takes either name for one axis up to version 2; from version 3 on `frequency` is that of the whirl
+    alone.
+    """
+    columns: dict[str, object] = {over: omega}
     for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):
         columns[f"k{axes}"] = stiffness[:, row, column].real
     for row, column, axes in ((0, 0, "xx"), (0, 1, "xy"), (1, 0, "yx"), (1, 1, "yy")):

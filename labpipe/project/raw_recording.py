@@ -43,7 +43,7 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
     *base* is the folder to which the path in its reference is relative.
     """
-    if is_recording(source):
+    if is_recording(source) or rig.resample is not None:
         return None
     quick = as_quick(open_table(source))
     return None if quick is None else RawRecording(quick, rig, base)

@@ -17,6 +17,7 @@ from labpipe.raw_files.mat_frf import holds_response
 from labpipe.raw_files.table import TEXT_SUFFIXES, guarded, open_table, readable
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
+from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.damping import undamped
@@ -76,7 +77,10 @@ def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None 
 def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.table is not None:
         return guarded(read_described, path, layout, dofs)
-    response = load_response(path)
+    if layout.unit or layout.form:
+        response = guarded(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
+    else:
+        response = load_response(path)
     return dataclasses.replace(
         response,
         outputs=_renamed(response.outputs, dofs.outputs, "outputs", path),

@@ -56,6 +56,13 @@ class RigSettings(Settings):
         "value", "sampling rate, where no time column or file gives it", unit="Hz", default=None
     )
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
+    resample: float | None = setting(
+        "value",
+        "rate to which channels at several rates of one file (MDF, LVM) are brought, by cubic splines: that "
+        "of the fastest used, or more",
+        unit="Hz",
+        default=None,
+    )
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
     uncertainties: Uncertainties = ()
 
@@ -174,15 +181,14 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     channels, derived = _read_channels(
         _with_listed_sums(entries, faults), entries.get("constants"), tree, faults
     )
-    if settings is not None and settings.sample_rate is not None and settings.time is not None:
-        faults.add(
-            entries["time"],
-            "sample_rate",
-            "one of sample_rate and time is needed, not both",
-            "leave one of them out",
-        )
-    if settings is not None and settings.sample_rate is not None and settings.sample_rate <= 0:
-        faults.add(entries["sample_rate"], "sample_rate", "must be positive")
+    if settings is not None:
+        stated = [name for name in ("sample_rate", "time", "resample") if getattr(settings, name) is not None]
+        if len(stated) > 1:
+            what = f"one of {stated[0]} and {stated[1]} is needed, not both"
+            faults.add(entries[stated[1]], stated[0], what, "leave one of them out")
+        for name in ("sample_rate", "resample"):
+            if name in stated and getattr(settings, name) <= 0:
+                faults.add(entries[name], name, "must be positive")
     if len(faults) > before or settings is None:
         return None
     return Rig(
@@ -195,6 +201,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         description=settings.description,
         derived=derived,
         mass_uncertainty=dict(settings.uncertainties).get("mass"),
+        resample=settings.resample,
     )
 
 

@@ -9,35 +9,40 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.first_guess import (
     GuessedChannel,
-    GuessedFrf,
     copies,
     first_rows,
     guess_channels,
-    guessed_frf,
     step_of,
     time_columns,
+    with_hammer,
 )
+from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look
-from labpipe.raw_files.table import Table, open_table
+from labpipe.raw_files.table import Table, guarded, open_table
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.sweeps import find_sweeps
 
 # The shipped examples: for every rig its recordings, what describes it, and the pipelines that use it.
 
@@ -114,6 +119,10 @@ NOT_SHOWN = (
 )
 # A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
 AROUND, LEAST_LINES = 0.1, 12
+# Share of a record that sweeps take where they are its excitation.
+SWEPT = 0.4
+# Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
+STANDS_OUT = 0.7
 
 
 @dataclass(frozen=True)
@@ -159,8 +168,12 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     """
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
-        return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
-    guessed = guessed_frf(files[0]) if files[0].is_file() else None
+        try:
+            return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+        except DataError:
+            if plain_suffix(files[0]) not in UFF_SUFFIXES:
+                raise
+    guessed = guarded(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
         return Scaffold("", _pipeline_of_tables(guessed, paths))
     first = first_look(open_table(files[0]))
@@ -187,7 +200,7 @@ def first_look(table: Table) -> FirstLook:
         *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
     )
     channels = guess_channels([names[n] for n in chosen], table.units, getattr(table, "sensitivities", {}))
-    return FirstLook(tuple(channels), rate, time, rows[:, chosen], unused)
+    return FirstLook(with_hammer(channels, rows[:, chosen]), rate, time, rows[:, chosen], unused)
 
 
 def _rig(first: FirstLook, path: Path) -> str:
@@ -227,7 +240,7 @@ def _channel_line(channel: GuessedChannel) -> str:
 
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
-    excitation = look(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    excitation = _excitation(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
     if excitation is not None and _side_by_side(first, outputs):
         return _pipeline_of_stator(first, excitation, paths)
     lines = [
@@ -256,6 +269,22 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     )
     return "\n".join(lines) + "\n"
+
+
+def _excitation(force: FloatArray, rate: float) -> Excitation:
+    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], sweeps among what has no period."""
+    seen = look(force, rate)
+    if seen.kind != "random":
+        return seen
+    try:
+        sweeps = find_sweeps(force)
+    except DataError:
+        return seen
+    if sum(sweep.stop - sweep.start for sweep in sweeps) < SWEPT * force.size:
+        return seen
+    widest = max(sweeps, key=lambda sweep: sweep.high - sweep.low)
+    band = widest.low * rate, min(widest.high * rate, 0.4 * rate)
+    return Excitation("sweep", widest.stop - widest.start, band, len(sweeps))
 
 
 def _side_by_side(first: FirstLook, outputs: Sequence[int]) -> bool:
@@ -308,6 +337,7 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
         "impact": f"{excitation.repeats} hits",
+        "sweep": f"{excitation.repeats} sweep(s)",
     }[excitation.kind]
     low, high = excitation.band
     length = (
@@ -316,7 +346,8 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         else (f"{DECIDE}    {MARK} the time that {excitation.length} samples take")
     )
     lines = ["frf:", f"  excitation: {excitation.kind}".ljust(31) + f"# {remark}"]
-    lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
+    if excitation.kind != "sweep":
+        lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
     if excitation.kind == "periodic":
         lines.append(f"  skip: {1 if excitation.repeats > 2 else 0}".ljust(31) + "# transient periods")
     if rate:
@@ -353,13 +384,10 @@ def _peaks(
         return {}
     length = excitation.length / first.rate
     periodic = excitation.kind == "periodic"
-    settings = FrfSettings(
-        excitation=excitation.kind,
-        period=length if periodic else None,
-        skip=1 if excitation.repeats > 2 else 0,
-        block=None if periodic else length,
-        band=excitation.band,
-    )
+    keys: dict[str, Any] = {"block": length} if excitation.kind in ("random", "impact") else {}
+    if periodic:
+        keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
+    settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
     try:
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:
@@ -388,8 +416,15 @@ def _mobility(response: FrequencyResponse) -> FloatArray:
 
 
 def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
-    """The band around the highest peak, with LEAST_LINES lines at least."""
-    peak = int(np.argmax(mobility))
+    """The band around the highest peak, with LEAST_LINES lines at least.
+
+    A value at an end is none, and neither is one that hardly stands out of its surroundings, unless there is
+    no other.
+    """
+    logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
+    width = max(mobility.size // 400, 1)
+    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=width)
+    peak = int(found[np.argmax(mobility[found])]) if found.size else int(np.argmax(mobility))
     reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
     lowest = float(frequency[frequency > 0][0])
     return max(float(frequency[peak]) - reach, lowest), min(
@@ -415,18 +450,11 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
 
 
 def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
-    """A pipeline that begins with FRFs in tables of another program: one file, or one for each point."""
-    columns = ", ".join(
-        f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in guessed.columns.items()
-    )
-    unit = (
-        json.dumps(guessed.unit, ensure_ascii=False)
-        if guessed.unit
-        else f"{DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"
-    )
+    """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     lines = [
         "# What to do with the FRFs. Paths are relative to this file.",
         "title: Stiffness and damping from measured FRFs",
+        *(f"# a guess, {doubt}" for doubt in guessed.doubts),
         "frfs:",
     ]
     if len(paths) > 1:
@@ -437,14 +465,60 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
         )
     else:
         lines.append(f"  file: {json.dumps(paths[0], ensure_ascii=False)}")
-    lines += [f"  columns: {{{columns}}}", f"  unit: {unit}"]
+    if guessed.word:
+        lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
+    lines += _unit_lines(guessed)
+    outputs, force = ["y"], "f"
+    if guessed.elements:
+        outputs = _labels(guessed.elements)
+        lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
+        lines += [
+            f"    {json.dumps(name)}: {_flow(parts)}"
+            for name, parts in zip(outputs, guessed.elements.values(), strict=True)
+        ]
+    elif len(paths) == 1:
+        lines.append("  output: y".ljust(31) + "# the dof of the response: any name, such as 3.z")
     if len(paths) == 1:
-        lines.append(f"  output: {DECIDE}    {MARK} the dof of the response, for example x")
-        lines.append(f"  input: {DECIDE}    {MARK} the dof of the force, for example f")
+        lines.append("  input: f".ljust(31) + "# the dof of the force")
+    lines.append("identify:")
+    if len(paths) > 1:
+        outputs = [f"{DECIDE}    {MARK} the dof of a response"]
+        force = f"{DECIDE}    {MARK} the dof of the force"
     moving = guessed.frequency > 0
-    band = _around(guessed.frequency[moving], guessed.size[moving, None]) if moving.sum() > 1 else None
-    fit = _fit_lines(
-        "fit", f"{DECIDE}    {MARK} the dof of the force", f"{DECIDE}    {MARK} the dof of the response", band
-    )
-    lines += ["identify:", *(line.replace("estimator: ml", "estimator: ls") for line in fit)]
+    for number, output in enumerate(outputs):
+        band = None
+        if moving.sum() > 1 and number < guessed.size.shape[1]:
+            band = _around(guessed.frequency[moving], guessed.size[moving, number])
+        fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
+        lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
     return "\n".join(lines) + "\n"
+
+
+def _flow(columns: Mapping[str, str]) -> str:
+    return (
+        "{"
+        + ", ".join(f"{kind}: {json.dumps(name, ensure_ascii=False)}" for kind, name in columns.items())
+        + "}"
+    )
+
+
+def _unit_lines(guessed: GuessedFrf) -> list[str]:
+    """The form and the unit of FRFs: as the file says them, else to be decided."""
+    if guessed.unit:
+        return [f"  unit: {json.dumps(guessed.unit, ensure_ascii=False)}"]
+    if guessed.label:
+        form = [f"  form: {guessed.form}"] if guessed.form else []
+        mark = f"{MARK} the unit of the numbers, for example g/N; the records say {guessed.label}"
+        return [*form, f"  unit: {DECIDE}    {mark}"]
+    if guessed.form:
+        return [f"  form: {guessed.form}".ljust(31) + "# in SI units; for others add unit: g/N, for example"]
+    return [f"  unit: {DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"]
+
+
+def _labels(elements: Mapping[str, object]) -> list[str]:
+    """A dof for each element: what its name has beside that of the others."""
+    names = list(elements)
+    differing = (n for n, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
+    start = next(differing, min(map(len, names)))
+    labels = [re.sub(r"\W+", "_", name[start:]).strip("_") or name for name in names]
+    return labels if len(set(labels)) == len(labels) else [f"y{n}" for n in range(1, len(names) + 1)]

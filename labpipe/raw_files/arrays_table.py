@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tokenize
 import warnings
 import zipfile
@@ -101,25 +102,81 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
     return rates[0]
 
 
+def _is_time(name: str) -> bool:
+    return name.rpartition("/")[2].rpartition(".")[2].lower() in ("t", "time")
+
+
 def _is_named(name: str, names: tuple[str, ...]) -> bool:
     last_part = name.rpartition("/")[2].rpartition(".")[2].lower()
     return last_part in names or last_part.removeprefix("time_") in names
 
 
+# What lists of texts beside the channels are, by the last part of their name; and the words of an analyser
+# that describes its signals in one text ("Signal X1, Real EU N").
+_WHOSE = r"((channel|chan|ch|sensor|signal|column|y|eu)s?_?)"
+_LISTS = (
+    ("names", re.compile(rf"^({_WHOSE}(name|label)s?|names|labels)$", re.IGNORECASE)),
+    ("units", re.compile(rf"^{_WHOSE}?(eu|units?)(_?(label|string|name)s?)?$", re.IGNORECASE)),
+    ("sensitivities", re.compile(rf"^{_WHOSE}?sensitivit(y|ies)$", re.IGNORECASE)),
+)
+_SIGNAL = re.compile(r"Signal\s+(\w+)\b[^\n;]*?\bEU\s+([^\s,;]+)")
+
+
+def described(
+    columns: Sequence[str], texts: Mapping[str, Sequence[str]]
+) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
+    """(names, units, sensitivities) of *columns* by what *texts* beside them say.
+
+    A list of as many texts as there are columns is theirs in order, one of as many as a matrix has columns is
+    of that matrix; NAME_unit is that of NAME.
+    """
+    said: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
+    by_last = {name.rpartition(".")[2].rpartition("/")[2]: name for name in columns}
+    matrices: dict[str, list[str]] = {}
+    for name in columns:
+        matrices.setdefault(re.sub(r"_\d+$", "", name), []).append(name)
+    for key, entries in texts.items():
+        last = key.rpartition(".")[2].rpartition("/")[2]
+        for name, unit in _SIGNAL.findall("\n".join(entries)):
+            if name in by_last:
+                said["units"].setdefault(by_last[name], unit)
+        kind = next((kind for kind, pattern in _LISTS if pattern.match(last)), "")
+        group = next((g for g in (list(columns), *matrices.values()) if len(g) == len(entries) > 1), None)
+        if kind and group is not None:
+            said[kind] |= {name: text for name, text in zip(group, entries, strict=True) if text}
+        whose, _, word = last.rpartition("_")
+        if word.lower() in ("unit", "units") and whose in by_last and len(entries) == 1:
+            said["units"].setdefault(by_last[whose], entries[0])
+    names = said["names"]
+    if len(set(names.values())) < len(names):
+        names = {}
+    return names, said["units"], said["sensitivities"]
+
+
 class ArraysTable:
     """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of
-    values.
+    values; *texts*: what stands beside the numbers, which may say names, units and sensitivities.
     """
 
     def __init__(
-        self, path: Path, columns: Mapping[str, Column], units: dict[str, str], sample_rate: float | None
+        self,
+        path: Path,
+        columns: Mapping[str, Column],
+        units: dict[str, str],
+        sample_rate: float | None,
+        texts: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         self.path = path
-        self._columns = longest(columns, path)
+        chosen = longest(columns, path)
+        times = [name for name in chosen if _is_time(name)]
+        names, of_texts, sensitivities = described([n for n in chosen if n not in times], texts or {})
+        self._columns = {names.get(name, name): column for name, column in chosen.items()}
+        units = {names.get(name, name): unit for name, unit in (of_texts | units).items()}
+        self.sensitivities = {names.get(name, name): text for name, text in sensitivities.items()}
         self.unused = {
             name: column.n_value
             for name, column in columns.items()
-            if name not in self._columns and column.n_value > 1
+            if name not in chosen and column.n_value > 1
         }
         self.columns = tuple(self._columns)
         self.units = {name: unit for name, unit in units.items() if name in self._columns and unit}

@@ -66,9 +66,29 @@ class DescribedColumns:
             hint=nearest(described, [n for n in self.names if n]),
         )
 
+    def _numbered(self, described: str) -> tuple[str, int] | None:
+        """The variable and the column (or row) of a matrix that is named as `inspect` does: H_2."""
+        base, _, number = described.rpartition("_")
+        if self.word == "column" or described in self.names or base not in self.names or not number.isdigit():
+            return None
+        return base, int(number)
+
+    def _numbers(self, described: str) -> Any:
+        numbered = self._numbered(described)
+        if numbered is None:
+            return np.asarray(self._read(self._index(described)))
+        base, number = numbered
+        matrix = np.asarray(self._read(self._index(base)))
+        columns = matrix if matrix.ndim == 2 and matrix.shape[0] >= matrix.shape[1] else matrix.T
+        if matrix.ndim != 2 or not 1 <= number <= columns.shape[1]:
+            raise DataError(
+                f"the variable '{base}' of size {matrix.shape} has no column {number}", where=str(self.path)
+            )
+        return columns[:, number - 1]
+
     def unit(self, described: str) -> str:
         """The unit that the file states, '' for none or an unknown one."""
-        unit = self._units.get(self.names[self._index(described)], "")
+        unit = "" if self._numbered(described) else self._units.get(self.names[self._index(described)], "")
         try:
             parse_unit(unit) if unit else None
         except UnitError:
@@ -80,7 +100,7 @@ class DescribedColumns:
 
         DataError with the place of the first that is missing.
         """
-        numbers = np.asarray(self._read(self._index(described)))
+        numbers = self._numbers(described)
         if numbers.dtype.kind not in "iufc" or not numbers.size:
             raise DataError(f"{self.word} '{described}' holds no numbers", where=str(self.path))
         numbers = numbers.astype(np.complex128)

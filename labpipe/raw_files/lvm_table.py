@@ -39,7 +39,8 @@ class LvmHeader:
     """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from
     1.
 
-    spectrum: the X values are frequencies [Hz], and no rate follows from their steps.
+    spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
+    field [s]; counts: its number of samples, where channels differ in their rates, else 0.
     """
 
     delimiter: str
@@ -50,28 +51,47 @@ class LvmHeader:
     sample_rate: float | None
     first_line: int
     spectrum: bool
+    rates: tuple[float, ...] = ()
+    counts: tuple[int, ...] = ()
+    starts: tuple[float, ...] = ()
 
 
 class LvmTable:
     """The channels of a LabVIEW measurement file. Satisfies Table.
 
     Without columns of X values the rate is that of Delta_X; with them it is for the rig's `time: X_Value`,
-    and further segments, each under a header of its own, follow in their order. DataError for another kind of
-    text, and for segments without X values.
+    and further segments, each under a header of its own, follow in their order. Of channels at several rates
+    the table holds those of the highest, or of *rate* [Hz], and `others` are the tables of the other rates.
+    DataError for another kind of text, and for segments without X values.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, rate: float | None = None) -> None:
         self.path = path
-        self._header = self._read_header()
-        names = unique([self._header.titles[place] for place in self._header.used])
-        self._places = dict(zip(names, self._header.used, strict=True))
-        self.columns = names
+        header = self._header = self._read_header()
+        names = unique([header.titles[place] for place in header.used])
+        places = dict(zip(names, header.used, strict=True))
+        self.sample_rate, self._count, self.start = header.sample_rate, 0, 0.0
+        self.unused: dict[str, int] = {}
+        if header.rates:
+            rate_of = dict(zip(header.used, header.rates, strict=True))
+            self.sample_rate = rate or max(rate_of.values())
+            slower = {name: place for name, place in places.items() if rate_of[place] != self.sample_rate}
+            self.unused = {name: header.counts[place] for name, place in slower.items()}
+            places = {name: place for name, place in places.items() if name not in slower}
+            first = next(iter(places.values()))
+            self._count, self.start = header.counts[first], header.starts[first]
+        self._places, self.columns = places, tuple(places)
         self.units = {
             name: unit for name, place in self._places.items() if (unit := self._header.units[place])
         }
         if self._header.spectrum and X_VALUE in self._places:
             self.units[X_VALUE] = "Hz"
-        self.sample_rate = self._header.sample_rate
+
+    @property
+    def others(self) -> tuple[LvmTable, ...]:
+        """The tables of the channels at other rates."""
+        rates = sorted(set(self._header.rates) - {self.sample_rate}, reverse=True)
+        return tuple(LvmTable(self.path, rate) for rate in rates)
 
     def _lines(self) -> Iterator[str]:
         with (
@@ -131,7 +151,7 @@ class LvmTable:
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
         """(number, text) of the rows of numbers of all segments."""
-        inside = False
+        inside, left = False, self._count
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
@@ -142,6 +162,9 @@ class LvmTable:
                 inside = False
             elif inside and line.strip():
                 yield number, line
+                left -= 1
+                if left == 0:
+                    return
 
     def _check_segment(self, number: int) -> None:
         """DataError for a further segment where nothing says when it was recorded."""
@@ -176,7 +199,7 @@ def _header(
     decimal = stated or ("," if delimiter != "," and "," in row else ".")
     padded = {
         key: [*entries.get(key, []), *[""] * len(titles)]
-        for key in ("Samples", "Y_Unit_Label", "X_Dimension", "Delta_X")
+        for key in ("Samples", "Y_Unit_Label", "X_Dimension", "Delta_X", "X0")
     }
     with_x = bool(row.split(delimiter)[0].strip())
     used = [
@@ -191,8 +214,40 @@ def _header(
     spectrum = _is_spectrum(
         [(titles[place], padded["X_Dimension"][place]) for place in used if titles[place] != X_VALUE]
     )
-    rate = None if with_x or spectrum else _rate([padded["Delta_X"][place] for place in used], decimal, path)
+    channels = [place for place in used if titles[place] != X_VALUE]
+    texts = [padded["Delta_X"][place] for place in channels]
+    if len(set(texts)) > 1 and not spectrum:
+        # Every channel has X values of its own, or none: its step says the same.
+        rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
+        if min(rates) > 0 and len(set(rates)) > 1:
+            counts = tuple(_whole(text) for text in padded["Samples"])
+            starts = tuple(_seconds(text, decimal) for text in padded["X0"])
+            return LvmHeader(
+                delimiter,
+                decimal,
+                tuple(titles),
+                tuple(units),
+                tuple(channels),
+                None,
+                first_line,
+                spectrum,
+                rates,
+                counts,
+                starts,
+            )
+    rate = None if with_x or spectrum else _rate(texts, decimal, path)
     return LvmHeader(delimiter, decimal, tuple(titles), tuple(units), tuple(used), rate, first_line, spectrum)
+
+
+def _whole(text: str) -> int:
+    return int(text) if text.isdigit() else 0
+
+
+def _seconds(text: str, decimal: str) -> float:
+    try:
+        return float((text.replace(",", ".") if decimal == "," else text) or 0)
+    except ValueError:
+        return 0.0
 
 
 def _is_spectrum(channels: Sequence[tuple[str, str]]) -> bool:
@@ -214,7 +269,7 @@ def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
         raise DataError(f"Delta_X '{texts.pop()}' is not a number", where=str(path)) from None
     if len(numbers) > 1 or min(numbers) <= 0:
         raise DataError(
-            "the channels have different rates (Delta_X)", where=str(path), hint="one rate per file is needed"
+            "not every channel has a positive step Delta_X", where=str(path), hint="one for each channel"
         )
     (text,), (step,) = list(texts)[:1], numbers
     mantissa, _, exponent = text.upper().partition("E")

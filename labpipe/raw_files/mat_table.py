@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
+from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, is_numeric, rate_of
@@ -24,7 +25,7 @@ from labpipe.raw_files.hdf5_probe import check_hdf5
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
-_CLASSES = range(1, 18)
+_CLASSES, _OPAQUE = range(1, 18), 17
 _NUMERIC, _COMPLEX = range(6, 16), 0x800
 _FLAGS, _DIMENSIONS = 6, 5
 
@@ -78,6 +79,10 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
     flags = struct.unpack(f"{order}I", content[start : start + 4])[0] if (kind, size) == (_FLAGS, 8) else 0
     if flags & 0xFF not in _CLASSES:
         raise ValueError("a variable has no flags")
+    if flags & 0xFF == _OPAQUE:
+        # An object of a class: names in place of a size, and its numbers elsewhere; nobody reads it.
+        _check(content, following, end, order)
+        return
     kind, _, size, following = _element(content, following, end, order)
     if kind != _DIMENSIONS or size < 8 or size % 4:
         raise ValueError("a variable has no size")
@@ -119,13 +124,46 @@ def load_variables(path: Path) -> dict[str, Any]:
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """(name, array) of a variable and of the fields of a structure ("run.x")."""
+    """(name, array) of a variable and of the fields of a structure ("run.x"), or of each structure of an
+    array ("meas.Y(2).Data", as MATLAB writes it).
+    """
     names = getattr(getattr(value, "dtype", None), "names", None)
-    if names and value.size == 1:
-        for field in names:
-            yield from _fields(f"{name}.{field}", value.flat[0][field])
-    else:
+    if not names or isinstance(value, MatlabOpaque):
         yield name, value
+        return
+    for number, one in enumerate(value.flat, 1):
+        place = name if value.size == 1 else f"{name}({number})"
+        for field in names:
+            yield from _fields(f"{place}.{field}", one[field])
+
+
+# The fields in which programs keep the samples of a channel beside its name and unit (dSPACE:
+# meas.Y(k).Data).
+_SAMPLES, _NAMES, _UNIT_FIELDS = ("data", "values", "y"), ("name", "label"), ("unit", "units")
+
+
+def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
+    """For arrays in a structure that also says a name or a unit: key -> the column's name, where no two
+    channels share it; key -> unit.
+    """
+    lower = {key.lower(): key for key in arrays}
+    names: dict[str, str] = {}
+    units: dict[str, str] = {}
+    for key in arrays:
+        place, _, field = key.rpartition(".")
+        if not place or field.lower() not in _SAMPLES:
+            continue
+        for fields, texts in ((_NAMES, names), (_UNIT_FIELDS, units)):
+            stated = (
+                text_of(arrays[lower[f"{place.lower()}.{part}"]]).strip()
+                for part in fields
+                if f"{place.lower()}.{part}" in lower
+            )
+            text = next((text.strip('"') for text in stated if text), "")
+            if text and text != "-":
+                texts[key] = text
+    counts = Counter(names.values())
+    return {key: name for key, name in names.items() if counts[name] == 1 and name not in arrays}, units
 
 
 def load_fields(path: Path) -> dict[str, Any]:
@@ -144,17 +182,33 @@ def mat_table(path: Path) -> ArraysTable:
     if is_hdf5(path):
         return hdf5_table(path)
     arrays = load_fields(path)
-    numeric = {name: value for name, value in arrays.items() if is_numeric(value)}
+    named, stated = _named_channels(arrays)
     units = {
         name.removeprefix("units."): text_of(value)
         for name, value in arrays.items()
         if name.startswith("units.")
     }
+    units |= {named.get(key, key): unit for key, unit in stated.items()}
+    numeric = {named.get(name, name): value for name, value in arrays.items() if is_numeric(value)}
     columns = {
         name: column for key, value in numeric.items() for name, column in columns_of(key, value).items()
     }
     rate = rate_of({name: value.item() for name, value in numeric.items() if value.size == 1}, path)
-    return ArraysTable(path, columns, units, rate)
+    texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
+    return ArraysTable(path, columns, units, rate, texts)
+
+
+def lines_of(value: Any) -> list[str]:
+    """The texts of a char variable, of its rows, or of a cell array of texts; [] for anything else."""
+    array = np.asarray(value)
+    if array.dtype.kind == "U":
+        return [str(text).strip() for text in array.flat]
+    if array.dtype.kind != "O" or not array.size:
+        return []
+    cells = [np.asarray(cell) for cell in array.flat]
+    if any(cell.dtype.kind != "U" or cell.size > 1 for cell in cells):
+        return []
+    return [text_of(cell).strip() for cell in cells]
 
 
 def text_of(value: Any) -> str:
@@ -165,7 +219,9 @@ def text_of(value: Any) -> str:
 
 # HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block.
 
-_UNITS = ("unit", "units", "unit_string")
+_UNITS, _SENSITIVITIES = ("unit", "units", "unit_string", "y_unit"), ("sensitivity",)
+# Longest list of texts that may describe channels.
+MOST_TEXTS = 10_000
 
 
 def hdf5_table(path: Path) -> ArraysTable:
@@ -192,15 +248,37 @@ def hdf5_table(path: Path) -> ArraysTable:
         if item.size > 1
         for name, column in columns_of(key, item).items()
     }
-    units = {name: _unit(sets, name) for name in columns}
-    return ArraysTable(path, columns, units, rate_of(scalars, path))
+    units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
+    table = ArraysTable(path, columns, units, rate_of(scalars, path), _hdf5_texts(file))
+    for name in table.columns:
+        if text := _attribute(sets, name, _SENSITIVITIES):
+            table.sensitivities[name] = text
+    return table
+
+
+def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
+    """Data sets of texts by name; of MATLAB's chars and cells nothing is read here."""
+    texts: dict[str, list[str]] = {}
+
+    def add(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.size < MOST_TEXTS:
+            texts[name] = [
+                part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
+                for part in np.atleast_1d(item[()]).ravel()
+            ]
+
+    file.visititems(add)
+    return texts
 
 
 def _numeric_sets(file: h5py.File) -> dict[str, Any]:
     sets: dict[str, Any] = {}
 
     def add(name: str, item: Any) -> None:
-        is_text = getattr(item, "attrs", {}).get("MATLAB_class", b"") in (b"char", b"cell")
+        attributes = getattr(item, "attrs", {})
+        is_text = attributes.get("MATLAB_class", b"") in (b"char", b"cell")
+        # Of an object there are only numbers that say where it lies.
+        is_text = is_text or "MATLAB_object_decode" in attributes
         if isinstance(item, h5py.Dataset) and not name.startswith("#") and not is_text:
             if item.shape == ():
                 if item.dtype.kind in "iuf":
@@ -222,12 +300,16 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
     return rates
 
 
-def _unit(sets: dict[str, Any], name: str) -> str:
+def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
+    """The first attribute of a column's data set that is named as one of *keys*, in letters of any size."""
     item: Any = sets.get(name)
     if item is None:
         item = sets.get(name.rpartition("_")[0])
-    for key in _UNITS if item is not None else ():
-        if key in item.attrs:
-            value = item.attrs[key]
+    if item is None:
+        return ""
+    attributes = {key.lower(): key for key in item.attrs}
+    for key in keys:
+        if key in attributes:
+            value = item.attrs[attributes[key]]
             return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     return ""

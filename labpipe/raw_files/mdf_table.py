@@ -1,5 +1,5 @@
 """MDF files of version 3 and 4 (.mf4, .mdf), read by asammdf: the channels of the longest group, with its
-times.
+times; other groups on request.
 """
 
 from __future__ import annotations
@@ -37,14 +37,20 @@ def mdf_table(path: Path) -> MdfTable:
 
 
 def touch(path: Path) -> None:
-    """Open a file and read the first and the last two samples of every channel."""
-    MdfTable(path).read_ends()
+    """Open a file and read the first and the last two samples of every channel of every group."""
+    longest = MdfTable(path)
+    for table in (longest, *longest.others):
+        table.read_ends()
 
 
 class MdfTable:
-    """The numeric channels of the longest group and their times as the column "time [s]". Satisfies Table."""
+    """The numeric channels of the longest group, or of *group*, and their times as the column "time [s]".
+    Satisfies Table.
 
-    def __init__(self, path: Path) -> None:
+    `others` are the tables of the other groups.
+    """
+
+    def __init__(self, path: Path, group: int | None = None) -> None:
         self.path = path
         self._library = load_extra("asammdf", "mdf", path)
         logging.getLogger("asammdf").setLevel(logging.CRITICAL)
@@ -52,10 +58,20 @@ class MdfTable:
             groups = [
                 (int(group.channel_group.cycles_nr), number) for number, group in enumerate(file.groups)
             ]
+            if group is not None:
+                groups = [groups[group]]
             self._length, self._group = max(groups, default=(0, -1))
             if self._length < 2:
                 raise DataError("holds no group of samples", where=str(path))
             self._check_amount(file.groups[self._group])
+            self._others = [n for length, n in groups if n != self._group and length > 1]
+            self.unused = {
+                channel.name: length
+                for length, n in groups
+                if n in self._others
+                for place, channel in enumerate(file.groups[n].channels)
+                if place != file.masters_db.get(n)
+            }
             master = file.masters_db.get(self._group)
             channels = [
                 (channel.name, number, signal.unit)
@@ -68,6 +84,12 @@ class MdfTable:
         self.columns = (TIME, *names)
         self.units = {name: unit for name, (_, _, unit) in zip(names, channels, strict=True) if unit}
         self.sample_rate: float | None = None
+
+    @property
+    def others(self) -> tuple[MdfTable, ...]:
+        """The tables of the other groups that hold numeric channels."""
+        tables = (MdfTable(self.path, number) for number in self._others)
+        return tuple(table for table in tables if len(table.columns) > 1)
 
     def _check_amount(self, group: Any) -> None:
         """DataError where the file says more samples than its blocks can hold: the library would make room

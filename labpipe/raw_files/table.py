@@ -290,6 +290,9 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
     """DataError for a required column that is missing (with the nearest name) or not unique."""
     for name in required:
         count = table.columns.count(name)
+        if count == 0 and name in getattr(table, "unused", {}) and getattr(table, "others", ()):
+            hint = "resample: RATE in the rig file brings all to one rate"
+            raise DataError(f"'{name}' has another rate than the others", where=str(table.path), hint=hint)
         if count == 0:
             raise DataError(f"no column '{name}'", where=str(table.path), hint=nearest(name, table.columns))
         if count > 1:

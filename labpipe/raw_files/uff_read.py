@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, parse_unit, parse_value
+from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
 from labpipe.raw_files.table import unique
 from labpipe.raw_files.uff import (
     COHERENCE,
@@ -30,6 +30,7 @@ from labpipe.raw_files.uff import (
     read_numbers,
     read_uff,
 )
+from labpipe.records.response import FORMS as RESPONSE_FORMS
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
 
@@ -38,6 +39,8 @@ SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N", 15: "Pa", 17: "s", 
 FORMS = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _FORM_UNITS = {8: "m/N", 11: "m/(N.s)", 12: "m/(N.s^2)"}
 _FORCES = (9, 13)
+# Data types that leave open what was measured: unknown, general.
+_OPEN = (0, 1)
 _SAME = 1e-4
 AXES = ("", "x", "y", "z", "rx", "ry", "rz")
 # Relative tolerance between the frequency axes of records, which are printed with six digits.
@@ -51,12 +54,16 @@ _STEP_DIGITS = 1e-5
 _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 
-def read_frf_uff(path: Path, name: str = "") -> FrequencyResponse:
+Stated = tuple[str, float | None]
+
+
+def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> FrequencyResponse:
     """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6).
 
     Rows and columns are the responses and references in order of appearance; a function in -X is converted to
-    +X. DataError for a missing or repeated element, for different forms or frequencies, and for missing
-    numbers.
+    +X. *stated*: form and SI value per value of the file, for records that leave their axes open (type 0);
+    without a factor their labels count, else SI. DataError for a missing or repeated element, for different
+    forms or frequencies, and for missing numbers.
     """
     records = read_uff(path)
     frfs = [record for record in records if record.function == FRF]
@@ -65,10 +72,15 @@ def read_frf_uff(path: Path, name: str = "") -> FrequencyResponse:
             raise DataError(
                 "holds no FRF records", hint="time records belong under recordings: in a pipeline"
             )
-        form = _one_form(frfs)
+        form = stated[0] if stated else _one_form(frfs)
         with open_uff(path) as buffer:
             return _response(
-                buffer, frfs, [record for record in records if record.function == COHERENCE], form, name
+                buffer,
+                frfs,
+                [record for record in records if record.function == COHERENCE],
+                form,
+                [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs],
+                name,
             )
     except DataError as error:
         error.where = error.where or str(path)
@@ -86,14 +98,25 @@ def _one_form(frfs: Sequence[UffRecord]) -> str:
 
 
 def _response(
-    buffer: mmap.mmap, frfs: list[UffRecord], coherences: list[UffRecord], form: str, name: str
+    buffer: mmap.mmap,
+    frfs: list[UffRecord],
+    coherences: list[UffRecord],
+    form: str,
+    factors: list[float],
+    name: str,
 ) -> FrequencyResponse:
     frequency = _frequency(buffer, frfs[0])
     outputs = tuple(dict.fromkeys(_key(record.response) for record in frfs))
     inputs = tuple(dict.fromkeys(_key(record.reference) for record in frfs))
     several = len({node for _, node, axis in (*outputs, *inputs) if axis}) > 1
     elements = _elements(frfs)
-    matrix = _cube(outputs, inputs, lambda o, i: _values(buffer, _element(elements, o, i), frequency))
+    factor_of = {record.number: factor for record, factor in zip(frfs, factors, strict=True)}
+
+    def values(output: Key, reference: Key) -> ComplexArray:
+        record = _element(elements, output, reference)
+        return _values(buffer, record, frequency, factor_of[record.number])
+
+    matrix = _cube(outputs, inputs, values)
     coherence_records = _elements(coherences)
     has_all = all((o, i) in coherence_records for o in outputs for i in inputs)
     coherence = (
@@ -169,13 +192,11 @@ def _same_lines(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> 
     return read_numbers(buffer, record.layout)[1]
 
 
-def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray) -> ComplexArray:
+def _values(buffer: mmap.mmap, record: UffRecord, frequency: FloatArray, factor: float) -> ComplexArray:
     if record.layout.parts != 2:
         raise DataError(f"{record.where}: an FRF of real numbers, complex ones are required")
     sign = -1.0 if (record.response.direction < 0) != (record.reference.direction < 0) else 1.0
-    return np.asarray(
-        _same_lines(buffer, record, frequency) * np.float64(sign * frf_factor(record)), np.complex128
-    )
+    return np.asarray(_same_lines(buffer, record, frequency) * np.float64(sign * factor), np.complex128)
 
 
 def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
@@ -282,7 +303,9 @@ def readable_unit(label: str, kind: int) -> str:
     """The label in labpipe's notation ("m/s2" -> "m/s^2", and g of an acceleration -> gn), '' for an unknown
     one.
     """
-    text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", label.strip().strip("[]"))
+    # Some programs write a quotient as (1/N)*(m/s2).
+    text = re.sub(r"^\(1/(\w+)\)\*\((.+)\)$", r"\2/\1", label.strip().strip("[]"))
+    text = re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", text)
     if kind == 12:
         text = re.sub(r"(?<![A-Za-z])g(?![A-Za-z])", "gn", text)
     try:
@@ -302,15 +325,26 @@ def form_of(record: UffRecord) -> str:
 
     DataError for any other function.
     """
-    if record.ordinate.kind not in FORMS or record.denominator.kind not in _FORCES:
-        types = f"{record.ordinate.kind} per {record.denominator.kind}"
+    of_force = record.denominator.kind in _FORCES
+    if record.ordinate.kind in _OPEN and not of_force and (form := _labelled_form(record)):
+        _check_directions(record)
+        return form
+    if record.ordinate.kind not in FORMS or not of_force:
+        label = f", labelled {record.ordinate.unit}" if record.ordinate.unit else ""
         what = (
-            f"{record.where}: the data types {types} are not displacement, velocity or acceleration per force"
+            f"{record.where}: the data types {record.ordinate.kind} per {record.denominator.kind}{label} are "
+            "not displacement (8), velocity (11) or acceleration (12) per force (13)"
         )
-        raise DataError(what, hint="8, 11 or 12 per 13 are required")
+        raise DataError(
+            what, hint="state it under frfs: {file: FILE, form: accelerance}, with unit: where not SI"
+        )
+    _check_directions(record)
+    return FORMS[record.ordinate.kind]
+
+
+def _check_directions(record: UffRecord) -> None:
     if max(abs(record.response.direction), abs(record.reference.direction)) > 3:
         raise DataError(f"{record.where}: rotations and moments are not supported")
-    return FORMS[record.ordinate.kind]
 
 
 def frf_factor(record: UffRecord) -> float:
@@ -335,6 +369,61 @@ def frf_factor(record: UffRecord) -> float:
     return factor
 
 
+# What titles call the response, as in "Frequency Response H1(Acc,Force)", by the form that it makes.
+_TITLED = re.compile(r"\(\s*(\w+)\s*,\s*\w*(?:for|ham|kraft|mart|load)\w*\s*\)", re.IGNORECASE)
+_CALLED = (
+    ("accelerance", r"acc|acel|beschl|\ba\b"),
+    ("mobility", r"vel|gesch|\bv\b"),
+    ("receptance", r"disp|desl|desp|weg|ausl|\b[dx]\b"),
+)
+
+
+def titled_form(record: UffRecord) -> str:
+    """The form that the title of an FRF record names, '' where it does not."""
+    called = _TITLED.search(record.title)
+    if called is None:
+        return ""
+    return next((form for form, word in _CALLED if re.match(word, called[1], re.IGNORECASE)), "")
+
+
+def frf_sizes(path: Path, records: Sequence[UffRecord]) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (n,) [Hz] and |H| (n, n_record) [unit of the file] of FRF records of one length; of the
+    first alone where they differ.
+    """
+    with open_uff(path) as buffer:
+        frequency = _frequency(buffer, records[0])
+        alike = [record for record in records if record.n_value == frequency.size]
+        return frequency, np.abs(np.stack([read_numbers(buffer, r.layout)[1] for r in alike], axis=1))
+
+
+def _labelled_form(record: UffRecord) -> str:
+    """The form of which the label of a record with open data types is a unit; '' for none."""
+    unit = readable_unit(record.ordinate.unit, 12) if record.ordinate.unit else ""
+    dimension = parse_unit(unit).dimension if unit else None
+    return next((f for f in FORMS.values() if parse_unit(RESPONSE_FORMS[f]).dimension == dimension), "")
+
+
+def _stated_factor(record: UffRecord, form: str, factor: float | None) -> float:
+    """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
+    that is a unit of this form, else 1.
+
+    DataError where the record itself says another form.
+    """
+    _check_directions(record)
+    kind, of_force = record.ordinate.kind, record.denominator.kind in _FORCES
+    own = FORMS.get(kind, "") if of_force else ""
+    if own and own != form:
+        raise DataError(f"{record.where} holds {own} by its data types, {form} by the entry under frfs")
+    if factor is not None:
+        return factor
+    if own:
+        return frf_factor(record)
+    try:
+        return unit_of(record.ordinate.unit, RESPONSE_FORMS[form]).factor if record.ordinate.unit else 1.0
+    except UnitError:
+        return 1.0
+
+
 def _labelled_factor(record: UffRecord) -> float | None:
     """The factor of the labels: one for the whole quotient, or one for each part.
 
@@ -343,10 +432,12 @@ def _labelled_factor(record: UffRecord) -> float | None:
     kind, label = record.ordinate.kind, record.ordinate.unit
     if not label:
         return 1.0
-    unit = readable_unit(label, kind)
+    unit = readable_unit(label, 12 if kind in _OPEN else kind)
     if not unit:
         return None
     ordinate = parse_unit(unit)
+    if kind in _OPEN:
+        return ordinate.factor
     if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
         return ordinate.factor
     force = parse_unit(axis_unit(record.denominator) or "N")

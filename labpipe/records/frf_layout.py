@@ -42,6 +42,8 @@ PARTS = (
     ("amplitude_db", "phase_deg"),
     ("amplitude_db", "phase_rad"),
 )
+# Endings of universal files.
+UNIVERSAL = (".uff", ".unv", ".uf")
 PART_NAMES = ("re", "im", "complex", "amplitude", "amplitude_db", "phase_deg", "phase_rad")
 _KNOWN_PARTS = "re and im, complex, or amplitude (amplitude_db) and phase_deg (phase_rad)"
 
@@ -157,7 +159,9 @@ class FrfLayout(Settings):
                 "'columns' and 'variables' are both named",
                 hint="columns for a table, variables for .mat, .h5 and .npz",
             )
-        if self.table is None and (self.unit or self.form or self.elements or self.axes):
+        stated = self.unit or self.form
+        # The records of a universal file may leave open what they hold.
+        if self.table is None and (self.elements or self.axes or (stated and not self._are_universal)):
             raise ConfigError(
                 "neither 'columns' nor 'variables' say where the numbers stand",
                 hint="columns: {frequency: 1, re: 2, im: 3}",
@@ -166,7 +170,12 @@ class FrfLayout(Settings):
             raise ConfigError("'axes' must name frequency, output and input once each", field="axes")
         if self.table is not None:
             self._check_elements(self.table)
+        if self.table is not None or self.unit:
             self._check_unit()
+
+    @property
+    def _are_universal(self) -> bool:
+        return all(name.lower().endswith(UNIVERSAL) for name in (self.file, *self.each) if name)
 
     @property
     def table(self) -> FrfColumns | None:

@@ -36,7 +36,8 @@ class RigChannel:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds; *mass* [kg] or None.
+    """The rig file: *sample_rate* [Hz] or the *time* column with its unit in seconds, or the rate [Hz] to
+    *resample* channels of several rates to; *mass* [kg] or None.
 
     derived: channels that are sums of recorded ones. mass_uncertainty: the mass with its standard
     uncertainty, if it has one.
@@ -51,6 +52,7 @@ class Rig:
     description: str = ""
     derived: tuple[Channel, ...] = ()
     mass_uncertainty: Uncertain | None = None
+    resample: float | None = None
 
     @property
     def all_channels(self) -> tuple[Channel, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -217,6 +217,12 @@ STEPPED, LEAST_WINDOWS = 0.5, 10
 MARGIN, MARGIN_SHARE = 2.0, 0.02
 # Share of the length of the longest sweep below which a run is none: a restart looks like a short sweep back.
 LEAST_LENGTH = 0.1
+# A piece of crossings goes on with a sweep that it does not turn back from by more than this, where both lie
+# within this share of one law (median).
+BACK, OFF_LAW = 0.9, 0.06
+# A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
+# frequency.
+REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.8, 1.15
 # What runs on a straight line over time, and back to the frequency.
 LAWS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
     "linear": (np.asarray, np.asarray),
@@ -268,10 +274,9 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     # In noise a line through few samples can put a crossing ahead of the one before.
     times = times[np.diff(np.maximum.accumulate(times), prepend=-np.inf) > 0]
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
-    sweeps = [
-        _sweep(force, times[first:last]) for first, last in pieces if last - first > LEAST_SWEPT_PERIODS
-    ]
-    sweeps = [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low]
+    runs = _continued([times[first:last] for first, last in pieces if last - first > LEAST_SWEPT_PERIODS])
+    sweeps = [_sweep(force, run) for run in runs]
+    sweeps = _reaching(force, [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low])
     if not sweeps:
         raise DataError("the force holds no sweep", hint=_SWEEP_HINT)
     loudest, longest = max(sweep.level for sweep in sweeps), max(sweep.stop - sweep.start for sweep in sweeps)
@@ -330,9 +335,99 @@ def _smoothed(values: FloatArray) -> FloatArray:
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1))
 
 
-def _sweep(force: FloatArray, times: FloatArray) -> FoundSweep:
-    """The sweep with zero crossings at *times* (n,) [samples] of a *force* (n_sample,) [N]."""
-    frequency, middle = 1 / np.diff(times), (times[1:] + times[:-1]) / 2
+def _continued(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
+    """Pieces of crossings (n,) [samples], those together that one sweep runs through: where a structure takes
+    its shaker along the force all but vanishes, and the crossings are lost.
+    """
+    runs: list[list[FloatArray]] = []
+    for piece in pieces:
+        # A few crossings near a resonance may belong to nothing, and what comes behind them to the sweep.
+        run = next((run for run in reversed(runs) if _goes_on(run, piece)), None)
+        if run is None:
+            runs.append([piece])
+        else:
+            run.append(piece)
+    ends = [(run[0][0], run[-1][-1]) for run in runs]
+    return [
+        run
+        for run, (start, stop) in zip(runs, ends, strict=True)
+        if not any(first < start and stop < last for first, last in ends)
+    ]
+
+
+def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
+    """Whether a piece of crossings (n,) [samples] lies on the law of the run of pieces ahead of it, in the
+    same direction, after a gap that is shorter than both together.
+    """
+    (before, low), (after, high) = _course(run), _course([piece])
+    further = float(np.median(high[:AT_END]) / np.median(low[-AT_END:]))
+    further = further if np.median(low[-AT_END:]) > np.median(low[:AT_END]) else 1 / further
+    if further < BACK or piece[0] - run[-1][-1] > np.ptp(before) + np.ptp(piece):
+        return False
+    times = np.concatenate([before, after])
+    for there, back in LAWS.values():
+        line = np.polyfit(times, there(np.concatenate([low, high])), 1)
+        curves = ((before, low), (after, high))
+        if all(np.median(np.abs(back(np.polyval(line, t)) / f - 1)) < OFF_LAW for t, f in curves):
+            return True
+    return False
+
+
+def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) [samples] and frequencies (n,) [periods per sample] between neighbouring crossings of the
+    pieces of a run.
+    """
+    middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
+    return middle, np.concatenate([1 / np.diff(times) for times in run])
+
+
+def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSweep]:
+    """The sweeps, each as far to either side as the *force* (n_sample,) [N] still follows its law: at an end
+    it may be too small for clear crossings.
+    """
+    edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
+    return [
+        _extended(_extended(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
+        for n, sweep in enumerate(sweeps)
+    ]
+
+
+def _extended(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
+    """The sweep up to *edge* [samples] or to where less than half the power of *force* lies at its frequency,
+    after it (*sign* 1) or before it (-1), in steps of some periods.
+    """
+    end, frequency = (sweep.stop, sweep.last) if sign > 0 else (sweep.start, sweep.first)
+    rises = (1.0 if sweep.last > sweep.first else -1.0) * sign
+    while True:
+        width = int(REACH_PERIODS / frequency)
+        growth = sweep.growth * width
+        further = frequency + rises * growth if sweep.law == "linear" else frequency * np.exp(rises * growth)
+        window = force[end : end + width] if sign > 0 else force[end - width : end]
+        inside = (edge - end) * sign >= width and 0 < further < 0.5
+        if not inside or not _follows(window, frequency, further, sweep.level):
+            break
+        end, frequency = end + sign * width, further
+    return (
+        replace(sweep, stop=end, last=frequency) if sign > 0 else replace(sweep, start=end, first=frequency)
+    )
+
+
+def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
+    """Whether a *window* (n,) [N] has its power between two frequencies [periods per sample], and a level
+    that is not noise beside the *level* of the sweep.
+    """
+    power = np.abs(np.fft.rfft(window * np.hanning(window.size))) ** 2
+    frequency = np.fft.rfftfreq(window.size)
+    near = (frequency > min(low, high) / REACH_SPAN) & (frequency < max(low, high) * REACH_SPAN)
+    return bool(
+        power[near].sum() > REACH_SHARE * power.sum() and np.sqrt(np.mean(window**2)) > LEAST_LEVEL * level
+    )
+
+
+def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
+    """The sweep with zero crossings at the pieces (n,) [samples] of a *run*, of a *force* (n_sample,) [N]."""
+    times = np.concatenate(run)
+    middle, frequency = _course(run)
     lines = {law: np.polyfit(middle, there(frequency), 1) for law, (there, _) in LAWS.items()}
     curves = {law: LAWS[law][1](np.polyval(line, middle)) for law, line in lines.items()}
     law = min(curves, key=lambda name: float(np.std(curves[name] - frequency)))

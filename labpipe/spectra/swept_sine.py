@@ -38,16 +38,22 @@ ENOUGH_DOF = 48.0
 LEAST_SHARE, AROUND = 0.1, 101
 
 
+# Share of the widest band of a recording's sweeps below which a sweep is left out: the record begins or ends
+# within it, and its band would be that of all.
+WHOLE = 0.9
+
+
 @dataclass(frozen=True)
 class _Swept:
-    """A recording's *name*, its *sweeps*, the *cuts* between them, and its *samples* (n_sample,
-    n_channel).
+    """A recording's *name*, its *sweeps*, the *cuts* between them, its *samples* (n_sample, n_channel), and
+    sweeps *left_out*, which the record cuts.
     """
 
     name: str
     sweeps: list[FoundSweep]
     cuts: list[tuple[int, int]]
     samples: FloatArray
+    left_out: list[FoundSweep]
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
             f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})",
             hint="one sweep or more for each force",
         )
-    n_sample = _common_length(swept, rate)
+    n_sample = _common_length(swept)
     blocks = np.concatenate(
         [layout.padded(number, _transforms(one, n_sample), 1) for number, one in enumerate(swept)]
     )
@@ -112,34 +118,33 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
         sweeps = loudest_sweeps([find_sweeps(samples[:, column]) for column in input_columns if column >= 0])
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
-    return _Swept(source.name, sweeps, cuts(sweeps, samples.shape[0]), samples)
+    places = cuts(sweeps, samples.shape[0])
+    widest = max(sweep.high - sweep.low for sweep in sweeps)
+    whole = [n for n, sweep in enumerate(sweeps) if sweep.high - sweep.low >= WHOLE * widest]
+    kept, left_out = [sweeps[n] for n in whole], [s for n, s in enumerate(sweeps) if n not in whole]
+    return _Swept(source.name, kept, [places[n] for n in whole], samples, left_out)
 
 
-def _common_length(swept: Sequence[_Swept], rate: float) -> int:
-    """Samples of a block: as many as every sweep has up to the next one.
-
-    DataError where a sweep is longer than that.
-    """
-    n_sample = min(stop - start for run in swept for start, stop in run.cuts)
-    for one in swept:
-        for sweep, (start, _) in zip(one.sweeps, one.cuts, strict=True):
-            if sweep.stop - start > n_sample:
-                what = (
-                    f"'{one.name}': its sweep of {(sweep.stop - start) / rate:.4g} s is longer than "
-                    "another one with its pause"
-                )
-                raise DataError(
-                    f"{what}, {n_sample / rate:.4g} s", hint="sweeps of one length, or a test for each length"
-                )
-    return n_sample
+def _common_length(swept: Sequence[_Swept]) -> int:
+    """Samples of a block: as many as every sweep has up to the next one, and the longest sweep at least."""
+    between = min(stop - start for run in swept for start, stop in run.cuts)
+    longest = max(
+        sweep.stop - start for run in swept for sweep, (start, _) in zip(run.sweeps, run.cuts, strict=True)
+    )
+    return max(between, longest)
 
 
 def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
     """DFT of every sweep and what follows it, (n_block, n_line, n_channel), lines above 0 Hz and below half
     the rate.
+
+    What ends before *n_sample* is followed by zeros: what rings on there is leakage.
     """
-    whole = np.stack([swept.samples[start : start + n_sample] for start, _ in swept.cuts])
-    return np.asarray(fft.rfft(whole - whole.mean(axis=1, keepdims=True), axis=1)[:, 1 : (n_sample + 1) // 2])
+    blocks = np.zeros((len(swept.cuts), n_sample, swept.samples.shape[1]))
+    for block, (start, stop) in zip(blocks, swept.cuts, strict=True):
+        part = swept.samples[start : min(stop, start + n_sample)]
+        block[: part.shape[0]] = part - part.mean(axis=0)
+    return np.asarray(fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2])
 
 
 def _common_band(sweeps: Sequence[FoundSweep], rate: float) -> tuple[float, float]:
@@ -303,10 +308,17 @@ def _notes(swept: Sequence[_Swept], n_sample: int, rate: float) -> tuple[Finding
             f"'{one.name}': {len(one.sweeps)} sweep(s): "
             f"{'; '.join(dict.fromkeys(_described(sweep, rate) for sweep in one.sweeps))}; "
             f"{n_sample / rate:.4g} s of each with what follows it are transformed, lines every "
-            f"{rate / n_sample:.3g} Hz",
+            f"{rate / n_sample:.3g} Hz{_cut_note(one, rate)}",
         )
         for one in swept
     )
+
+
+def _cut_note(swept: _Swept, rate: float) -> str:
+    if not swept.left_out:
+        return ""
+    bands = ", ".join(f"{sweep.low * rate:.3g}-{sweep.high * rate:.3g} Hz" for sweep in swept.left_out)
+    return f"; left out, since the record cuts it: {bands}"
 
 
 def _described(sweep: FoundSweep, rate: float) -> str:

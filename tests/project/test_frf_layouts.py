@@ -136,3 +136,24 @@ def test_faults_of_entries(lab: Path, labpipe, entry: str, fault: str) -> None:
     ended = labpipe("run", "p.yaml", "-o", "out")
     assert ended.code == 2 and fault in ended.err and "Traceback" not in ended.err, ended
     assert not (lab / "out").exists()
+
+
+def test_universal_files_that_leave_their_form_open(lab: Path, labpipe) -> None:
+    """Closed form: records of data types 0 per 12 with the numbers of a receptance, one point for each file,
+    are what the entry says; a table needs its columns beside the form.
+    """
+    head = "    -1\n    58\nFrequency Response H1(Desl,Force)\n" + 4 * "NONE\n"
+    head += "    4         0    0         0 NONE               1   0 NONE               1   0\n"
+    head += f"         5{FREQUENCY.size:10d}         1  8.00000E+00  2.50000E-01  0.00000E+00\n"
+    for kind, label in ((18, "NONE"), (0, "Volts"), (12, "NONE"), (0, "NONE")):
+        head += f"{kind:10d}    0    0    0 {label:<21}{'V' if label == 'Volts' else 'NONE'}\n"
+    for point, share in (("y", 1.0), ("z", 0.5)):
+        values = "".join(f"{h.real:13.5e}{h.imag:13.5e}\n" for h in share * RECEPTANCE)
+        (lab / f"{point}.uff").write_text(head + values + "    -1\n")
+    entry = "{each: '[yz].uff', pattern: '{output}', input: y, form: receptance}"
+    rules = ACCEPT.replace("0.0001 %", "0.01 %")
+    (lab / "p.yaml").write_text(HEAD.replace("{entry}", entry) + FIT + rules)
+    ended = labpipe("run", "p.yaml", "-o", "out")
+    assert ended.code == 0, ended
+    (lab / "p.yaml").write_text(HEAD.replace("{entry}", "{file: h.txt, form: receptance}") + FIT)
+    assert "neither 'columns' nor 'variables'" in labpipe("run", "p.yaml", "-o", "o").err

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import output_folder
-from labpipe.errors import DataError
+from labpipe.errors import ConfigError, DataError
 from labpipe.project.ingest import (
     contradictions,
     ingest,
@@ -293,3 +293,25 @@ def test_samples_that_are_no_number_are_found_with_their_place(tmp_path: Path, b
         and "sample 40" in stored.findings[0].message
         and "y" in stored.findings[0].message
     )
+
+
+def test_channels_at_two_rates_in_one_recording(tmp_path: Path) -> None:
+    """By hand: a ramp at 5 Hz beside one at 10 Hz, both straight lines, whose splines are exact."""
+    header = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
+    header += "Samples\t9\t5\t\nY_Unit_Label\tNewtons\tum\t\nX_Dimension\tTime\tTime\t\nDelta_X\t0.1\t0.2\t\n"
+    rows = [f"\t{n}\t{20 * n if n < 5 else ''}\n" for n in range(9)]
+    (tmp_path / "r.lvm").write_text(
+        header + "***End_of_Header***\t\t\t\nX_Value\tforce [N]\ty [um]\tComment\n" + "".join(rows)
+    )
+    with pytest.raises(DataError, match=r"'y \[um\]' has another rate .* resample: RATE in the rig file"):
+        ingested(tmp_path, tmp_path / "r.lvm", rig_file(tmp_path))
+    rig = rig_file(tmp_path, head="name: R\nresample: 10 Hz\nchannels:\n")
+    recording = ingested(tmp_path, tmp_path / "r.lvm", rig)
+    assert recording.sample_rate == 10.0 and [finding.code for finding in recording.findings] == ["resampled"]
+    (block,) = recording.blocks(100)
+    np.testing.assert_allclose(block, [[n, 10e-6 * n] for n in range(9)], rtol=1e-12, atol=1e-18)
+
+
+def test_a_rig_has_one_rate(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="one of sample_rate and resample is needed, not both"):
+        load_rig(rig_file(tmp_path, head="name: R\nsample_rate: 10 Hz\nresample: 10 Hz\nchannels:\n"))

@@ -160,24 +160,127 @@ def frf_table(path: Path) -> None:
     path.write_text("Beam, 3 averages\nFrequency [Hz]\tReal [g/N]\tImaginary [g/N]\n" + rows)
 
 
+def first_fit(folder: Path) -> dict:
+    (fit,) = json.loads((folder / "identification.json").read_text())["fits"]
+    return fit
+
+
 def test_a_table_of_an_frf_becomes_a_pipeline_of_frfs(tmp_path: Path, labpipe) -> None:
-    """Columns and unit from the header; the dofs are for a person, and the band begins above 0 Hz."""
+    """Columns and unit from the header; nothing is left to decide, and the band begins above 0 Hz."""
     frf_table(tmp_path / "h.txt")
     ended = labpipe("init", tmp_path / "rig", tmp_path / "h.txt")
-    assert (
-        ended.code == 0
-        and "pipeline.yaml:7, pipeline.yaml:8" in ended.out
-        and not (tmp_path / "rig/rig.yaml").exists()
+    assert ended.code == 0 and "to be decided" not in ended.out and not (tmp_path / "rig/rig.yaml").exists()
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+
+
+def receptance(frequency: np.ndarray) -> np.ndarray:
+    omega = 2 * np.pi * frequency
+    return np.asarray(1 / (K - MASS * omega**2 + 1j * omega * C))
+
+
+def variables(name: str) -> dict[str, object]:
+    """FRFs as variables of an analyser, in layouts that public files have."""
+    frequency = np.arange(0.5, 80.0, 0.5)
+    h, time = receptance(frequency), {"x": np.random.default_rng(1).normal(size=900), "fs": 200.0}
+    return {
+        "beside": {"Freq_domain": frequency, "Recep": h, "PSD": np.abs(h), "Cross_spec": h**2, **time},
+        "in one matrix": {"recep_1": np.stack([frequency, h], axis=1)},
+        "parts": {"X_recep_Ampl": frequency, "recep_Ampl": np.abs(h), "recep_Phase": np.angle(h), **time},
+    }[name]
+
+
+@pytest.mark.parametrize("layout", ["beside", "in one matrix", "parts"])
+def test_frfs_among_variables_are_read_without_a_decision(tmp_path: Path, labpipe, layout: str) -> None:
+    """Closed form: K from the FRF that the variables hold; its form is in their name."""
+    savemat(tmp_path / "h.mat", variables(layout))
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "h.mat")
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert ended.code == 0 and "to be decided" not in ended.out and "# a guess, receptance" in text
+    ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+
+
+def test_a_table_without_a_header_whose_first_column_counts_hertz(tmp_path: Path, labpipe) -> None:
+    frequency = np.arange(0.0, 80.0)
+    h = receptance(frequency)
+    np.savetxt(tmp_path / "h.txt", np.column_stack([frequency, h.real, h.imag]))
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "h.txt")
+    assert ended.out.count("pipeline.yaml:") == 1
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert "# a guess, frequency [Hz], real and imaginary part" in text
+    text = re.sub(f"unit: {DECIDE}.*", "form: receptance", text)
+    (tmp_path / "rig/pipeline.yaml").write_text(text)
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+    np.savetxt(tmp_path / "t.txt", np.column_stack([frequency / 1000, h.real, h.imag]))
+    assert labpipe("init", tmp_path / "time", tmp_path / "t.txt").code == 0
+    assert (tmp_path / "time/rig.yaml").exists()
+
+
+def test_universal_records_of_open_form_take_it_from_their_title(tmp_path: Path, labpipe) -> None:
+    """What their label says is no unit of it, so the unit is asked for; the numbers are those of `K`."""
+    frequency = np.arange(1.0, 80.0)
+    head = "    -1\n    58\nFrequency Response H1(Desl,Force)\n" + 4 * "NONE\n"
+    head += "    4         0    0         0 NONE               1   0 NONE               1   0\n"
+    head += f"         5{frequency.size:10d}         1  1.00000E+00  1.00000E+00  0.00000E+00\n"
+    for kind, label in ((18, "NONE"), (0, "Volts"), (12, "NONE"), (0, "NONE")):
+        head += f"{kind:10d}    0    0    0 {label:<21}{'V' if label == 'Volts' else 'NONE'}\n"
+    values = "".join(f"{h.real:13.5e}{h.imag:13.5e}\n" for h in receptance(frequency))
+    (tmp_path / "h.uff").write_text(head + values + "    -1\n")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "h.uff")
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert ended.code == 0 and "form: receptance" in text and "the records say V" in text
+    (tmp_path / "rig/pipeline.yaml").write_text(re.sub(f"unit: {DECIDE}.*", "unit: m/N", text))
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-4)
+
+
+@pytest.mark.parametrize("layout", ["lists", "info", "names of a matrix"])
+def test_units_and_names_beside_the_channels_are_read(tmp_path: Path, labpipe, layout: str) -> None:
+    """As analysers export them: nothing is left to decide, and the fit is that of the recording."""
+    force, y = signals()
+    info = "Signal X1, Real EU N\nSignal X2, Real EU um"
+    beside = {
+        "lists": {"X1": force, "X2": 1e6 * y, "Unit": np.array(["N", "um"], object)},
+        "info": {"X1": force, "X2": 1e6 * y, "DP_Info": info},
+        "names of a matrix": {
+            "signals": np.stack([force, 1e6 * y], axis=1),
+            "channel_names": np.array(["hammer", "probe"], object),
+            "units": np.array(["N", "um"], object),
+        },
+    }[layout]
+    savemat(tmp_path / "run.mat", {**beside, "fs": RATE})
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.mat")
+    assert ended.code == 0 and "to be decided" not in ended.out
+    ended = labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended
+    k = first_fit(tmp_path / "out")["parameters"][0]
+    assert k["ci95"][0] <= K <= k["ci95"][1]
+
+
+def test_a_channel_with_the_shape_of_hits_is_a_hammer(tmp_path: Path, labpipe) -> None:
+    force = np.zeros(8000)
+    force[[100, 4100]] = 50.0
+    ringing = np.convolve(force, np.exp(-np.arange(900) / 90) * np.sin(np.arange(900) / 3))[:8000]
+    savemat(tmp_path / "run.mat", {"ch1": force, "ch2": ringing, "fs": 1000.0})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.mat").code == 0
+    lines = (tmp_path / "rig/rig.yaml").read_text().splitlines()
+    (first,) = [line for line in lines if line.startswith("  ch1:")]
+    assert "quantity: force" in first and "a force by its hits, which is a guess" in first
+    assert "excitation: impact" in (tmp_path / "rig/pipeline.yaml").read_text()
+
+
+def test_inspect_takes_a_first_column_of_even_steps_for_the_time(tmp_path: Path, labpipe) -> None:
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack([np.arange(500) / 250, np.sin(np.arange(500))]),
+        delimiter=",",
+        header="abscissa,y [um]",
+        comments="",
     )
-    pipeline = tmp_path / "rig/pipeline.yaml"
-    ended = labpipe("run", pipeline, "-o", tmp_path / "out")
-    assert ended.code == 2 and ended.err.count("is still to be decided") == 4
-    pipeline.write_text(
-        pipeline.read_text().replace(f"output: {DECIDE}", "output: y").replace(f"input: {DECIDE}", "input: f")
-    )
-    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
-    (fit,) = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
-    assert fit["parameters"][0]["value"] == pytest.approx(K, rel=1e-6)
+    assert "250 samples per unit of 'abscissa'" in labpipe("inspect", tmp_path / "r.csv").out
 
 
 def test_tables_of_several_points_ask_where_the_dofs_stand(tmp_path: Path, labpipe) -> None:
@@ -282,3 +385,19 @@ def test_every_example_is_whole_where_it_is_copied(tmp_path: Path, labpipe, name
 def test_an_example_runs_as_it_is(tmp_path: Path, labpipe) -> None:
     labpipe("init", tmp_path / "x", "--example", "hmb")
     assert labpipe("check", tmp_path / "x/pipelines/pedestal.yaml").code == 0
+
+
+def test_a_swept_sine_is_evaluated_as_one(tmp_path: Path, labpipe) -> None:
+    """One linear sweep over the resonance of `signals`, whose motion is the closed form's; K is held."""
+    n = np.arange(30000)
+    force = np.where(n < 20000, np.sin(2 * np.pi * (5 * n / RATE + 70 / 20 * (n / RATE) ** 2 / 2)), 0.0)
+    frequency = np.fft.rfftfreq(2 * n.size, 1 / RATE)
+    y = np.fft.irfft(np.fft.rfft(force, 2 * n.size) * receptance(frequency))[: n.size]
+    y += 0.01 * y.std() * np.random.default_rng(4).normal(size=y.size)
+    savemat(tmp_path / "run.mat", {"F": force, "y": y, "fs": RATE, "Unit": np.array(["N", "m"], object)})
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.mat")
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert "to be decided" not in ended.out and "excitation: sweep" in text and "block" not in text
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    k = first_fit(tmp_path / "out")["parameters"][0]
+    assert k["ci95"][0] <= K <= k["ci95"][1]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import struct
+import zlib
 from pathlib import Path
 
 import h5py
@@ -22,6 +24,44 @@ N = 300_001
 
 def whole(table) -> np.ndarray:
     return np.concatenate(list(table.chunks(table.columns)))
+
+
+def _element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+@pytest.mark.parametrize("squeezed", [False, True])
+def test_an_object_beside_the_vectors(tmp_path: Path, squeezed: bool) -> None:
+    """An object (a table, a string) as MATLAB writes it: class 17, its name, two more names and a matrix; the
+    vectors beside it are read.
+    """
+    savemat(tmp_path / "r.mat", {"x": np.arange(9.0), "fs": 100.0}, do_compression=squeezed)
+    numbers = _element(6, struct.pack("<II", 13, 0)) + _element(5, struct.pack("<ii", 6, 1))
+    numbers += _element(1, b"") + _element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
+    names = b"".join(_element(1, text) for text in (b"s", b"MCOS", b"string"))
+    opaque = _element(14, _element(6, struct.pack("<II", 17, 0)) + names + _element(14, numbers))
+    packed = zlib.compress(opaque)
+    element = struct.pack("<II", 15, len(packed)) + packed if squeezed else opaque
+    (tmp_path / "r.mat").write_bytes((tmp_path / "r.mat").read_bytes() + element)
+    table = open_table(tmp_path / "r.mat")
+    assert (table.columns, table.sample_rate) == (("x",), 100.0)
+    np.testing.assert_array_equal(whole(table)[:, 0], np.arange(9))
+
+
+def test_a_structure_array_with_a_name_and_a_unit_for_each_channel(tmp_path: Path) -> None:
+    """As dSPACE writes it: the time in X, and a structure of Y for each channel."""
+    fields = [("Name", object), ("Unit", object), ("Data", object)]
+    time, force, motion = 1e-3 * np.arange(9), np.arange(9.0), np.arange(9.0) ** 2
+    x = np.array([[("Time", "s", time)]], fields)
+    y = np.array([[("Model/force", '"N"', force), ("Model/x", "um", motion)]], fields)
+    savemat(tmp_path / "r.mat", {"meas": {"X": x, "Y": y}})
+    table = open_table(tmp_path / "r.mat")
+    assert table.columns == ("Time", "Model/force", "Model/x")
+    assert table.units == {"Time": "s", "Model/force": "N", "Model/x": "um"}
+    np.testing.assert_array_equal(whole(table), np.column_stack([time, force, motion]))
+    same = np.array([[("y", "", force), ("y", "", motion)]], fields)
+    savemat(tmp_path / "s.mat", {"meas": {"Y": same}})
+    assert open_table(tmp_path / "s.mat").columns == ("meas.Y(1).Data", "meas.Y(2).Data")
 
 
 @pytest.mark.parametrize("version", ["4", "5"])

@@ -18,6 +18,8 @@ from labpipe.project.ingest import ingest
 from labpipe.project.inspect import inspect
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files.frf_described import Dofs, read_described
+from labpipe.raw_files.joined_table import ResampledTable
+from labpipe.raw_files.mdf_table import TIME
 from labpipe.raw_files.table import open_table
 from labpipe.records.frf_layout import FrfColumns, FrfLayout
 from labpipe.records.recording import Overview
@@ -65,6 +67,18 @@ def test_lvm_with_decimal_commas_and_two_segments_with_x_values(tmp_path: Path) 
     np.testing.assert_array_equal(whole(table.path), [[0, 0.5, -1.5], [0.1, 1, 2.5], [0.2, 7, 8]])
 
 
+def test_lvm_at_two_rates(tmp_path: Path) -> None:
+    """By hand: of the slower channel the file has as many rows as it says, and blanks after them."""
+    text = SEGMENT.replace("3\t3", "4\t2").replace("{step}\t{step}", "0.1\t0.2")
+    text = text.replace("Delta_X", "X0\t0\t0.05\t\nDelta_X") + "\t1\t10\n\t2\t20\n\t3\t\n\t4\t\n"
+    table = open_table(lvm(tmp_path / "r.lvm", text))
+    assert (table.columns, table.sample_rate, table.unused) == (("F",), 10.0, {"a": 2})
+    np.testing.assert_array_equal(whole(table.path), [[1], [2], [3], [4]])
+    (slow,) = table.others
+    assert (slow.columns, slow.units, slow.sample_rate, slow.start) == (("a",), {"a": "m/s^2"}, 5.0, 0.05)
+    np.testing.assert_array_equal(np.concatenate(list(slow.chunks(["a"]))), [[10], [20]])
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
@@ -76,8 +90,8 @@ def test_lvm_with_decimal_commas_and_two_segments_with_x_values(tmp_path: Path) 
         (SEGMENT[:60], "r.lvm: is cut off in its header"),
         (SEGMENT.replace("3\t3", "0\t0") + ROWS, "r.lvm: holds no channel with samples"),
         (
-            SEGMENT.replace("{step}\t{step}", "0.1\t0.2") + ROWS,
-            "r.lvm: the channels have different rates (Delta_X)",
+            SEGMENT.replace("{step}\t{step}", "0.1\t-0.2") + ROWS,
+            "r.lvm: not every channel has a positive step Delta_X",
         ),
     ],
 )
@@ -160,6 +174,35 @@ def test_the_longest_group_of_an_mdf_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         whole(tmp_path / "r.mf4", "n", "time [s]", "f"), np.column_stack([ticks, times, force])
     )
+
+
+def test_groups_at_two_rates_are_brought_to_one(tmp_path: Path) -> None:
+    """Closed form: a sine at a fifth of the slower rate, whose cubic spline is 3 sinc^4(r) / (2 + cos 2 pi r)
+    = 0.9951 of it; the fast one, on its own times, stays as it is.
+    """
+    from asammdf import MDF, Signal
+
+    fast, slow = np.arange(4001) / 1000, np.arange(0.0, 4.0, 0.01)
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.cos(40 * np.pi * slow), slow, name="a")])
+        file.append([Signal(fast**2, fast, name="f", unit="N")])
+        file.save(tmp_path / "r.mf4")
+    table = open_table(tmp_path / "r.mf4")
+    assert table.unused == {"a": slow.size} and [other.columns for other in table.others] == [(TIME, "a")]
+    both = ResampledTable([table, *table.others], 1000.0)
+    assert (both.columns, both.sample_rate, both.units) == (("f", "a"), 1000.0, {"f": "N"})
+    (rows,) = both.chunks(["a", "f"])
+    times = fast[: rows.shape[0]]
+    assert times[-1] == pytest.approx(slow[-1])
+    np.testing.assert_allclose(rows[:, 1], times**2, atol=1e-12)
+    middle = slice(500, -500)
+    cosine = np.cos(40 * np.pi * times[middle])
+    gain = rows[middle, 0] @ cosine / (cosine @ cosine)
+    assert gain == pytest.approx(3 * np.sinc(0.2) ** 4 / (2 + np.cos(0.4 * np.pi)), rel=1e-3)
+    (finding,) = both.findings()
+    assert finding.code == "resampled" and "within 0.5 % up to 20 Hz" in finding.message
+    with pytest.raises(DataError, match=r"'f' is sampled at 1000 Hz, above resample: 500 Hz"):
+        list(ResampledTable([table, *table.others], 500.0).chunks(["a", "f"]))
 
 
 def mdf(path: Path) -> bytearray:

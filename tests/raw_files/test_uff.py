@@ -189,7 +189,10 @@ def test_units_of_labels(tmp_path: Path, rng, label: str, per: str, factor: floa
     ("changes", "fragment"),
     [
         ([{"ordinate_axis_units_lab": "furlong"}], "unknown unit 'furlong'"),
-        ([{"ordinate_spec_data_type": 0}], "are not displacement, velocity or acceleration per force"),
+        (
+            [{"ordinate_spec_data_type": 0}],
+            r"are not displacement \(8\), velocity \(11\) or acceleration \(12\) per force \(13\); state it",
+        ),
         ([{"rsp_dir": 4}], "rotations and moments are not supported"),
         ([{}, {}], "has the same dofs as"),
         ([{}, {"rsp_dir": 2, "ref_dir": 1}], "no FRF record for response 1 x and reference 2 x"),
@@ -208,6 +211,41 @@ def test_what_is_no_frf_matrix_is_refused(tmp_path: Path, rng, changes: list[dic
     with pytest.raises(DataError, match=fragment) as caught:
         read_frf_uff(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("label", "stated", "factor"),
+    [
+        ("", ("mobility", None), 1.0),
+        ("V", ("accelerance", None), 1.0),
+        ("g/N", ("accelerance", None), 9.80665),
+        ("V", ("receptance", 1e-6), 1e-6),
+    ],
+)
+def test_an_analyser_that_leaves_the_axes_open(
+    tmp_path: Path, rng, label: str, stated: tuple[str, float | None], factor: float
+) -> None:
+    """By hand: data types 0 per 12, as some B&K exports have them, are what the entry states; a label counts
+    where it is a unit of that form.
+    """
+    record = function(
+        rng, ordinate_spec_data_type=0, orddenom_spec_data_type=12, ordinate_axis_units_lab=label
+    )
+    path = written(tmp_path / "h.uff", record)
+    with pytest.raises(DataError, match="data types 0 per 12"):
+        read_frf_uff(path)
+    response = read_frf_uff(path, "", stated)
+    assert response.form == stated[0]
+    np.testing.assert_allclose(response.matrix[:, 0, 0], record["data"] * factor, rtol=1e-5)
+
+
+def test_a_stated_form_does_not_overrule_the_file(tmp_path: Path, rng) -> None:
+    path = written(tmp_path / "h.uff", function(rng))
+    with pytest.raises(DataError, match="holds accelerance by its data types, receptance by the entry"):
+        read_frf_uff(path, "", ("receptance", None))
+    turned = written(tmp_path / "t.uff", function(rng, rsp_dir=4, ordinate_spec_data_type=0))
+    with pytest.raises(DataError, match="rotations and moments are not supported"):
+        read_frf_uff(turned, "", ("receptance", None))
 
 
 def test_a_label_that_contradicts_record_164(tmp_path: Path, rng) -> None:

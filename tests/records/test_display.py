@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from labpipe.display import (
     NOT_DETERMINED,
     amount_text,
+    as_printed,
     number,
     plain_text,
     shown_unit,
@@ -126,6 +127,20 @@ def test_the_prefix_is_that_of_the_largest(si_unit: str, sizes: tuple[float | No
 @given(value=SIGNED, unit=st.sampled_from(["N/m", "m", "s", "N.s/m", "kg", "N", "Pa", "Pa.s"]))
 def test_a_prefix_is_of_the_same_dimension(value: float, unit: str) -> None:
     assert parse_unit(shown_unit(unit, value)).dimension == parse_unit(unit).dimension
+
+
+@pytest.mark.parametrize(
+    ("text", "printed"),
+    [
+        ("(1.234 +- 0.011)e-7 m^2", "(1.234 ± 0.011) × 10⁻⁷ m²"),
+        ("k = 4.590e+05 N/m, 3 m/s^2", "k = 4.590 × 10⁵ N/m, 3 m/s²"),
+        ("N/m^1.5, x^2", "N/m^1.5, x²"),
+        ("12e5a7, 3.2e-9x, v1e5, 100 +-2", "12e5a7, 3.2e-9x, v1e5, 100 +-2"),
+    ],
+)
+def test_powers_as_a_hand_writes_them(text: str, printed: str) -> None:
+    """By hand; a digest, a name and a power that is no whole number stay as they are."""
+    assert as_printed(text) == printed
 
 
 def test_one_text() -> None:

@@ -197,9 +197,7 @@ def test_two_shakers_one_after_the_other_give_a_matrix() -> None:
 
 
 def test_sweeps_that_do_not_fit_together_are_refused() -> None:
-    long, short = record(1, replace(UP, duration=12.0)), record(1, replace(UP, duration=4.0))
-    with pytest.raises(DataError, match="sweeps of one length"):
-        measure([long, short], SWEEP)
+    long = record(1, replace(UP, duration=12.0))
     high = record(1, Sweep((90.0, 120.0), 12.0, 1.0, pause=3.0))
     with pytest.raises(DataError, match="no band in common"):
         measure([long, high], SWEEP)

@@ -144,8 +144,9 @@ def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
     sheets = dict(rotor_sheets(identification, (matrix,)))
     assert list(sheets)[:3] == ["1 synchronous", "1 1501 rpm", "1 3001 rpm"]
     synchronous = sheets["1 synchronous"]
-    np.testing.assert_allclose(synchronous["frequency"], 2 * np.pi * np.array([1501, 3001]) / 60, rtol=1e-9)
+    np.testing.assert_allclose(synchronous["speed"], 2 * np.pi * np.array([1501, 3001]) / 60, rtol=1e-9)
     first = matrix.points[0]
+    assert "frequency" not in synchronous and "speed" not in sheets["1 1501 rpm"]
     assert synchronous["kxx"][0] == pytest.approx(first.value("k_xx").parameter.value, rel=1e-9)
     assert synchronous["cyy"][0] == pytest.approx(first.value("c_yy").parameter.value, rel=1e-9)
 
@@ -157,6 +158,9 @@ def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
     bearing = ross.BearingElement.from_table(0, str(tmp_path / "rotor.xlsx"), sheet_name="1 synchronous")
     (matrix,) = read_identification(result).sections["matrix"]
     assert bearing.kxy[0] == pytest.approx(matrix.points[0].value("k_xy").parameter.value)
+    axes = {name: getattr(bearing, name, None) for name in ("speed", "frequency")}
+    speeds = axes["frequency"] if axes["speed"] is None else axes["speed"]
+    np.testing.assert_allclose(speeds, 2 * np.pi * np.array([1501, 3001]) / 60, rtol=1e-6)
 
 
 def test_a_table_is_linear_along_the_first_condition(folder: Path) -> None:

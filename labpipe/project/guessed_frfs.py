@@ -1,0 +1,282 @@
+"""What a file of another program shows of the FRFs in it: the columns of a table, or the variables, that are
+frequency, complex numbers or their parts, and coherence.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import DataError
+from labpipe.quantities import UnitError, unit_of
+from labpipe.raw_files.frf_described import VARIABLE_SUFFIXES, DescribedColumns, columns_of_variables
+from labpipe.raw_files.table import TEXT_SUFFIXES
+from labpipe.raw_files.text_columns import TextColumns
+from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.uff import FRF, UFF_SUFFIXES, read_uff
+from labpipe.raw_files.uff_read import frf_sizes, titled_form
+from labpipe.records.frf_layout import MECHANICAL
+from labpipe.records.response import FORMS
+
+_NAMES = (
+    ("frequency", r"^freq|frequenz|^f$|^f ?[\[(]"),
+    ("coherence", r"coh|kohärenz|gamma"),
+    ("phase_rad", r"(phase|arg|winkel).*\brad"),
+    ("phase_deg", r"phase|arg\b|winkel"),
+    ("re", r"^re(al|\b)|\breal|realteil"),
+    ("im", r"^im(ag|\b)|\bimag|imaginärteil"),
+    ("amplitude_db", r"(amp|mag|betrag|abs|h\b|frf).*\bdb\b"),
+    ("amplitude", r"amp|mag|betrag|\babs|^\|?h\|?\b"),
+)
+_WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
+
+
+@dataclass(frozen=True)
+class GuessedFrf:
+    """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
+    (n_frequency,) [Hz] and size (n_frequency, n_element) [unit of the file] as they stand there.
+
+    word: what the entry calls the columns, '' for records that need none. elements: the columns of each
+    element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
+    say of their numbers that is no unit of an FRF.
+    """
+
+    columns: dict[str, str]
+    unit: str
+    frequency: FloatArray
+    size: FloatArray
+    word: str = "columns"
+    elements: dict[str, dict[str, str]] = field(default_factory=dict)
+    form: str = ""
+    doubts: tuple[str, ...] = ()
+    label: str = ""
+
+
+def guessed_frf(path: Path) -> GuessedFrf | None:
+    """The FRFs of a table or of variables of another program, or of universal records that leave their form
+    open.
+
+    None for any other file.
+    """
+    suffix = plain_suffix(path)
+    if suffix in VARIABLE_SUFFIXES:
+        return _of_variables(columns_of_variables(path))
+    if suffix in UFF_SUFFIXES:
+        return _of_records(path)
+    return _of_table(path) if suffix in TEXT_SUFFIXES else None
+
+
+def _of_records(path: Path) -> GuessedFrf | None:
+    """Universal FRFs: their form as the title has it, where it has."""
+    frfs = [record for record in read_uff(path) if record.function == FRF]
+    if not frfs:
+        return None
+    form = titled_form(frfs[0])
+    doubts = (f"{form}: by the title '{frfs[0].title}'",) if form else ()
+    label = frfs[0].ordinate.unit
+    frequency, size = frf_sizes(path, frfs)
+    return GuessedFrf({}, "", frequency, size, "", form=form, doubts=doubts, label=label)
+
+
+# Rows of a table without a header whose first column is a frequency and no time: steps of a recording's time
+# are shorter.
+LEAST_STEP = 0.05
+
+
+def _of_table(path: Path) -> GuessedFrf | None:
+    """The FRF of a text table whose header names a frequency and the parts of complex numbers, or of one
+    without a header, of three columns of which the first counts frequencies.
+    """
+    table = TextColumns(path)
+    if len(table.columns) == 3 and not any(re.search(r"[A-Za-z]{2}", name) for name in table.columns):
+        return _without_header(table)
+    columns: dict[str, str] = {}
+    for name in table.columns:
+        kind = next((kind for kind, pattern in _NAMES if re.search(pattern, name, re.IGNORECASE)), "")
+        if kind and kind not in columns:
+            columns[kind] = name
+    phase = next((kind for kind in ("phase_deg", "phase_rad") if kind in columns), "phase")
+    parts = next(
+        (pair for pair in _WHOLE if {part.replace("phase", phase) for part in pair} <= columns.keys()), None
+    )
+    if parts is None or "frequency" not in columns:
+        return None
+    used = ["frequency", *(part.replace("phase", phase) for part in parts), "coherence"]
+    columns = {kind: columns[kind] for kind in used if kind in columns}
+    numbers = {kind: table.column(table.columns.index(name)).real for kind, name in columns.items()}
+    size = np.hypot(numbers["re"], numbers["im"]) if parts == ("re", "im") else numbers[parts[0]]
+    return GuessedFrf(
+        columns, _unit_of_frf(table.units.get(columns[parts[0]], "")), numbers["frequency"], size[:, None]
+    )
+
+
+def _unit_of_frf(unit: str) -> str:
+    """The unit, in labpipe's notation where it is SI; '' for one that is none of an FRF."""
+    for form in MECHANICAL:
+        try:
+            return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
+        except UnitError:
+            continue
+    return ""
+
+
+def _without_header(table: TextColumns) -> GuessedFrf | None:
+    """Three columns of numbers: steps of one size in the first, which is no time, and a complex number."""
+    frequency, re_, im = (table.column(n).real for n in range(3))
+    steps = np.diff(frequency)
+    if frequency.size < LEAST_LINES or frequency[0] < 0 or not steps.min() >= LEAST_STEP:
+        return None
+    if np.ptp(steps) > 1e-3 * steps.mean() or not (np.any(re_ < 0) and np.any(im)):
+        return None
+    doubts = ("frequency [Hz], real and imaginary part: by the numbers, for the table has no header",)
+    columns = {"frequency": "1", "re": "2", "im": "3"}
+    return GuessedFrf(columns, "", frequency, np.hypot(re_, im)[:, None], doubts=doubts)
+
+
+# Variables: fewest lines of an FRF, most elements that are listed, names of FRFs, of their frequencies and of
+# spectra that are no FRFs.
+LEAST_LINES, MOST_ELEMENTS = 16, 40
+_FRF = re.compile(
+    r"(^|[^a-z])(h[f\d]*|tf|frfs?)([^a-z]|$)|frf|recep|mobil|inertan|accelerance|transfer", re.I
+)
+_AXIS = re.compile(r"freq|(^|[^a-z])(f|hz)([^a-z]|$)", re.IGNORECASE)
+_SPECTRUM = re.compile(r"spec|cross|psd|csd|fft|corr", re.IGNORECASE)
+_TIME = re.compile(r"time|(^|[^a-z])t([^a-z]|$)", re.IGNORECASE)
+_FORMS = (("receptance", r"recep|complian"), ("mobility", r"mobil"), ("accelerance", r"inertan|accelerance"))
+_PARTS = (("amplitude", r"ampl?(itude)?|mag(nitude)?|abs"), ("re", r"re(al)?"))
+_OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?")}
+
+
+def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
+    """The FRFs among variables: complex vectors, or amplitudes with their phases, beside a rising vector of
+    as many real numbers.
+    """
+    vectors = _vectors(source)
+    elements, doubts = _complex_elements(vectors)
+    if not elements:
+        elements, doubts = _pairs(vectors)
+    size = _usual_size(vectors, elements)
+    elements = {
+        name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
+    }
+    axis = _axis_of(vectors, size, elements)
+    if not elements or not axis:
+        return None
+    coherences = [
+        name
+        for name, vector in vectors.items()
+        if re.search(r"coh", name, re.IGNORECASE)
+        and vector.size == size
+        and not np.iscomplexobj(vector)
+        and name != axis
+    ]
+    if len(elements) == 1 and len(coherences) == 1:
+        next(iter(elements.values()))["coherence"] = coherences[0]
+    elements = dict(list(elements.items())[:MOST_ELEMENTS])
+    first = next(iter(elements))
+    form = next((form for form, pattern in _FORMS if re.search(pattern, first, re.IGNORECASE)), "")
+    said = (f"{form}: by the name {first}",) if form else ()
+    frequency = vectors[axis].real
+    sizes = np.abs(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
+    columns = {"frequency": axis, **(elements[first] if len(elements) == 1 else {})}
+    listed = {} if len(elements) == 1 else elements
+    return GuessedFrf(columns, "", frequency, sizes, "variables", listed, form, (*said, *doubts))
+
+
+def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
+    """The first part (n,) of an element: its complex numbers, amplitude or real part."""
+    return vectors[next(iter(parts.values()))]
+
+
+def _vectors(source: DescribedColumns) -> dict[str, ComplexArray | FloatArray]:
+    """Vectors (n,) of numbers among the variables, and the columns of matrices as NAME_1, NAME_2, ..."""
+    vectors: dict[str, ComplexArray | FloatArray] = {}
+    for name in source.names:
+        try:
+            values = source.values(name)
+        except DataError:
+            continue
+        if values.ndim == 1:
+            vectors[name] = values if np.any(values.imag) else values.real
+        elif values.ndim == 2 and np.any(values.imag):
+            columns = values if values.shape[0] >= values.shape[1] else values.T
+            for number, column in enumerate(columns.T, 1):
+                vectors[f"{name}_{number}"] = column if np.any(column.imag) else column.real
+    return {name: vector for name, vector in vectors.items() if vector.size >= LEAST_LINES}
+
+
+Elements = dict[str, dict[str, str]]
+Vectors = Mapping[str, ComplexArray | FloatArray]
+
+
+def _complex_elements(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
+    complex_ = [name for name, vector in vectors.items() if np.iscomplexobj(vector)]
+    for chosen in (
+        [name for name in complex_ if _FRF.search(name) and not _SPECTRUM.search(name)],
+        [name for name in complex_ if not _SPECTRUM.search(name)],
+    ):
+        if chosen:
+            return {name: {"complex": name} for name in chosen}, ()
+    return {}, ()
+
+
+def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
+    """Amplitudes with their phases, and real with imaginary parts, whose names differ in that word alone."""
+    elements: Elements = {}
+    doubts: list[str] = []
+    for name, vector in vectors.items():
+        for kind, pattern in _PARTS:
+            match = re.search(rf"_?({pattern})$", name, re.IGNORECASE)
+            is_axis = bool(np.all(np.diff(vector) > 0))
+            if match is None or not match.start() or is_axis or not _FRF.search(name):
+                continue
+            stem, (other, wanted) = name[: match.start()], _OTHERS[kind]
+            partner = next(
+                (
+                    one
+                    for one in vectors
+                    if re.fullmatch(rf"{re.escape(stem)}_?({wanted})", one, re.IGNORECASE)
+                    and vectors[one].size == vector.size
+                ),
+                "",
+            )
+            if partner and other == "phase":
+                other = "phase_rad" if np.abs(vectors[partner]).max() <= np.pi * (1 + 1e-6) else "phase_deg"
+                doubts.append(f"{other} by its largest number")
+            if partner:
+                elements[stem] = {kind: name, other: partner}
+    return elements, tuple(dict.fromkeys(doubts))
+
+
+def _usual_size(vectors: Vectors, elements: Elements) -> int:
+    sizes = [_first(vectors, parts).size for parts in elements.values()]
+    return max(sizes, key=sizes.count, default=0)
+
+
+def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:
+    """The rising vector of *size* real numbers that is the frequency: by its name, else one beside an FRF in
+    a matrix, else the only one; '' for none.
+    """
+    rising = [
+        name
+        for name, vector in vectors.items()
+        if vector.size == size
+        and not np.iscomplexobj(vector)
+        and vector[0] >= 0
+        and np.all(np.diff(vector) > 0)
+    ]
+    stems = {name.rpartition("_")[0] for name in elements}
+    for group in (
+        [name for name in rising if any(stem and stem in name for stem in elements)],
+        [name for name in rising if _AXIS.search(name) and not _FRF.search(name.replace("freq", ""))],
+        [name for name in rising if name.rpartition("_")[0] in stems],
+        [name for name in rising if not _TIME.search(name)],
+    ):
+        if group:
+            return group[0]
+    return ""
