@@ -275,6 +275,8 @@ def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
 MOST_PERIODS, DELAY_STEP = 5.0, 0.1
 # Share of the chi-square beyond the noise that a delay explains where it is what is wrong.
 BY_DELAY = 0.9
+# Channels, by the least chi-square of their grids, whose delay is fitted beside all parameters.
+LIKELIEST = 2
 # Phase [rad] at the highest line, and standard errors, from which a delay is named.
 LEAST_PHASE, SURE_DELAY = 0.01, 5.0
 
@@ -312,12 +314,54 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """
     if not has_noise(measured):
         return []
+    try:
+        began = [
+            (*_best_of_grid(measured, model, values, late), name) for name, late in _late_channels(measured)
+        ]
+    except (FitError, np.linalg.LinAlgError):
+        return []
+    began.sort(key=lambda one: one[0])
     explained = [
         found
-        for name, late in _late_channels(measured)
-        if (found := _delay(measured, model, values, late, name))
+        for _, problem, start, name in began[:LIKELIEST]
+        if (found := _delay(measured, model, problem, start, name))
     ]
     return [min(explained, key=lambda found: found[0])[1]] if explained else []
+
+
+def _best_of_grid(
+    measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
+) -> tuple[float, OutputError[DelayedModel], FloatArray]:
+    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and where it
+    is.
+    """
+    highest = float(measured.omega[-1])
+    delayed = DelayedModel(expected(measured, model), late)
+    problem = OutputError(measured, delayed, fit_weights(measured))
+    # H without a delay is the same all over the grid.
+    still = OutputError(measured, DelayedModel(_Still(delayed.model, values), late), fit_weights(measured))
+    grid = 2 * np.pi / highest * np.arange(-MOST_PERIODS, MOST_PERIODS + DELAY_STEP / 2, DELAY_STEP)
+    chi2, delay = min((still.chi2(np.append(values, delay)), float(delay)) for delay in grid)
+    return chi2, problem, np.append(values, delay)
+
+
+class _Still:
+    """A model whose parameters stay where they are. Satisfies FittedModel."""
+
+    def __init__(self, model: FittedModel, values: FloatArray) -> None:
+        self._model, self._values = model, values
+        self.names, self.units = model.names, model.units
+        self._receptance: ComplexArray | None = None
+
+    def receptance(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H [m/N] at the values that it was given, (n_line, n_output, n_input)."""
+        if self._receptance is None:
+            self._receptance = self._model.receptance(self._values, omega)
+        return self._receptance
+
+    def jacobian(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """Its derivatives there, (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
+        return self._model.jacobian(self._values, omega)
 
 
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
@@ -340,21 +384,18 @@ def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
 
 
 def _delay(
-    measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray, name: str
+    measured: Measured, model: DynamicModel, problem: OutputError[DelayedModel], start: FloatArray, name: str
 ) -> tuple[float, Finding] | None:
     """chi-square with the delay of a channel, and the finding; None where it explains too little."""
     highest = float(measured.omega[-1])
     try:
-        problem = OutputError(measured, DelayedModel(expected(measured, model), late), fit_weights(measured))
-        grid = 2 * np.pi / highest * np.arange(-MOST_PERIODS, MOST_PERIODS + DELAY_STEP / 2, DELAY_STEP)
-        start = min((np.append(values, delay) for delay in grid), key=problem.chi2)
         minimum = minimise(problem, start, most_steps=MOST_STEPS)
         linear = problem.linearised(minimum.values)
         inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
         of_noise = dof * weight_uncertainty(measured, dof).excess
     except (FitError, np.linalg.LinAlgError):
         return None
-    beyond = problem.chi2(np.append(values, 0.0)) - of_noise
+    beyond = problem.chi2(np.append(start[:-1], 0.0)) - of_noise
     delay, scale = float(minimum.values[-1]), np.sqrt(max(linear.chi2 / of_noise, 1.0))
     error = float(np.sqrt(inverse[-1, -1])) * scale
     if (

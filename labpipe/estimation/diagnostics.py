@@ -107,7 +107,7 @@ def with_weak_injection(fit: Fit, measured: Sequence[Finding]) -> Fit:
         return fit
     what = (
         "what is injected hardly moves the loop beyond its noise, and the residual is not noise: the values "
-        "are in part those of a ratio of noise to noise. Raise the level of what is injected, or record longer"
+        "are in part those of a ratio of noise to noise. Raise what is injected, or record longer"
     )
     return replace(fit, findings=(Finding("weak-injection", what), *fit.findings))
 

@@ -131,7 +131,7 @@ def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBa
         return None
     numbers = np.round(stator.omega / (2 * np.pi) * blocks.length).astype(np.intp)
     leakage = Leakage(kernel_of(blocks), numbers, np.empty(0), 0)
-    ratio = -(stator.omega**2)[:, None, None] * np.eye(2, dtype=np.complex128)
+    ratio: ComplexArray = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
     if not given.absolute and stator.accelerated and balance.motion.shape[1] > 1:
         # The shaft moves too: acceleration per motion against it, where both runs tell it.
         motion = balance.motion.swapaxes(-1, -2)

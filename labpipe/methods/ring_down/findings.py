@@ -11,6 +11,9 @@ from labpipe.methods.ring_down.likelihood import Decayed
 from labpipe.methods.ring_down.residual_test import Judged
 from labpipe.records.finding import Finding
 
+# Mean square of a residual at the end over that at the beginning from which it goes on.
+GOES_ON = 0.5
+
 
 def depends_on_amplitude(law: FittedLaw) -> bool:
     """Whether a slope of the law differs significantly from zero, and the law is no worse than its noise
@@ -70,9 +73,16 @@ def decay_findings(
     explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
     if not explained and min(tested.white, tested.amplitude) < MISMATCH_P:
         p_value = min(tested.white, tested.amplitude)
+        # What rings down with the decay is of the model, what does not is of something else.
+        goes_on = tested.ending > GOES_ON
+        cause = (
+            "it goes on to the end: a force that does not stop, such as wind, hum, or coloured noise"
+            if goes_on
+            else "another mode or hum, forced motion at the start, or coloured noise"
+        )
         message = (
             f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near "
-            f"{tested.strongest:.4g} Hz: another mode or hum, forced motion at the start, or coloured noise. "
+            f"{tested.strongest:.4g} Hz: {cause}. "
             "No interval is given, since those for white noise do not hold. Raise `modes`, name a `band` "
             "around the mode, or begin later (`frf: {decay: {start: ...}}`)."
         )

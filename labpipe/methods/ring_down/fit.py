@@ -235,6 +235,8 @@ def decay_sources(
 # Rows for each parameter of the poles below which intervals are not those of a large sample.
 FEW_DOF = 30
 MORE_LINES = 10.0
+# Share of the squares of the residual that a law over the amplitude may leave where it does not leave noise.
+EXPLAINED = 0.5
 
 
 def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
@@ -268,7 +270,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     strongest = {mode: _strongest(fitted, mode) for mode in range(decay_settings.modes)}
     laws = _laws(pieces, fitted, tested, strongest)
     missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
-    laws = {} if missing and missing.white else laws
+    laws = {} if missing and missing.white else _explaining(pieces, laws)
     amplitudes = {
         mode: float(abs(fitted.pieces[piece].amplitudes[mode, output]))
         for mode, (piece, output) in strongest.items()
@@ -349,6 +351,19 @@ def _laws(
         return {}
     laws = {mode: fitted_law(pieces, fitted, mode, output) for mode, (_, output) in strongest.items()}
     return {mode: law for mode, law in laws.items() if depends_on_amplitude(law)}
+
+
+def _explaining(pieces: Sequence[Piece], laws: dict[int, FittedLaw]) -> dict[int, FittedLaw]:
+    """The laws that leave noise, or less than EXPLAINED of what the decay without them leaves.
+
+    Wind, or any force that goes on, bends a decay as well: a law follows a little of it, and leaves the rest.
+    """
+    rows = sum(piece.rows.shape[0] for piece in pieces)
+    return {
+        mode: law
+        for mode, law in laws.items()
+        if law.law.p_value >= MISMATCH_P or law.squares < EXPLAINED * rows
+    }
 
 
 def _missing(

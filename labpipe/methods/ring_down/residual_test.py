@@ -25,12 +25,14 @@ class Judged:
     """Chances of such a residual in white noise [1], and the frequency [Hz] at which most of it is left.
 
     amplitude: by terms that follow the amplitude of each mode (damping or frequency that depend on it).
-    white: by likeness of neighbouring samples, and by the strongest line, the lesser times two.
+    white: by likeness of neighbouring samples, and by the strongest line, the lesser times two. ending: mean
+    square of the residual in the last third of the decays over that in the first third.
     """
 
     amplitude: float
     white: float
     strongest: float
+    ending: float
 
 
 def judged(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
@@ -42,7 +44,17 @@ def judged(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
         _next_terms(rows, fitted.poles),
         min(1.0, 2 * min(portmanteau([part for _, part in residuals], _real(pieces)), line)),
         strongest,
+        _ending([part for _, part in residuals]),
     )
+
+
+def _ending(residuals: Sequence[ComplexArray]) -> float:
+    thirds = [
+        [float(np.mean(np.abs(part) ** 2)) for part in np.array_split(series / np.std(series, axis=0), 3)]
+        for series in residuals
+    ]
+    first, last = (sum(one[place] for one in thirds) for place in (0, 2))
+    return last / first if first > 0 else 1.0
 
 
 def _real(pieces: Sequence[Piece]) -> bool:

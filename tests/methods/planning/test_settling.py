@@ -36,8 +36,17 @@ PLAN = {
 }
 
 
-def _from_rest(plan: Plan, folder: Path, seed: int) -> None:
-    """recordings/x.csv: the plan's signal as sensors see it on the rig, from rest, noise added."""
+def from_rest(
+    plan: Plan,
+    folder: Path,
+    seed: int,
+    stiffness: float = STIFFNESS,
+    damping: float = DAMPING,
+    gains: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """recordings/x.csv: the plan's signal as sensors see it on the rig, from rest, noise added; *gains* of
+    force and motion that are off by so much.
+    """
     (test,) = plan.tests
     applied = pc.read_csv(folder / test.files[0])["f [N]"].to_numpy()
     t = np.arange(applied.size) / plan.sample_rate
@@ -45,19 +54,19 @@ def _from_rest(plan: Plan, folder: Path, seed: int) -> None:
     moved = (
         np.array(test.amplitude[0])
         * np.exp(1j * np.array(test.phase[0]))
-        / (STIFFNESS + 1j * w * DAMPING - MASS * w**2)
+        / (stiffness + 1j * w * damping - MASS * w**2)
     )
     steady = sum((x * np.exp(1j * v * t)).real for x, v in zip(moved, w, strict=True))
-    decay = ZETA * np.sqrt(STIFFNESS / MASS)
-    damped = np.sqrt(STIFFNESS / MASS - decay**2)
+    decay = damping / (2 * MASS)
+    damped = np.sqrt(stiffness / MASS - decay**2)
     begin, speed = moved.sum().real, (1j * w * moved).sum().real
     free = np.exp(-decay * t) * (
         begin * np.cos(damped * t) + (speed + decay * begin) / damped * np.sin(damped * t)
     )
     rng = np.random.default_rng(seed)
     columns = {
-        "f [N]": applied + 5e-3 * rng.normal(size=t.size),
-        "x [m]": steady - free + 0.2e-6 * rng.normal(size=t.size),
+        "f [N]": (1 + gains[0]) * (applied + 5e-3 * rng.normal(size=t.size)),
+        "x [m]": (1 + gains[1]) * (steady - free + 0.2e-6 * rng.normal(size=t.size)),
     }
     (folder / "recordings").mkdir(exist_ok=True)
     pc.write_csv(pa.table(columns), folder / "recordings" / f"{test.name}.csv")
@@ -75,7 +84,7 @@ def _carried_out(
     plan = read_plan(folder / "planned" / "plan.json")
     fits, words = [], []
     for seed in range(seeds):
-        _from_rest(plan, folder / "planned", seed)
+        from_rest(plan, folder / "planned", seed)
         ended = labpipe("run", folder / "planned" / "pipeline.yaml", "-o", folder / f"out{seed}")
         assert ended.code == 0, ended.err
         fits += json.loads((folder / f"out{seed}" / "identification.json").read_text("utf-8"))["fits"]
