@@ -37,6 +37,7 @@ WORDS = {
 }
 SECOND_MODE, MOVED_FREQUENCY, NOISE = "second mode", "moved frequency", "noise"
 APART = "not the same from point to point: what moves loads the structure"
+UNLOADED = "without the mass that moves: from its course over the square of the shape"
 # Share from which a cause is named beside the first one.
 NAMED = 0.25
 
@@ -58,12 +59,13 @@ class ModelError:
     """The mixture of a fit, and its parameters by name as rows of it.
 
     apart: mean and ends of the logarithm of parameters that differ from point to point, which count where
-    they are the longer.
+    they are the longer; *unloaded*: they are those without what moves, and count always.
     """
 
     mixture: Mixture
     rows: dict[str, StatedRow]
     apart: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    unloaded: bool = False
 
     @property
     def discrepancy(self) -> Discrepancy:
@@ -79,7 +81,7 @@ class ModelError:
     @property
     def likely(self) -> str:
         """The reason of the mode as a whole: points that disagree come before any other."""
-        return APART if self.apart else self.reason
+        return self.reason if not self.apart else UNLOADED if self.unloaded else APART
 
     def _worded(self, cause: str) -> str:
         if cause == SECOND_MODE and self.mixture.second is not None:
@@ -113,8 +115,8 @@ class ModelError:
             )
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
-        if apart is not None and apart[2] - apart[1] > high - low:
-            (centre, low, high), reason = apart, APART
+        if apart is not None and (self.unloaded or apart[2] - apart[1] > high - low):
+            (centre, low, high), reason = apart, UNLOADED if self.unloaded else APART
         noise = float(np.sqrt(row.row @ self.mixture.noise @ row.row))
         if row.log:
             # The sign of the fit: coefficients of a sensor of the wrong sign are negative together.

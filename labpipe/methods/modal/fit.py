@@ -23,6 +23,7 @@ from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import equal_weights, has_noise, whitener
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
 from labpipe.methods.modal.model_error import model_errors, with_model_errors
+from labpipe.methods.modal.moved import MovedMode, aligned, aligned_measured, with_moved_modes
 from labpipe.methods.modal.number import (
     Completed,
     LineNoise,
@@ -331,8 +332,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     # need.
     line_noise = LineNoise(response.line_correlation)
     whole = completed(sides.lines, refined, terms, line_noise, adding=not modal.poles)
-    real = modal.shapes == "real"
-    if real:
+    sides, whole, moved, loaded = _at_mean_poles(sides, whole, line_noise, modal)
+    if real := modal.shapes == "real":
         whole = with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
@@ -342,13 +343,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         sides,
         whole,
         estimate,
-        _beyond(response, rows, columns, band, sides, estimate.refined),
+        aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved),
+        moved,
     )
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     window_known = has_noise(sides.measured) or bool(response.line_correlation)
     narrow = width_findings(estimate.refined, sides.lines, window_known=window_known)
-    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow))
     quality = quality_findings(response, rows, columns, chosen)
+    fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *narrow, *loaded, *quality))
     modes = shape_record(
         estimate.refined,
         terms,
@@ -359,8 +361,18 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     )
     driving = tuple(place.dof for place in strongest_points(estimate.refined, sides.driving_points))
     modes = replace(modes, driving_points=driving, geometry=modal.structure)
-    curve = replace(_curve(response.form, sides, estimate), form=form)
-    return replace(fit, findings=(*fit.findings, *quality), curve=curve, details=(modes,))
+    return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
+
+
+def _at_mean_poles(
+    sides: _Sides, whole: Completed, noise: LineNoise, modal: ModalSettings
+) -> tuple[_Sides, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+    """FRFs and modes with every point at the mean pole of its mode, unless the poles are named by hand."""
+    if modal.poles:
+        return sides, whole, (), ()
+    moving = modal.moving_mass is not None
+    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, noise, moving=moving)
+    return replace(sides, lines=lines, measured=aligned_measured(sides.measured, moved)), whole, moved, loaded
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
@@ -500,6 +512,7 @@ def _reported(
     whole: Completed,
     estimate: ModalEstimate,
     beyond: Measured,
+    moved: Sequence[MovedMode],
 ) -> Fit:
     """The Fit without shapes and curve."""
     refined, measured = estimate.refined, sides.measured
@@ -507,8 +520,12 @@ def _reported(
     parameters = _parameters(settings, sides, estimate, refined)
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, whole.p_noise))
     errors: dict[int, ModelError] = {}
-    if refined.converged and (misfit or (estimate.chi2_reduced is None and whole.p_noise > 0)):
-        errors = model_errors(measured, beyond, estimate, parameters, misfit)
+    shown = misfit or bool(moved) or settings.model_settings.moving_mass is not None
+    if refined.converged and (shown or (estimate.chi2_reduced is None and whole.p_noise > 0)):
+        moving = settings.model_settings.moving_mass is not None
+        errors = model_errors(measured, beyond, estimate, parameters, misfit, moved, moving=moving)
+    # Points that differ are no fault of the modes.
+    named = errors if misfit or not shown else {}
     if misfit or errors:
         parameters = with_model_errors(parameters, errors, estimate, measured.omega / (2 * np.pi))
     r2, adjusted = determination(
@@ -528,7 +545,7 @@ def _reported(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, whole.p_noise, errors), *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, whole.p_noise, named), *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
     )
 
@@ -546,16 +563,21 @@ def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
     )
 
 
-def _curve(form: str, sides: _Sides, estimate: ModalEstimate) -> FittedCurve:
-    """Measured and fitted FRF in the measured form, with outputs as rows again."""
+def _curve(
+    form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved: Sequence[MovedMode]
+) -> FittedCurve:
+    """Measured and fitted FRF in the measured form, which is *named* so, every point at its own poles, with
+    outputs as rows again.
+    """
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
-    fitted, outputs, inputs = estimate.fitted, measured.outputs, measured.inputs
+    away = aligned(1j * measured.omega, moved)
+    fitted, outputs, inputs = estimate.fitted - away, measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
     variance = None
     if measured.variance is not None:
         variance = measured.variance.reshape(measured.matrix.shape) * np.abs(factor) ** 2
-    shown, fitted = measured.matrix * factor, fitted * factor
+    shown, fitted = (measured.matrix - away) * factor, fitted * factor
     if sides.forces_move:
         shown, fitted, outputs, inputs = shown.swapaxes(1, 2), fitted.swapaxes(1, 2), inputs, outputs
         variance = None if variance is None else variance.swapaxes(1, 2)
@@ -571,5 +593,5 @@ def _curve(form: str, sides: _Sides, estimate: ModalEstimate) -> FittedCurve:
         variance=variance,
         outputs=tuple(port.label for port in outputs),
         inputs=tuple(port.label for port in inputs),
-        form=form,
+        form=named,
     )

@@ -17,8 +17,10 @@ from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, mixture, sett
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thinned
+from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.estimation.statistics import widened
 from labpipe.methods.modal.likelihood import Refined, pole_functions
+from labpipe.methods.modal.moved import MovedMode
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 
@@ -41,11 +43,20 @@ FEW = "too few lines around the mode to tell a model error"
 
 
 def model_errors(
-    measured: Measured, wide: Measured, estimate: ModalEstimate, parameters: Sequence[Parameter], misfit: bool
+    measured: Measured,
+    wide: Measured,
+    estimate: ModalEstimate,
+    parameters: Sequence[Parameter],
+    misfit: bool,
+    moved: Sequence[MovedMode] = (),
+    *,
+    moving: bool = False,
 ) -> dict[int, ModelError]:
     """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
     left out. *wide*: the same FRFs beyond the band. Without *misfit* of the whole only modes that fill the
     band, where residual terms of the FRFs may stand for a part of them, and whose own line shows one.
+    *moved*: modes whose points are *measured* at the mean pole; *moving*: a mass is known to move from point
+    to point, without which f_n and zeta are stated.
 
     y_r = W_r y with W = (A^H n A)^-1 A^H n over the FRFs, A (n_frf, n_mode) their residues and n the
     reciprocal of their mean variance: what all FRFs have in common does not average down, what each has for
@@ -56,7 +67,7 @@ def model_errors(
     values = {parameter.name: parameter.value for parameter in parameters}
     found: dict[int, ModelError] = {}
     for number, mode in enumerate(order, start=1):
-        if not misfit and not _fills(measured, refined.poles[mode]):
+        if not (misfit or moving or moved) and not _fills(measured, refined.poles[mode]):
             continue
         try:
             pole = complex(refined.poles[mode])
@@ -67,12 +78,18 @@ def model_errors(
             mixed = mixture(base)
         except (FitError, np.linalg.LinAlgError):
             continue
-        if mixed.sound > SOUND_SHARE and not misfit:
+        if mixed.sound > SOUND_SHARE and not (misfit or moving or moved):
             continue
         if mixed.sound < 0.5:
             mixed = settled(mixed, _elsewhere(wide, estimate, int(mode), band, scatter))
-        apart = {f"{name}_{number}": interval for name, interval in band.apart().items()}
-        found[number] = ModelError(mixed, _rows(base, number, values), apart)
+        seen, shifted, of_points = band.points()
+        for one in moved:
+            if np.argmin(np.abs(refined.poles - one.pole)) == mode:
+                shifted = shifted + one.shifts[seen]
+        points = seen, shifted, of_points
+        told = unloaded(*points, refined.shapes[:, mode]) if moving else {}
+        apart = {f"{name}_{number}": interval for name, interval in (told or _apart(*points)).items()}
+        found[number] = ModelError(mixed, _rows(base, number, values), apart, unloaded=bool(told))
     return found
 
 
@@ -181,34 +198,60 @@ class _Band:
         filters = np.linalg.pinv(columns * weight[:, None])[0] * weight
         return Curve(self.frequency, data @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
 
-    def apart(self) -> dict[str, tuple[float, float, float]]:
-        """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves
-        from point to point loads it.
-
-        mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode. Empty where all agree, or
-        too few see it.
-        """
-        seen = []
+    def points(self) -> tuple[list[int], FloatArray, FloatArray]:
+        """Points that see the mode, (ln f_n, ln zeta) of each (n, 2) and their errors by noise (n, 2) [1]."""
+        seen, values, errors = [], [], []
         zeta = -self.pole.real / abs(self.pole)
         for output in range(self.data.shape[1]):
             try:
                 fit = _ordinary(self.curve(slice(output, output + 1)), self.pole)
-                errors = np.sqrt(np.diag(fit.covariance)[:2])
+                error = np.sqrt(np.diag(fit.covariance)[:2])
             except (FitError, np.linalg.LinAlgError):
                 continue
-            if errors[0] < SEEN * zeta and errors[1] < SEEN:
-                seen.append((fit.theta[:2], errors))
-        if len(seen) < FEWEST_POINTS:
-            return {}
-        values, errors = (np.array(part) for part in zip(*seen, strict=True))
-        found = {}
-        for place, name in enumerate(("f_n", "zeta")):
-            x, weight = values[:, place], errors[:, place] ** -2.0
-            scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
-            if chi2_tail(scatter, x.size - 1) < DISAGREE:
-                reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
-                found[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
-        return found
+            if error[0] < SEEN * zeta and error[1] < SEEN:
+                seen.append(output)
+                values.append(fit.theta[:2])
+                errors.append(error)
+        return seen, np.array(values).reshape(-1, 2), np.array(errors).reshape(-1, 2)
+
+
+def _apart(seen: list[int], values: FloatArray, errors: FloatArray) -> dict[str, tuple[float, float, float]]:
+    """Mean and ends of ln f_n and ln zeta over the points, where these disagree beyond noise: what moves from
+    point to point loads it.
+
+    mean +- t s sqrt(1 + 1/n), for another point; of points that see the mode. Empty where all agree, or too
+    few see it.
+    """
+    if len(seen) < FEWEST_POINTS:
+        return {}
+    found = {}
+    for place, name in enumerate(("f_n", "zeta")):
+        x, weight = values[:, place], errors[:, place] ** -2.0
+        scatter = float(np.sum(weight * (x - np.average(x, weights=weight)) ** 2))
+        if chi2_tail(scatter, x.size - 1) < DISAGREE:
+            reach = student_quantile(0.975, x.size - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / x.size)
+            found[name] = (float(np.mean(x)), float(np.mean(x) - reach), float(np.mean(x) + reach))
+    return found
+
+
+def unloaded(
+    seen: list[int], values: FloatArray, errors: FloatArray, shape: ComplexArray
+) -> dict[str, tuple[float, float, float]]:
+    """Mean and ends of ln f_n and ln zeta where the mode does not move, phi^2 = 0: a mass there changes
+    nothing.
+
+    The points *seen* are repeats, *values* (n, 2) with *errors* (n, 2) [1], and phi^2 of the *shape*
+    (n_point,) [1] their covariate. Empty where too few see the mode. Equation (modal-unloaded).
+    """
+    square = np.abs(shape[seen]) ** 2 / np.max(np.abs(shape) ** 2)
+    if len(seen) <= FEWEST_POINTS:
+        return {}
+    scales = (PRIOR_SCALE * float(np.exp(np.median(values[:, 1]))), PRIOR_SCALE)
+    found = {}
+    for place, name in enumerate(("f_n", "zeta")):
+        mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
+        found[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
+    return found
 
 
 def _others(refined: Refined, mode: int, s: ComplexArray, residues: ComplexArray) -> ComplexArray:

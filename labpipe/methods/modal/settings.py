@@ -32,6 +32,13 @@ class ModalSettings(Settings):
         choices=("complex", "real"),
         default="complex",
     )
+    moving_mass: float | None = setting(
+        "value",
+        "mass of the sensor or hammer that moves from point to point and loads the structure; frequencies "
+        "and damping are then those without it",
+        unit="kg",
+        default=None,
+    )
     geometry: str = setting(
         "file",
         "positions of the points: CSV, or UFF 15, 2411, 82, 2412",

@@ -1,0 +1,264 @@
+"""Poles that are one mode: a hammer or a sensor that moves loads the structure, so that every point has a
+frequency of its own.
+
+The points are taken to the mean pole of each mode, each through its own fit; all that follows is fitted to
+these FRFs, and the points' own frequencies are what f_n and zeta scatter by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.measured import Measured
+from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
+from labpipe.methods.modal.number import Completed, LineNoise, refine_with_terms, whiteness
+from labpipe.records.finding import Finding, note
+
+# Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
+NEXT, FARTHEST = 2.0, 6.0
+# Half-power widths beyond them that are looked at, and the fewest lines and points.
+BESIDE, FEWEST_LINES, FEWEST_POINTS = 3.0, 12, 3
+# Likeness of two modes at the references within a half-power width that are one line in the list, and factor
+# on the damping of a second pole that fits something else.
+LIKE, BROADER = 0.9, 10.0
+# Share of the largest residue below which a point hardly sees a mode, and that from which it shows where the
+# mode lies.
+HARDLY, SHOWS = 0.1, 0.3
+# Squares over those of noise, as its differences from line to line show it, up to which two poles leave none.
+AS_NOISE = 1.3
+
+
+@dataclass(frozen=True)
+class MovedMode:
+    """One mode whose points have poles (n_point,) [rad/s] of their own, with residues (n_point, n_reference)
+    [unit of the FRF times rad/s]; *also*: frequencies [Hz] of two poles that fit better, which the references
+    cannot tell apart.
+    """
+
+    poles: ComplexArray
+    residues: ComplexArray
+    also: tuple[float, ...] = ()
+
+    @property
+    def reference(self) -> ComplexArray:
+        """Participation (n_reference,) [1] that holds most of the residues."""
+        return np.asarray(np.linalg.svd(self.residues, full_matrices=False)[2][0])
+
+    @property
+    def pole(self) -> complex:
+        """Mean of the points' poles [rad/s], each by the square of its residue."""
+        return complex(np.average(self.poles, weights=np.sum(np.abs(self.residues) ** 2, axis=1)))
+
+    @property
+    def shifts(self) -> FloatArray:
+        """ln f_n and ln zeta of every point over those of the mean, (n_point, 2) [1]; 0 of points that hardly
+        see the mode.
+        """
+        size, damping = np.abs(self.poles / self.pole), self.poles.real / np.abs(self.poles)
+        relative = np.abs(damping / (self.pole.real / abs(self.pole)))
+        return np.where(self._seen[:, None], np.log(np.column_stack([size, relative])), 0.0)
+
+    @property
+    def _seen(self) -> BoolArray:
+        size = np.linalg.norm(self.residues, axis=1)
+        near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
+        return np.asarray((size > HARDLY * np.max(size)) & near & (self.poles.real < 0))
+
+    def aligned(self, s: ComplexArray) -> ComplexArray:
+        """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
+        the FRF]; *s* (n_line,) [rad/s].
+        """
+        own = np.where(self._seen, self.poles, self.pole)
+        (a, b), _ = pole_functions(s, np.append(own, self.pole), hysteretic=False)
+        change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
+        return np.asarray(change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj()))
+
+    @property
+    def finding(self) -> Finding:
+        """A note that it is one mode, and between which frequencies it lies."""
+        size = np.linalg.norm(self.residues, axis=1)
+        seen = np.abs(self.poles[size > SHOWS * np.max(size)]) / (2 * np.pi)
+        message = (
+            f"the poles around {abs(self.pole) / (2 * np.pi):.6g} Hz are one mode, whose frequency lies "
+            f"between {seen.min():.6g} and {seen.max():.6g} Hz from point to point: what moves loads the "
+            "structure. "
+        )
+        if self.also:
+            message += (
+                f"Two modes at {self.also[0]:.6g} and {self.also[1]:.6g} Hz would fit better, but look alike "
+                "at the references: a close pair, or a mode that jumps. Use more references"
+            )
+        else:
+            message += "`moving_mass` states the structure without it"
+        return note("moved-mode", message)
+
+
+def aligned(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | float:
+    """What takes all points to the mean poles of *moved* modes, (n_line, n_point, n_reference) [unit of the
+    FRF], on *s* (n_line,) [rad/s]; 0 without any.
+    """
+    return sum((mode.aligned(s) for mode in moved), start=0.0)
+
+
+def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured:
+    """The FRFs with every point at the mean poles of the *moved* modes."""
+    if not moved:
+        return measured
+    return replace(measured, matrix=measured.matrix + aligned(1j * measured.omega, moved))
+
+
+def with_moved_modes(
+    lines: Lines, done: Completed, noise: LineNoise, *, moving: bool
+) -> tuple[Lines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+    """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes
+    on poles that are one; as they are where none does.
+
+    Poles nearer than two half-power widths are fitted as one pole per point, and as two common ones. One mode
+    where BIC = sum over the FRFs of 2 n ln(residual) + p ln(2 n n_frf) is for it, where a pole of the two
+    leaves the others or is broad, or where both are alike at the references and nearer than a half-power
+    width. What moves one mode moves all; *moving*: it is known that something does. Equation (modal-moved).
+    """
+    refined = done.refined
+    if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
+        return lines, done, (), ()
+    found = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _moved(lines, refined, chain)]
+    if not found and not (moving and done.p_noise < MISMATCH_P):
+        return lines, done, (), ()
+    findings = tuple(mode.finding for _, mode in found)
+    merged = {number for chain, _ in found for number in chain}
+    for number in set(range(refined.poles.size)) - merged:
+        s, data = _alone(lines, refined, [number])
+        if s.size >= FEWEST_LINES:
+            found.append(([number], _by_points(s, data, refined.poles[[number]])[0]))
+            merged.add(number)
+    moved = tuple(mode for _, mode in found)
+    rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
+    poles = np.concatenate([refined.poles[rest], [mode.pole for mode in moved]])
+    participation = np.vstack([refined.participation[rest], [mode.reference for mode in moved]])
+    change = aligned(lines.s, moved) * (lines.s**lines.power)[:, None, None]
+    plain, lines = lines, replace(lines, matrix=lines.matrix + change)
+    again, terms = refine_with_terms(lines, poles, participation)
+    frequency = np.abs(again.poles)
+    if not again.converged or frequency.min() < lines.omega[0] or frequency.max() > lines.omega[-1]:
+        return plain, done, (), ()
+    p_noise = whiteness(remaining(lines, terms, again), noise)
+    return lines, replace(done, refined=again, terms=terms, p_noise=p_noise), moved, findings
+
+
+def _chains(refined: Refined) -> list[list[int]]:
+    """Numbers of poles that follow each other closely, in ascending frequency."""
+    order = np.argsort(refined.poles.imag).tolist()
+    # Half-power width over frequency, 2 zeta.
+    relative = float(np.median(-2 * refined.poles.real / np.abs(refined.poles)))
+    chains = [[order[0]]]
+    for number in order[1:]:
+        width = relative * refined.poles.imag[number]
+        first, last = refined.poles.imag[[chains[-1][0], chains[-1][-1]]]
+        at = refined.poles.imag[number]
+        if at - last < NEXT * width and at - first < FARTHEST * width:
+            chains[-1].append(number)
+        else:
+            chains.append([number])
+    return chains
+
+
+def _moved(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
+    """The modes of a chain that are made of several poles, with the numbers of these."""
+    if len(chain) < 2:
+        return []
+    s, data = _alone(lines, refined, chain)
+    if s.size < FEWEST_LINES:
+        return []
+    mode = _one_mode(s, data, refined.poles[chain])
+    if mode is not None:
+        return [(chain, mode)]
+    middle = len(chain) // 2
+    return [*_moved(lines, refined, chain[:middle]), *_moved(lines, refined, chain[middle:])]
+
+
+def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
+    """s (n_line,) [rad/s] around a chain and the receptances there without the other modes."""
+    poles = refined.poles[chain]
+    reach = BESIDE * float(np.median(-2 * poles.real))
+    low, high = poles.imag.min() - reach, poles.imag.max() + reach
+    others = np.setdiff1d(np.arange(refined.poles.size), chain)
+    near = refined.poles.imag[others]
+    below, above = near[near < poles.imag.min()], near[near > poles.imag.max()]
+    # Cut halfway to the neighbours.
+    low = max(low, (below.max() + poles.imag.min()) / 2) if below.size else low
+    high = min(high, (above.min() + poles.imag.max()) / 2) if above.size else high
+    chosen = (lines.omega >= low) & (lines.omega <= high)
+    s = lines.s[chosen]
+    residues = np.einsum("om,mi->moi", refined.shapes[:, others], refined.participation[others])
+    (a, b), _ = pole_functions(s, refined.poles[others], hysteretic=False)
+    data = lines.matrix[chosen] / (s**lines.power)[:, None, None]
+    return s, data - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
+
+
+def _solved(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """Residues (n_pole, n) and squares (n,) that poles with a constant and a slope leave of *data* (n_line,
+    n).
+    """
+    x = np.linspace(-1, 1, s.size)
+    columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
+    amounts = np.linalg.lstsq(columns, data, rcond=None)[0]
+    left = np.sum(np.abs(data - columns @ amounts) ** 2, axis=0)
+    return amounts[: poles.size], np.maximum(left, np.finfo(float).tiny)
+
+
+def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
+    """The poles (n_pole,) [rad/s] common to *data* (n_line, n) of least 2 n_line sum ln(squares)."""
+    unit = float(np.median(-start.real))
+
+    def poles(moves: FloatArray) -> ComplexArray:
+        decay, frequency = moves.reshape(2, -1)
+        return np.asarray(start.real * np.exp(decay) + 1j * (start.imag + unit * frequency))
+
+    def cost(moves: FloatArray) -> float:
+        return float(np.sum(np.log(_solved(s, data, poles(moves))[1]))) * 2 * s.size / data.shape[1]
+
+    steps = np.vstack([np.zeros(2 * start.size), 0.3 * np.eye(2 * start.size)])
+    best = optimize.minimize(
+        cost, steps[0], method="Nelder-Mead", options={"initial_simplex": steps, "xatol": 1e-4, "fatol": 1e-3}
+    )
+    return poles(best.x)
+
+
+def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
+    """A pole of every point of data (n_line, n_point, n_reference), and the squares that each leaves."""
+    start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
+    own = [_best(s, data[:, point], start) for point in range(data.shape[1])]
+    solved = [_solved(s, data[:, point], pole) for point, pole in enumerate(own)]
+    residues = np.array([amounts[0] for amounts, _ in solved])
+    return MovedMode(np.array(own)[:, 0], residues), np.array([left for _, left in solved])
+
+
+def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:
+    """The chain as one mode with a pole per point, or None where it is two."""
+    n_line, n_point, n_reference = data.shape
+    moved, squares = _by_points(s, data, chain)
+    flat, n_entry = data.reshape(n_line, -1), n_point * n_reference
+    pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
+    amounts, left = _solved(s, flat, pair)
+    difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(left)))
+    difference += np.log(2 * n_line * n_entry) * (6 * n_entry + 2 * n_point - 8 * n_entry - 4)
+    width = -2 * moved.pole.real
+    out = (pair.imag < chain.imag.min() - width) | (pair.imag > chain.imag.max() + width)
+    if difference < 0 or np.any(out | (-2 * pair.real > BROADER * width)):
+        return moved
+    noise = np.mean(np.abs(np.diff(flat, 2, axis=0)) ** 2, axis=0) / 6
+    if np.mean(left / (n_line * noise)) < AS_NOISE:
+        # Two poles that are the same at all points leave noise: that is a pair.
+        return None
+    a, b = amounts.reshape(2, n_point, n_reference)
+    sizes = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    like = float(np.sum(np.abs(np.sum(a.conj() * b, axis=1))) / np.sum(sizes))
+    if n_reference > 1 and like > LIKE and abs(pair.imag[0] - pair.imag[1]) < width:
+        return replace(moved, also=tuple(float(f) for f in np.sort(np.abs(pair)) / (2 * np.pi)))
+    return None
