@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,14 @@ from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
+from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation, look
 from labpipe.raw_files.table import Table, guarded, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
+from labpipe.records.frf_layout import MECHANICAL
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -488,10 +491,23 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
     for number, output in enumerate(outputs):
         band = None
         if moving.sum() > 1 and number < guessed.size.shape[1]:
-            band = _around(guessed.frequency[moving], guessed.size[moving, number])
+            frequency = guessed.frequency[moving]
+            band = _around(frequency, guessed.size[moving, number] * frequency ** _order(guessed))
         fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
         lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
     return "\n".join(lines) + "\n"
+
+
+def _order(guessed: GuessedFrf) -> int:
+    """The power of the frequency that makes a mobility of FRFs; where nothing says their form they are taken
+    for accelerance, which most are.
+    """
+    form = guessed.form
+    for name in MECHANICAL if guessed.unit and not form else ():
+        with suppress(UnitError):
+            unit_of(guessed.unit, FORMS[name])
+            form = name
+    return {"receptance": 1, "mobility": 0}.get(form, -1)
 
 
 def _flow(columns: Mapping[str, str]) -> str:
