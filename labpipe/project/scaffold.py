@@ -120,8 +120,9 @@ NOT_SHOWN = (
     "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
     "# A second test at half the force shows what the level does; `damping: hysteretic`, what its law does.",
 )
-# A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
-AROUND, LEAST_LINES = 0.1, 12
+# A fit looks at this share of the peak's frequency to either side, or at so many half-power widths if that is
+# less, and at this many lines at least.
+AROUND, WIDTHS, LEAST_LINES = 0.1, 10.0, 12
 # Share of a record that sweeps take where they are its excitation.
 SWEPT = 0.4
 # Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
@@ -425,10 +426,16 @@ def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
     no other.
     """
     logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
-    width = max(mobility.size // 400, 1)
-    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=width)
+    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=max(mobility.size // 400, 1))
     peak = int(found[np.argmax(mobility[found])]) if found.size else int(np.argmax(mobility))
-    reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
+    spacing = float(np.median(np.diff(frequency)))
+    beside = mobility < mobility[peak] / np.sqrt(2)
+    left, right = beside[:peak][::-1], beside[peak:]
+    width = (np.argmax(left) if left.any() else left.size) + (np.argmax(right) if right.any() else right.size)
+    # Of a light damping a tenth of the frequency holds neighbours.
+    reach = max(
+        min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), LEAST_LINES / 2 * spacing
+    )
     lowest = float(frequency[frequency > 0][0])
     return max(float(frequency[peak]) - reach, lowest), min(
         float(frequency[peak]) + reach, float(frequency[-1])
