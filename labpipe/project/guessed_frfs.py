@@ -165,7 +165,8 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
         name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
     }
     axis = _axis_of(vectors, size, elements)
-    if not elements or not axis:
+    step = 0.0 if axis else _step_by_scalars(source, size)
+    if not elements or not (axis or step):
         return None
     coherences = [
         name
@@ -181,9 +182,10 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
     first = next(iter(elements))
     form = next((form for form, pattern in _FORMS if re.search(pattern, first, re.IGNORECASE)), "")
     said = (f"{form}: by the name {first}",) if form else ()
-    frequency = vectors[axis].real
+    frequency = vectors[axis].real if axis else step * np.arange(size)
     sizes = np.abs(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
-    columns = {"frequency": axis, **(elements[first] if len(elements) == 1 else {})}
+    lines = {"frequency": axis} if axis else {"start": "0 Hz", "step": f"{step:.12g} Hz"}
+    columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
     listed = {} if len(elements) == 1 else elements
     return GuessedFrf(columns, "", frequency, sizes, "variables", listed, form, (*said, *doubts))
 
@@ -191,6 +193,25 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
     """The first part (n,) of an element: its complex numbers, amplitude or real part."""
     return vectors[next(iter(parts.values()))]
+
+
+def _step_by_scalars(source: DescribedColumns, size: int) -> float:
+    """The distance of *size* lines [Hz] where two numbers of the file are the samples of a block and their
+    rate; 0 where none are.
+    """
+    scalars: dict[str, float] = {}
+    for name in source.names:
+        try:
+            values = source.values(name)
+        except DataError:
+            continue
+        if values.size == 1:
+            scalars[name.rpartition(".")[2].lower()] = float(values.real.flat[0])
+    for block in ("npts", "nfft", "n_fft", "blocksize"):
+        for rate in ("fs", "freq", "rate", "fsamp", "sample_rate"):
+            if scalars.get(block, 0) // 2 + 1 == size and scalars.get(rate, 0) > 0:
+                return scalars[rate] / scalars[block]
+    return 0.0
 
 
 def _vectors(source: DescribedColumns) -> dict[str, ComplexArray | FloatArray]:
@@ -222,7 +243,10 @@ def _complex_elements(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
     ):
         if chosen:
             return {name: {"complex": name} for name in chosen}, ()
-    return {}, ()
+    if len(complex_) < len(vectors):
+        return {}, ()
+    # What is called a spectrum may be an FRF where nothing else is in the file.
+    return {name: {"complex": name} for name in complex_}, ("FRFs, for the file holds nothing else",)
 
 
 def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:

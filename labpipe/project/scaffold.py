@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,14 @@ from labpipe.project.guessed_frfs import GuessedFrf, guessed_frf
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.rig_file import time_scale
 from labpipe.project.settings_reader import DECIDE
+from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation, look
 from labpipe.raw_files.table import Table, guarded, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
+from labpipe.records.frf_layout import MECHANICAL
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -117,8 +120,9 @@ NOT_SHOWN = (
     "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
     "# A second test at half the force shows what the level does; `damping: hysteretic`, what its law does.",
 )
-# A fit looks at this share of the peak's frequency to either side, and at this many lines at least.
-AROUND, LEAST_LINES = 0.1, 12
+# A fit looks at this share of the peak's frequency to either side, or at so many half-power widths if that is
+# less, and at this many lines at least.
+AROUND, WIDTHS, LEAST_LINES = 0.1, 10.0, 12
 # Share of a record that sweeps take where they are its excitation.
 SWEPT = 0.4
 # Natural logarithm by which a peak stands out of what lies between it and the next higher one: a factor of 2.
@@ -422,10 +426,16 @@ def _around(frequency: FloatArray, mobility: FloatArray) -> tuple[float, float]:
     no other.
     """
     logarithm = np.log(np.maximum(mobility, np.finfo(float).tiny))
-    width = max(mobility.size // 400, 1)
-    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=width)
+    found, _ = find_peaks(logarithm, prominence=STANDS_OUT, distance=max(mobility.size // 400, 1))
     peak = int(found[np.argmax(mobility[found])]) if found.size else int(np.argmax(mobility))
-    reach = max(AROUND * float(frequency[peak]), LEAST_LINES / 2 * float(np.median(np.diff(frequency))))
+    spacing = float(np.median(np.diff(frequency)))
+    beside = mobility < mobility[peak] / np.sqrt(2)
+    left, right = beside[:peak][::-1], beside[peak:]
+    width = (np.argmax(left) if left.any() else left.size) + (np.argmax(right) if right.any() else right.size)
+    # Of a light damping a tenth of the frequency holds neighbours.
+    reach = max(
+        min(AROUND * float(frequency[peak]), WIDTHS * float(width) * spacing), LEAST_LINES / 2 * spacing
+    )
     lowest = float(frequency[frequency > 0][0])
     return max(float(frequency[peak]) - reach, lowest), min(
         float(frequency[peak]) + reach, float(frequency[-1])
@@ -488,10 +498,23 @@ def _pipeline_of_tables(guessed: GuessedFrf, paths: Sequence[str]) -> str:
     for number, output in enumerate(outputs):
         band = None
         if moving.sum() > 1 and number < guessed.size.shape[1]:
-            band = _around(guessed.frequency[moving], guessed.size[moving, number])
+            frequency = guessed.frequency[moving]
+            band = _around(frequency, guessed.size[moving, number] * frequency ** _order(guessed))
         fit = _fit_lines("fit" if len(outputs) == 1 else f"fit_{number + 1}", force, output, band)
         lines += [line.replace("estimator: ml", "estimator: ls") for line in fit]
     return "\n".join(lines) + "\n"
+
+
+def _order(guessed: GuessedFrf) -> int:
+    """The power of the frequency that makes a mobility of FRFs; where nothing says their form they are taken
+    for accelerance, which most are.
+    """
+    form = guessed.form
+    for name in MECHANICAL if guessed.unit and not form else ():
+        with suppress(UnitError):
+            unit_of(guessed.unit, FORMS[name])
+            form = name
+    return {"receptance": 1, "mobility": 0}.get(form, -1)
 
 
 def _flow(columns: Mapping[str, str]) -> str:

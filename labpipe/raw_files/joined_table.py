@@ -168,7 +168,8 @@ class ResampledTable:
     """
 
     def __init__(self, tables: Sequence[Table], rate: float) -> None:
-        self.path, self.sample_rate = tables[0].path, rate
+        self.path = tables[0].path
+        self.sample_rate: float | None = rate
         self._tables = tuple(tables)
         places = [
             (number, name)
@@ -193,11 +194,12 @@ class ResampledTable:
         from scipy.interpolate import CubicSpline
 
         assert self.sample_rate is not None
+        chosen = [self._places[column] for column in columns]
         splines: dict[int, tuple[CubicSpline, list[str]]] = {}
         ends = []
-        for number in sorted({self._places[column][0] for column in columns}):
+        for number in sorted({number for number, _ in chosen}):
             table = self._tables[number]
-            names = list(dict.fromkeys(name for n, name in map(self._places.get, columns) if n == number))
+            names = list(dict.fromkeys(name for n, name in chosen if n == number))
             times, rows = _timed(table, names)
             rate = (times.size - 1) / (times[-1] - times[0])
             if rate > self.sample_rate * (1 + SAME_RATE):
@@ -215,7 +217,6 @@ class ResampledTable:
             raise DataError("its groups have no time in common", where=str(self.path))
         # The last time may lie beyond the end by rounding.
         values = {n: spline(np.minimum(grid, last)) for n, (spline, _) in splines.items()}
-        chosen = [self._places[column] for column in columns]
         yield np.column_stack([values[n][:, splines[n][1].index(name)] for n, name in chosen])
 
     def findings(self) -> tuple[Finding, ...]:

@@ -31,6 +31,7 @@ UNITS = {
     "pascals": "Pa",
     "seconds": "s",
     "hertz": "Hz",
+    "pounds": "lbf",
 }
 
 

@@ -290,7 +290,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
     """DataError for a required column that is missing (with the nearest name) or not unique."""
     for name in required:
         count = table.columns.count(name)
-        if count == 0 and name in getattr(table, "unused", {}) and getattr(table, "others", ()):
+        if count == 0 and name in getattr(table, "unused", {}) and bool(getattr(table, "others", None)):
             hint = "resample: RATE in the rig file brings all to one rate"
             raise DataError(f"'{name}' has another rate than the others", where=str(table.path), hint=hint)
         if count == 0:

@@ -27,7 +27,8 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
     """
     if form not in DERIVATIVES:
         hint = (
-            "model: base"
+            "model: base; or where the mass is known a force by a channel under derived: in the rig file, "
+            "{f: {sum: {a: 1500 kg}, quantity: force, dof: x}}"
             if form == TRANSMISSIBILITY
             else ("displacement, velocity or acceleration per force")
         )
