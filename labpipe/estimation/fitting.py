@@ -522,21 +522,16 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return list(judged.findings)
     if not setup.settings.estimates.phase or not case.estimate.converged:
         return []
-    late = _delay_findings(case, model)
-    if late:
-        return [*judged.findings, *late]
+    chance = case.estimate.gof.chi2_p
+    if chance is not None and chance < MISMATCH_P:
+        # A channel that is late makes any mass look wrong.
+        late = delay_findings(case.measured, model, case.estimate.values)
+        if late:
+            return [*judged.findings, *late]
     return [
         *judged.findings,
         *mass_findings(case.measured, model, case.estimate.values, setup, judged.stated),
     ]
-
-
-def _delay_findings(case: Case, model: DynamicModel) -> list[Finding]:
-    """A channel that is late, where the residual is not noise."""
-    chance = case.estimate.gof.chi2_p
-    if chance is None or chance >= MISMATCH_P:
-        return []
-    return delay_findings(case.measured, model, case.estimate.values)
 
 
 def _refit(setup: Setup, model: BandModel, measured: Measured) -> tuple[Parameter, ...]:
