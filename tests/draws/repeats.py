@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FrequencyResponse, uncorrelated
 from tests.estimation.test_repeated import F_N, FREQUENCY, NOISE, ZETA, fitted, mode, repeated
 
-DRAWS, NUMBERS = 8, (3, 5, 10)
+DRAWS, NUMBERS = 5, (3, 5, 10)
 # ln f over zeta and ln zeta of every recording (n,), and the forces where they are known.
 Moves = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
@@ -73,7 +73,15 @@ def drawn(kind: str, n: int, seed: int, hidden: float) -> FrequencyResponse:
     noise = std * (rng.normal(size=(n, FREQUENCY.size)) + 1j * rng.normal(size=(n, FREQUENCY.size)))
     matrices = (np.array(h) + noise / np.sqrt(2))[:, :, None, None]
     mean = matrices.mean(axis=0)
-    return replace(repeated(n, 0), matrix=mean, repeats=matrices, repeat_levels=force)
+    covariance = uncorrelated(np.full(mean.shape, std**2 / n))
+    return replace(
+        repeated(n, 0),
+        matrix=mean,
+        covariance=covariance,
+        covariance_dof=float("inf"),
+        repeats=matrices,
+        repeat_levels=force,
+    )
 
 
 def counted(kind: str, hidden: float) -> tuple[str, str]:
