@@ -289,7 +289,9 @@ def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -
     ends = []
     for p in (0.025, 0.975):
         reach = special.ndtri(p) * deviations
-        low, high = float(np.min(means + reach)) - 1e-12, float(np.max(means + reach)) + 1e-12
+        # By rounding, one component alone may lie on either side of its own end.
+        margin = 1e-12 + 1e-6 * float(np.max(deviations))
+        low, high = float(np.min(means + reach)) - margin, float(np.max(means + reach)) + margin
         ends.append(float(optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13)))
     return ends[0], ends[1]
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.discrepancy import course, evidence, mixture
+from labpipe.estimation.discrepancy import _quantiles, course, evidence, mixture
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel, extensions
 
 
@@ -182,3 +182,15 @@ def test_a_band_that_shows_no_course_is_refused() -> None:
     model = ModeModel(Curve(f, mode(f, 100, 0.01), np.full(30, 0.1)))
     with pytest.raises(FitError, match="too narrow"):
         mixture(model.fitted(model.started(np.log([100, 0.01]))))
+
+
+def test_ends_of_one_wide_component_are_those_of_a_normal_distribution() -> None:
+    """A component that has all the weight, far wider than its mean is precise: by rounding its own end lay on
+    either side of itself.
+    """
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        mean, deviation = 1e10 * rng.normal(), 10 ** rng.uniform(9, 13)
+        low, high = _quantiles(np.ones(1), np.array([mean]), np.array([deviation]))
+        assert (low - mean) / deviation == pytest.approx(-1.959963984540054, rel=1e-9)
+        assert (high - mean) / deviation == pytest.approx(1.959963984540054, rel=1e-9)
