@@ -9,6 +9,7 @@ from pathlib import Path
 
 from labpipe.artefacts.measured_files import RESPONSE_SUFFIX, read_response
 from labpipe.errors import DataError
+from labpipe.project.guessed_frfs import guessed_frf
 from labpipe.project.tests import ReadyFrf
 from labpipe.raw_files.frf_csv import FREQUENCY, port_of
 from labpipe.raw_files.frf_described import Dofs, read_described
@@ -53,8 +54,31 @@ def load_response(path: Path, name: str = "", conditions: dict[str, str] | None 
         response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
     except DataError as error:
         error.where = error.where or str(path)
+        if error.what.startswith(OWN_LAYOUT):
+            error.hint = _other_layouts(path, error.hint)
         raise
     return response.renamed(name or response.name, conditions or response.conditions)
+
+
+# How a fault begins of a file that is not laid out as labpipe writes FRFs.
+OWN_LAYOUT = ("lacks the variable", f"no column '{FREQUENCY}'", "no columns 'output/input")
+
+
+def _other_layouts(path: Path, hint: str | None) -> str:
+    """What was tried beside labpipe's own layout, and what it missed, or how its FRF is described."""
+    try:
+        guessed = guessed_frf(path)
+    except DataError:
+        guessed = None
+    if guessed is not None:
+        listed = ", ".join(f"{kind}: {name}" for kind, name in guessed.columns.items())
+        return (
+            f"tried as well: {guessed.word} {{{listed}}} look like an FRF; describe them in the entry, as "
+            "`labpipe init DIR FILE` writes it"
+        )
+    missed = "a frequency and complex numbers, or amplitude and phase, were not found by names or numbers"
+    recording = "time data belong under recordings:"
+    return "; ".join(filter(None, (hint, f"tried as well, a table of another program: {missed}", recording)))
 
 
 def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:

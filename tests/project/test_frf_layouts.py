@@ -157,3 +157,18 @@ def test_universal_files_that_leave_their_form_open(lab: Path, labpipe) -> None:
     assert ended.code == 0, ended
     (lab / "p.yaml").write_text(HEAD.replace("{entry}", "{file: h.txt, form: receptance}") + FIT)
     assert "neither 'columns' nor 'variables'" in labpipe("run", "p.yaml", "-o", "o").err
+
+
+def test_a_file_that_is_no_frf_says_what_was_tried(lab: Path, labpipe) -> None:
+    from scipy.io import savemat
+
+    savemat("h.mat", {"f": FREQUENCY, "H": RECEPTANCE})
+    savemat("t.mat", {"x": RECEPTANCE.real, "fs": 100.0})
+    for name, said in (
+        ("h.mat", "variables {frequency: f, complex: H} look like an FRF"),
+        ("t.mat", "a frequency and complex numbers, or amplitude and phase, were not found"),
+        ("p_x_x.txt", "columns {frequency: 1, re: 2, im: 3} look like an FRF"),
+    ):
+        (lab / "p.yaml").write_text(HEAD.replace("{entry}", name) + FIT)
+        ended = labpipe("run", "p.yaml", "-o", "out")
+        assert ended.code == 2 and said in ended.err, ended
