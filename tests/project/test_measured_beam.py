@@ -4,6 +4,7 @@ mode known from elsewhere.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +43,14 @@ def test_a_time_step_gives_the_rate() -> None:
 
 
 def test_a_project_of_such_a_file_asks_for_what_it_does_not_say(tmp_path: Path) -> None:
-    """No units and names that tell nothing: both channels are for a person.
-
-    The time column is recognised and left out.
+    """The averaged FRF with its frequencies and coherence, beside a last block of time data: its unit alone
+    is for a person, and the band lies around the published mode of 212.0925 Hz.
     """
     made = scaffold([shipped("case1.mat")], tmp_path)
-    assert made.rig.count(f"quantity: {DECIDE}") == 2 and "Time_domain" not in made.rig
-    assert any(place.startswith("pipeline.yaml") for place in made.decisions)
+    assert (
+        'variables: {frequency: "Freq_domain", complex: "Hf_chan_2", coherence: "Hf_coh_chan_2"}'
+        in made.pipeline
+    )
+    assert made.rig == "" and made.pipeline.count(DECIDE) == len(made.decisions) == 1
+    low, high = map(float, re.search(r"band: ([\d.]+)-([\d.]+) Hz", made.pipeline).groups())
+    assert low < 212.0925 < high and high - low < 0.1 * 212
