@@ -280,6 +280,10 @@ def settled(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
     return Settled(**parts, others=others)
 
 
+# Halvings from the largest number to the smallest.
+MOST_BISECTIONS = 5000
+
+
 def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -> tuple[float, float]:
     """2.5 and 97.5 % of a mixture of normal distributions."""
 
@@ -292,7 +296,9 @@ def _quantiles(weights: FloatArray, means: FloatArray, deviations: FloatArray) -
         # By rounding, one component alone may lie on either side of its own end.
         margin = 1e-12 + 1e-6 * float(np.max(deviations))
         low, high = float(np.min(means + reach)) - margin, float(np.max(means + reach)) + margin
-        ends.append(float(optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13)))
+        # A component that ran away is as far as numbers reach: bisection comes back from there.
+        end = optimize.brentq(above, low, high, args=(p,), xtol=1e-14, rtol=1e-13, maxiter=MOST_BISECTIONS)
+        ends.append(float(end))
     return ends[0], ends[1]
 
 
