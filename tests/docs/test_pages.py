@@ -67,9 +67,9 @@ console = module("console")
 WITH_COMMANDS = [page for page in PAGES if list(console.commands(page.read_text(encoding="utf-8")))]
 
 
-# Pages whose commands take more than three seconds: films, run-ups, a loop's theory, plans, whole projects.
+# Pages whose commands take two seconds and more: films, run-ups, a loop's theory, plans, whole projects.
 SLOW = {"bearing", "journal-bearing", "unbalance", "control-loop", "compare", "virtual-rig", "run-up-method"}
-SLOW |= {"section", "budget", "plan", "many"}
+SLOW |= {"section", "budget", "plan", "many", "campaign", "closed-loop", "ball-bearing", "magnetic-bearing"}
 
 
 @pytest.mark.parametrize(

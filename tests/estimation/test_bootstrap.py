@@ -16,6 +16,7 @@ from labpipe.records.finding import Parameter
 SDOF = FitSettings("sdof", mass="estimate", name="pedestal", bootstrap=200)
 
 
+@pytest.mark.long
 def test_bootstrap_agrees_with_the_information_matrix(sdof_response) -> None:
     response = sdof_response(1e-7, np.random.default_rng(1))
     (plain,), (again,) = identify(response, replace(SDOF, bootstrap=0)), identify(response, SDOF)

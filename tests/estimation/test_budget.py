@@ -198,6 +198,7 @@ def test_a_mass_in_the_settings_keeps_its_uncertainty() -> None:
     assert dataclasses.replace(given, estimator="ls").uncertainties == given.uncertainties
 
 
+@pytest.mark.long
 def test_monte_carlo_scatters_as_first_order_says(rng) -> None:
     """200 draws of noise, gains, delay and mass: scatter over the combined uncertainty within 4 standard
     deviations of a scatter.

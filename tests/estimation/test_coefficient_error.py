@@ -172,7 +172,12 @@ def drift(_: np.ndarray, __: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("fault", "known"), [(other_modes, True), (gain_curve, True), (drift, True), (gain_curve, False)]
+    ("fault", "known"),
+    [
+        (other_modes, True),
+        (gain_curve, False),
+        *(pytest.param(one, True, marks=pytest.mark.long) for one in (gain_curve, drift)),
+    ],
 )
 def test_intervals_of_a_matrix_hold_in_spite_of_a_wrong_model(fault, known: bool) -> None:
     """Six matrices each, 72 coefficients: 95 % intervals hold 61 of them or more but once in a thousand."""

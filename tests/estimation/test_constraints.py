@@ -59,6 +59,7 @@ def test_proportional_damping_without_noise(three_dof_response) -> None:
         assert fit.parameter("c_2_3").value == pytest.approx(-0.1, rel=1e-6)
 
 
+@pytest.mark.long
 def test_proportional_standard_errors_are_the_scatter(three_dof_response) -> None:
     fits = [
         identify(three_dof_response(0.05, np.random.default_rng(seed)), RAYLEIGH)[0] for seed in range(60)
@@ -142,6 +143,7 @@ def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -
     assert {"mdof, symmetric", "mdof, general, proportional damping"} <= names
 
 
+@pytest.mark.long
 def test_likelihood_ratio_of_a_true_restriction_is_uniform(three_dof_response) -> None:
     """Proportional damping is held against free damping coefficients without being asked to."""
     found = [

@@ -96,7 +96,7 @@ WRITTEN = {
     "weight": "noise",
     "bootstrap": "40",
     "coverage": "90 %",
-    "monte_carlo": "200",
+    "monte_carlo": "40",
     "compare": "true",
     "test": "[other]",
     "repeats": "pool",

@@ -83,6 +83,7 @@ def test_a_recorded_multisine_gives_eta_within_its_interval(
         assert found[name]["std_error"] < 1e-2 * value
 
 
+@pytest.mark.long
 def test_intervals_of_one_mass_are_the_scatter() -> None:
     fits = [identify(one_mass(seed), FitSettings("sdof", damping="hysteretic"))[0] for seed in range(60)]
     for name, value in (*TRUTH.items(), ("m", M)):

@@ -122,6 +122,7 @@ def test_modes_are_those_of_the_matrices(three_dof_response) -> None:
             assert abs(share.value - expected) < 4 * share.std_error + 1e-12
 
 
+@pytest.mark.long
 def test_standard_errors_of_modes_are_the_scatter(three_dof_response) -> None:
     fits = [one(three_dof_response(0.02, np.random.default_rng(seed)), KNOWN) for seed in range(60)]
     for name in ("f_n_1", "zeta_2", "shape_2_1", "participation_1_f2"):

@@ -36,6 +36,7 @@ def hann(seed: int) -> FrequencyResponse:
     return replace(clean, matrix=matrix + 0.01 * np.sqrt(np.mean(np.abs(matrix) ** 2)) * noise / np.sqrt(3))
 
 
+@pytest.mark.long
 def test_lines_that_share_noise_through_a_window_raise_no_alarm_when_the_window_is_known() -> None:
     fits = [
         [

@@ -82,6 +82,7 @@ def test_exact_data_have_no_residual_to_judge() -> None:
     assert "model-mismatch" not in codes(identify(exact, FitSettings("sdof"))[0])
 
 
+@pytest.mark.long
 def test_p_values_of_noise_are_uniform() -> None:
     rng = np.random.default_rng(4)
     n_line, size = 60, np.linspace(1.0, 3.0, 60)[:, None] * np.ones(2)

@@ -94,6 +94,7 @@ def test_noise_of_unknown_size_follows_the_correlation_line_by_line(
     np.testing.assert_allclose(estimate.covariance, variance * (a @ j.T @ r @ j @ a), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_bootstrap_scatters_as_much(response: FrequencyResponse) -> None:
     (plain,) = identify(response, FitSettings("sdof", mass=0.79))
     (drawn,) = identify(response, FitSettings("sdof", mass=0.79, bootstrap=200))

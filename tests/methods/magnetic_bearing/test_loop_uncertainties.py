@@ -425,7 +425,7 @@ def test_unknowns_of_a_sensitivity_follow_the_channels() -> None:
             np.testing.assert_allclose(told / sizes, expected / sizes, atol=2e-3, err_msg=f"{label}.{effect}")
 
 
-@pytest.mark.parametrize("before", ["before", ""])
+@pytest.mark.parametrize("before", ["before", pytest.param("", marks=pytest.mark.long)])
 def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
     """Unknowns, margins, modes and measured peak; with both sides of the sum, and per recorded excitation."""
     plain = of_signals(None, 1e-3, LATER)
