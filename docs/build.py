@@ -78,7 +78,7 @@ class Results:
         figure = self.figures(name)[found[0] - 1]
         target = PAGES / "figures" / f"{name}-{found[0]}.svg"
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(svg_text(canvas_of(figure.graphic), outlined=True), encoding="utf-8")
+        target.write_text(svg_text(canvas_of(figure.graphic)), encoding="utf-8")
         image = f'<img src="{up}figures/{target.name}" alt="{escape(figure.alternative)}" loading="lazy">'
         return f"<figure>{image}<figcaption>{escape(figure.caption)}</figcaption></figure>"
 
